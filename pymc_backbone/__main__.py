@@ -1,0 +1,8 @@
+"""``python -m pymc_backbone`` is ``pymc-backbone``."""
+
+import sys
+
+from .cli import main
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,261 @@
+"""Compiled evaluation of every kind of density, and the layout of the plain data it reads.
+
+Layout of ``codes`` and ``table`` (offsets count from 0; ``d`` = observables x levels):
+
+- product: ``codes = [PRODUCT, d, family, start, size, family, start, size, ...]``, one triple per value; ``table[start
+  : start + size]`` holds
+
+  - uniform: low, high, log density
+  - normal: mean, standard deviation, log constant
+  - kde: bandwidth, log constant, centres in ascending order
+  - gev: location, scale, shape (xi), log constant
+
+- joint: ``codes = [JOINT, d, r, n]``; ``table = [log constant, bandwidth, mean (d), whitening (d x d), centres (n x
+  r)]``. With z = whitening (y - mean) the density is a Gaussian mixture over the n centres in the first r coordinates
+  times a standard normal in the others.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from pymc_backbone._checks import FloatArray
+
+PRODUCT, JOINT = 0, 1
+UNIFORM, NORMAL, KDE, GEV = 0, 1, 2, 3
+FAMILY_CODES: dict[str, int] = {"uniform": UNIFORM, "normal": NORMAL, "kde": KDE, "gev": GEV}
+LOG_TWO_PI = math.log(2.0 * math.pi)
+
+# A kernel whose weight relative to the largest one is below exp(-40) = 4e-18 does not change the last bit of the sum,
+# so leaving it out keeps the density smooth.
+_NEGLIGIBLE = -40.0
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _kde(table, start, size, y):
+    """Return log density and derivative of a one-dimensional Gaussian kernel density at ``y``."""
+    bandwidth = table[start]
+    first = start + 2
+    last = start + size
+    low, high = first, last
+    while low < high:
+        middle = (low + high) // 2
+        if table[middle] < y:
+            low = middle + 1
+        else:
+            high = middle
+    # The nearest centre has the largest exponent: taken out of the sum, the density never underflows.
+    nearest = low
+    if low == last or (low > first and y - table[low - 1] < table[low] - y):
+        nearest = low - 1
+    u = (table[nearest] - y) / bandwidth
+    largest = -0.5 * u * u
+    total, slope = 1.0, u
+    index = nearest + 1
+    while index < last:
+        u = (table[index] - y) / bandwidth
+        exponent = -0.5 * u * u - largest
+        if not exponent > _NEGLIGIBLE:
+            break
+        weight = math.exp(exponent)
+        total += weight
+        slope += weight * u
+        index += 1
+    index = nearest - 1
+    while index >= first:
+        u = (table[index] - y) / bandwidth
+        exponent = -0.5 * u * u - largest
+        if not exponent > _NEGLIGIBLE:
+            break
+        weight = math.exp(exponent)
+        total += weight
+        slope += weight * u
+        index -= 1
+    return table[start + 1] + largest + math.log(total), slope / total / bandwidth
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _gev(table, start, y):
+    """Return log density and derivative of a generalised extreme value density at ``y``."""
+    scale = table[start + 1]
+    shape = table[start + 2]
+    z = (y - table[start]) / scale
+    stretch = 1.0 + shape * z
+    if not stretch > 0.0:
+        return -np.inf, 0.0
+    # log1p(shape z) / shape is exact to rounding down to the smallest normal shapes; at shape = 0 its limit is z.
+    s = z if abs(shape) < 1e-200 else math.log1p(shape * z) / shape
+    if s < -700.0:
+        return -np.inf, 0.0
+    t = math.exp(-s)
+    return table[start + 3] - (1.0 + shape) * s - t, (t - 1.0 - shape) / (stretch * scale)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _product(codes, table, y, gradient):
+    """Return the sum of the marginal log densities; fill ``gradient``."""
+    total = 0.0
+    for index in range(codes[1]):
+        family = codes[2 + 3 * index]
+        start = codes[3 + 3 * index]
+        value = y[index]
+        if family == NORMAL:
+            u = (value - table[start]) / table[start + 1]
+            total += table[start + 2] - 0.5 * u * u
+            gradient[index] = -u / table[start + 1]
+        elif family == UNIFORM:
+            if value < table[start] or value > table[start + 1]:
+                return -np.inf
+            total += table[start + 2]
+            gradient[index] = 0.0
+        else:
+            if family == GEV:
+                log_value, slope = _gev(table, start, value)
+            else:
+                log_value, slope = _kde(table, start, codes[4 + 3 * index], value)
+            total += log_value
+            gradient[index] = slope
+    return total
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _joint(codes, table, y, gradient):
+    """Return the joint log density; fill ``gradient``."""
+    d, r, n = codes[1], codes[2], codes[3]
+    whitening = 2 + d
+    centres = whitening + d * d
+    inverse_square = 1.0 / (table[1] * table[1])
+    scratch = np.empty(2 * r)
+    total = table[0]
+    for j in range(d):
+        gradient[j] = 0.0
+    for k in range(d):
+        row = whitening + k * d
+        even, odd = 0.0, 0.0  # two sums halve the wait of each addition for the one before
+        for j in range(0, d - 1, 2):
+            even += table[row + j] * (y[j] - table[2 + j])
+            odd += table[row + j + 1] * (y[j + 1] - table[3 + j])
+        if d % 2 == 1:
+            even += table[row + d - 1] * (y[d - 1] - table[1 + d])
+        z = even + odd
+        if k < r:
+            scratch[k] = z
+            scratch[r + k] = 0.0
+        else:
+            total -= 0.5 * z * z
+            for j in range(d):
+                gradient[j] -= z * table[row + j]
+    largest, weights = -np.inf, 0.0
+    for i in range(n):
+        square = 0.0
+        for k in range(r):
+            u = table[centres + i * r + k] - scratch[k]
+            square += u * u
+        exponent = -0.5 * square * inverse_square
+        if exponent > largest:
+            weight = 1.0
+            rescale = math.exp(largest - exponent)
+            largest = exponent
+            weights *= rescale
+            for k in range(r):
+                scratch[r + k] *= rescale
+        elif exponent - largest > _NEGLIGIBLE:
+            weight = math.exp(exponent - largest)
+        else:
+            continue
+        weights += weight
+        for k in range(r):
+            scratch[r + k] += weight * (table[centres + i * r + k] - scratch[k])
+    for k in range(r):
+        slope = scratch[r + k] / weights * inverse_square
+        row = whitening + k * d
+        for j in range(d):
+            gradient[j] += slope * table[row + j]
+    return total + largest + math.log(weights)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def log_density(codes, table, y, gradient):
+    """Evaluate a fitted density and its gradient.
+
+    Compiled (``numba.njit``, cached on disk, without fast-math because NaN matters) and usable inside other compiled
+    functions.
+
+    Parameters
+    ----------
+    codes : array of int64, shape (c,)
+        Kind and layout, `Density.codes`.
+    table : array of float64, shape (t,)
+        Numbers of the density, `Density.table`.
+    y : array of float64, shape (d,)
+        Values flattened in C order over (observable, level), each in the unit of its observable.
+    gradient : array of float64, shape (d,)
+        Overwritten with the derivative of the log density with respect to ``y``; zeros where the density is zero.
+
+    Returns
+    -------
+    float
+        The log density; -inf outside the support and where any value is not finite; never NaN.
+    """
+    d = codes[1]
+    finite = True
+    for index in range(d):
+        if not math.isfinite(y[index]):
+            finite = False
+    total = -np.inf
+    if finite:
+        total = _product(codes, table, y, gradient) if codes[0] == PRODUCT else _joint(codes, table, y, gradient)
+    if not math.isfinite(total):  # also an overflow far away, which can end in inf - inf
+        total = -np.inf
+        for index in range(d):
+            gradient[index] = 0.0
+    return total
+
+
+@numba.njit(cache=True, error_model="numpy")
+def log_density_batch(codes, table, values, result, gradients):
+    """Evaluate `log_density` for every row of ``values`` (n, d) into ``result`` (n,) and ``gradients`` (n, d)."""
+    for index in range(values.shape[0]):
+        result[index] = log_density(codes, table, values[index], gradients[index])
+
+
+def kde_table(bandwidth: float, centres: FloatArray) -> list[float]:
+    """Return the table entries of a one-dimensional kernel density."""
+    return [bandwidth, -float(np.log(bandwidth * centres.size)) - 0.5 * LOG_TWO_PI, *np.sort(centres).tolist()]
+
+
+def mixture_marginal(
+    bandwidth: float, mean: FloatArray, whitening: FloatArray, centres: FloatArray, index: int
+) -> tuple[NDArray[np.int64], FloatArray]:
+    """Return codes and table of the marginal of one value of a joint density, a one-dimensional kernel density."""
+    along = np.linalg.inv(whitening)[index]
+    r = centres.shape[1]
+    width = float(np.sqrt(bandwidth**2 * (along[:r] ** 2).sum() + (along[r:] ** 2).sum()))
+    table = np.array(kde_table(width, mean[index] + centres @ along[:r]))
+    return np.array([PRODUCT, 1, KDE, 0, table.size]), table
+
+
+def is_layout(codes: NDArray[np.int64], table_size: int, kind: int, size: int) -> bool:
+    """Whether codes and table are of a density of ``kind`` over ``size`` values: the compiled code does not check."""
+    if codes.ndim != 1 or codes.size < 2 or codes[0] != kind or codes[1] != size:
+        return False
+    if kind == JOINT:
+        return (
+            codes.size == 4
+            and 0 <= codes[2] <= size
+            and codes[3] >= 1
+            and table_size == 2 + size + size**2 + codes[2] * codes[3]
+        )
+    if codes.size != 2 + 3 * size:
+        return False
+    family, start, length = codes[2:].reshape(size, 3).T
+    expected = np.select(
+        [family == UNIFORM, family == NORMAL, family == GEV, family == KDE],
+        [3, 3, 4, np.maximum(length, 3)],
+        default=-1,
+    )
+    return bool(np.all((length == expected) & (start >= 0) & (start + length <= table_size)))

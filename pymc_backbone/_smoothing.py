@@ -1,0 +1,180 @@
+"""Penalised splines whose smoothness is averaged over, not chosen: a curve with an honest covariance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import BSpline
+from scipy.linalg import cholesky_banded, eigh, qr, solve_banded
+
+from pymc_backbone._checks import FloatArray
+
+MAXIMUM_BASIS = 44
+"""More basis functions change no level value of the library's effects by a tenth of its standard error."""
+
+SMOOTHNESS_GRID = np.logspace(-1.0, 9.0, 31)
+"""Prior variance of the curve's bending over the noise variance, in the direction the record determines best."""
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A smoothed curve at the places asked for: value, its covariance, and mean squared normalised residual (at least 1)."""
+
+    value: FloatArray
+    covariance: FloatArray
+    scatter: float
+
+
+def _spline_basis(sites: FloatArray, n_basis: int) -> FloatArray:
+    """Return clamped cubic knots whose density follows the ``sites`` (sorted, in [0, 1])."""
+    inner = np.interp(np.linspace(0.0, 1.0, n_basis - 2), np.linspace(0.0, 1.0, sites.size), sites)
+    # half follow the data and half are even, so that a gap between cycles is not left without freedom
+    inner = 0.5 * inner + 0.5 * np.linspace(0.0, 1.0, n_basis - 2)
+    return np.concatenate([np.zeros(3), inner, np.ones(3)])
+
+
+def _bending_roots(knots: FloatArray, order: int) -> tuple[FloatArray, FloatArray]:
+    """Return the null space of the ``order``-th derivative penalty and a square root of its pseudo-inverse."""
+    nodes, weights = np.polynomial.legendre.leggauss(3)
+    breaks = np.unique(knots)
+    half = np.diff(breaks) / 2.0
+    points = ((breaks[:-1] + half)[:, None] + half[:, None] * nodes).ravel()
+    scale = np.sqrt((half[:, None] * weights).ravel())
+    n_basis = knots.size - 4
+    bending = BSpline(knots, np.eye(n_basis), 3).derivative(order)(points) * scale[:, None]
+    values, vectors = eigh(bending.T @ bending)
+    return vectors[:, :order], vectors[:, order:] / np.sqrt(np.maximum(values[order:], 1e-14 * values[-1]))
+
+
+def _whiten(bands: FloatArray, columns: FloatArray) -> FloatArray:
+    """Return ``L^-1 columns`` with ``L L^T`` the covariance given by its lower diagonals, row b the b-th."""
+    lower = cholesky_banded(bands, lower=True)
+    return solve_banded((bands.shape[0] - 1, 0), lower, columns)
+
+
+def regularised_bands(bands: FloatArray) -> FloatArray:
+    """Return covariance diagonals that are safely positive definite: off-diagonals shrunk as little as it takes."""
+    for shrink in (1.0, 0.999, 0.99, 0.97, 0.9, 0.7, 0.4):
+        trial = bands.copy()
+        trial[1:] *= shrink
+        try:
+            cholesky_banded(trial, lower=True)
+        except np.linalg.LinAlgError:
+            continue
+        return trial
+    trial = bands.copy()
+    trial[1:] = 0.0
+    return trial
+
+
+def smooth(
+    places: list[FloatArray],
+    values: FloatArray,
+    bands: FloatArray,
+    targets: list[FloatArray],
+    *,
+    orders: tuple[int, ...] = (2,),
+    scatter_prior: float = 12.0,
+) -> Curve:
+    """Smooth ``values`` with noise covariance ``bands``, averaging over smoothness and over abscissas.
+
+    The curve has a Gaussian prior: a polynomial of degree ``order - 1`` that costs nothing plus a part whose ``order``-th derivative is
+    white with unknown strength. The strength (and the abscissa, and the order) is integrated over with the restricted likelihood as weight, so
+    that the covariance holds the doubt about smoothness too.
+
+    Parameters
+    ----------
+    places : list of (n,) arrays
+        The same n cycles on each candidate abscissa, for example log amplitude and amplitude; monotone.
+    values : (n,) array
+        What is smoothed.
+    bands : (b, n) array
+        Lower diagonals of the noise covariance of ``values``.
+    targets : list of (m,) arrays
+        Where the curve is wanted, on each abscissa; inside the range of ``places``.
+    orders : tuple of int, default (2,)
+        Orders of the penalised derivative to average over, 2 or 3.
+    scatter_prior : float, default 12
+        Weight, in observations, of the belief that ``bands`` is right; scatter beyond it inflates the covariance.
+
+    Returns
+    -------
+    Curve
+        Value, covariance, and scatter.
+    """
+    n = values.size
+    bands = regularised_bands(bands)
+    collected = []
+    for place, target in zip(places, targets, strict=True):
+        for order in orders:
+            if n > order + 1:
+                collected.append(_smooth_on(place, values, bands, target, order, scatter_prior))
+    if not collected:
+        raise ValueError("smoothing needs at least four values")
+    logs = np.concatenate([item[0] for item in collected])
+    weights = np.exp(logs - logs.max())
+    weights /= weights.sum()
+    means = np.concatenate([item[1] for item in collected])
+    value = weights @ means
+    spread = means - value
+    covariance = (spread * weights[:, None]).T @ spread
+    start = 0
+    scatter = 0.0
+    for log_weights, _, basis, variances, fixed, scatters in collected:
+        own = weights[start : start + log_weights.size]
+        covariance += (basis * ((own * scatters) @ variances)) @ basis.T + (own @ scatters) * fixed
+        scatter += float(own @ scatters)
+        start += log_weights.size
+    return Curve(value, covariance, scatter)
+
+
+def _smooth_on(place, values, bands, target, order, scatter_prior):  # type: ignore[no-untyped-def]
+    n = values.size
+    low, high = float(place.min()), float(place.max())
+    unit = np.clip((place - low) / (high - low), 0.0, 1.0)
+    goal = np.clip((target - low) / (high - low), 0.0, 1.0)
+    n_basis = int(min(max(2 * n, 8), MAXIMUM_BASIS))
+    knots = _spline_basis(np.sort(unit), n_basis)
+    null, bent = _bending_roots(knots, order)
+    spline = BSpline(knots, np.hstack([null, bent]), 3)
+    white = _whiten(bands, np.column_stack([values, spline(unit)]))
+    y, free, rough = white[:, 0], white[:, 1 : 1 + order], white[:, 1 + order :]
+    q_free, r_free = np.linalg.qr(free)
+    rough_part = q_free.T @ rough
+    rough = rough - q_free @ rough_part
+    y_part = q_free.T @ y
+    y = y - q_free @ y_part
+    gram = rough.T @ rough if n > n_basis else None
+    if gram is not None:
+        d2, v = eigh(gram)
+        keep = d2 > 1e-13 * d2[-1]
+        d2, v = d2[keep], v[:, keep]
+    else:
+        d2_full, u = eigh(rough @ rough.T)
+        keep = d2_full > 1e-13 * d2_full[-1]
+        d2 = d2_full[keep]
+        v = (rough.T @ u[:, keep]) / np.sqrt(d2)
+    d = np.sqrt(d2)
+    gamma = (v.T @ (rough.T @ y)) / d
+    rest = max(float(y @ y - gamma @ gamma), 0.0)
+    at = spline(goal)
+    solve_free = np.linalg.solve(r_free.T, at[:, :order].T).T
+    bend_at = at[:, order:] - solve_free @ rough_part
+    basis = bend_at @ v
+    tau = SMOOTHNESS_GRID / d2[-1]
+    ratio = 1.0 + tau[:, None] * d2
+    # noise scale: never below what was handed in, pulled towards it with the weight of scatter_prior observations
+    chi2 = (gamma**2 / ratio).sum(axis=1) + rest
+    dof = n - order
+    scatters = np.maximum((scatter_prior + chi2) / (scatter_prior + dof), 1.0)
+    logs = -0.5 * np.log(ratio).sum(axis=1) - 0.5 * chi2 / scatters - 0.5 * dof * np.log(scatters)
+    coefficients = tau[:, None] * d / ratio * gamma
+    means = solve_free @ y_part + coefficients @ basis.T
+    variances = tau[:, None] / ratio
+    # directions of bending the record says nothing about keep their prior variance
+    blind = bend_at - basis @ v.T
+    fixed = solve_free @ solve_free.T
+    weights = np.exp(logs - logs.max())
+    fixed = fixed + float(weights @ tau / weights.sum()) * (blind @ blind.T)
+    return logs, means, basis, variances, fixed, scatters

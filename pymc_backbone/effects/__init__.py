@@ -1,0 +1,70 @@
+"""Named physical force terms, one file each.
+
+An effect is added by adding one file to this folder that holds ``EFFECT = Effect(...)``; nothing else has to be
+touched, and the generic tests run over it by themselves.
+"""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from .._checks import InputError, check_choice
+from ._base import Effect, Parameter
+
+BASE_EFFECTS: tuple[str, str] = ("linear_stiffness", "viscous_damping")
+"""The effects that every oscillator has."""
+
+
+def _load_library() -> Mapping[str, Effect]:
+    """Import every public module of this package and collect its ``EFFECT``."""
+    modules = sorted(module.name for module in pkgutil.iter_modules(__path__) if not module.name.startswith("_"))
+    library: dict[str, Effect] = {}
+    owners: dict[str, str] = {}
+    for name in (*BASE_EFFECTS, *(name for name in modules if name not in BASE_EFFECTS)):
+        effect = importlib.import_module(f"{__name__}.{name}").EFFECT
+        if effect.name != name:
+            raise InputError(f"effects/{name}.py holds an effect named {effect.name!r}; give both the same name.")
+        for parameter in effect.parameter_names:
+            if parameter in owners:
+                raise InputError(
+                    f"parameter {parameter!r} belongs to both {owners[parameter]!r} and {name!r}; rename one of them."
+                )
+            owners[parameter] = name
+        library[name] = effect
+    return MappingProxyType(library)
+
+
+LIBRARY: Mapping[str, Effect] = _load_library()
+"""All effects by name (read-only): the two of every oscillator first, the others in alphabetical order."""
+
+
+def get_effect(name: str) -> Effect:
+    """Return the effect of the library called ``name``.
+
+    Parameters
+    ----------
+    name : str
+        A key of `LIBRARY`.
+
+    Returns
+    -------
+    Effect
+
+    Raises
+    ------
+    InputError
+        If there is no such effect; the message lists those there are and the nearest name.
+
+    Examples
+    --------
+    >>> from pymc_backbone.effects import get_effect
+    >>> get_effect("cubic_stiffness").text
+    'cubic_stiffness x^3'
+    """
+    return LIBRARY[check_choice("effect", name, LIBRARY)]
+
+
+__all__ = ["BASE_EFFECTS", "LIBRARY", "Effect", "Parameter", "get_effect"]

@@ -1,0 +1,129 @@
+"""The records that describe an effect: one named physical force term and its parameters."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numba
+import numpy as np
+
+from .._checks import InputError
+
+BoundsFunction = Callable[[float, float, float], tuple[float, float]]
+_NAME = re.compile(r"[a-z][a-z0-9_]*\Z")
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One physical parameter of an effect.
+
+    Parameters
+    ----------
+    name : str
+        Lower-case identifier, unique over all effects of an oscillator.
+    unit : str
+        SI unit as text, for example ``"N/m^3"``; for a rotation read N as N m and m as rad.
+    latex : str
+        Symbol in LaTeX without dollar signs.
+    summary : str
+        One line saying what it is.
+    bounds : callable
+        ``bounds(mass, amplitude, angular_frequency) -> (low, high)``: default bounds of a Uniform
+        prior, scaled with the record (kg, m, rad/s).
+    minimum, maximum : float
+        Physical limits; priors must lie inside.
+    """
+
+    name: str
+    unit: str
+    latex: str
+    summary: str
+    bounds: BoundsFunction
+    minimum: float = 0.0
+    maximum: float = np.inf
+
+    def __post_init__(self) -> None:
+        if not _NAME.match(self.name):
+            raise InputError(f"parameter name {self.name!r} must be lower-case letters, digits and underscores.")
+        if not self.minimum < self.maximum:
+            raise InputError(f"parameter {self.name!r} needs minimum < maximum, got {self.minimum} and {self.maximum}.")
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One named physical force term of an oscillator.
+
+    The equation of motion is ``mass * x'' + sum of forces = 0``. All functions are compiled
+    (`numba.njit`) functions of scalars and small arrays; see ``docs/architecture.md``.
+
+    Parameters
+    ----------
+    name : str
+        Lower-case identifier, for example ``"cubic_stiffness"``.
+    summary : str
+        One line saying what it is and how backbones show it.
+    text, latex : str
+        The force as plain text and as LaTeX, written with the parameter names and symbols.
+    parameters : tuple of Parameter
+        In the order in which ``p`` holds them.
+    force : callable
+        ``force(x, v, direction, z, p) -> float`` in newtons.
+    gradient : callable, optional
+        ``gradient(x, v, direction, z, p, out)``: dF/dx, dF/dv, dF/dp..., dF/dz... into ``out``.
+        Without it compiled central differences are used.
+    regime : callable, optional
+        ``regime(x, v, direction, z, p) -> int``: label of the smooth branch, for forces with kinks.
+    has_memory : bool
+        Whether the force depends on the last turning point, kept in ``z = [x_r, f_r, branch]``.
+    n_states : int
+        Number of internal states ``z`` (3 with memory).
+    state_rate : callable, optional
+        ``state_rate(x, v, direction, z, p, out)``: dz/dt into ``out``.
+    state_rate_gradient : callable, optional
+        ``state_rate_gradient(x, v, direction, z, p, out)``: its derivatives into
+        ``out[n_states, 2 + n_p + n_states]``, columns x, v, p..., z....
+    references : tuple of str
+        Where the force law comes from.
+    """
+
+    name: str
+    summary: str
+    text: str
+    latex: str
+    parameters: tuple[Parameter, ...]
+    force: Callable[..., Any]
+    gradient: Callable[..., Any] | None = None
+    regime: Callable[..., Any] | None = None
+    has_memory: bool = False
+    n_states: int = 0
+    state_rate: Callable[..., Any] | None = None
+    state_rate_gradient: Callable[..., Any] | None = None
+    references: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not _NAME.match(self.name):
+            raise InputError(f"effect name {self.name!r} must be lower-case letters, digits and underscores.")
+        for label in ("force", "gradient", "regime", "state_rate", "state_rate_gradient"):
+            function = getattr(self, label)
+            if function is not None and not (hasattr(function, "py_func") or numba.config.DISABLE_JIT):
+                raise InputError(
+                    f"`{label}` of effect {self.name!r} must be compiled: put @numba.njit above its definition."
+                )
+        if self.has_memory and (self.n_states != 3 or self.state_rate is not None):
+            raise InputError(
+                f"effect {self.name!r} has memory: it needs n_states=3 (x_r, f_r, branch) and no state_rate, "
+                f"got n_states={self.n_states}."
+            )
+        if not self.has_memory and (self.n_states > 0) != (self.state_rate is not None):
+            raise InputError(f"effect {self.name!r} needs both n_states > 0 and state_rate, or neither.")
+        names = [parameter.name for parameter in self.parameters]
+        if len(set(names)) != len(names):
+            raise InputError(f"effect {self.name!r} repeats a parameter name: {', '.join(names)}.")
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the parameters, in the order of ``p``."""
+        return tuple(parameter.name for parameter in self.parameters)

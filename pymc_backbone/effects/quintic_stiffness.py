@@ -1,0 +1,47 @@
+"""Spring of fifth order: acts at large amplitudes only."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from .._checks import FloatArray
+from ._base import Effect, Parameter
+
+
+@numba.njit
+def force(x: float, v: float, direction: float, z: FloatArray, p: FloatArray) -> float:
+    """Return the force [N]."""
+    return p[0] * x**5
+
+
+@numba.njit
+def gradient(x: float, v: float, direction: float, z: FloatArray, p: FloatArray, out: FloatArray) -> None:
+    """Write the derivatives of the force to x, v and the parameter."""
+    out[0] = 5.0 * p[0] * x**4
+    out[1] = 0.0
+    out[2] = x**5
+
+
+EFFECT = Effect(
+    name="quintic_stiffness",
+    summary="Fifth-order spring: frequency rises with amplitude to the fourth (falls if negative), no damping.",
+    text="quintic_stiffness x^5",
+    latex="k_5 x^5",
+    parameters=(
+        Parameter(
+            name="quintic_stiffness",
+            unit="N/m^5",
+            latex="k_5",
+            summary="coefficient of the fifth-order spring; negative softens",
+            bounds=lambda mass, amplitude, angular_frequency: (
+                -1.5 * mass * angular_frequency**2 / amplitude**4,
+                1.5 * mass * angular_frequency**2 / amplitude**4,
+            ),
+            minimum=-np.inf,
+        ),
+    ),
+    force=force,
+    gradient=gradient,
+    references=("Nayfeh A. H., Mook D. T. (1979) Nonlinear Oscillations. Wiley. doi:10.1002/9783527617586",),
+)

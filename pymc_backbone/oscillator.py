@@ -1,0 +1,425 @@
+"""A mass with effects: layout and units of the parameters, equation of motion, digest of the compiled forces."""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+import importlib
+import re
+import sys
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from enum import Enum
+from types import CodeType, FunctionType, ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ._checks import FloatArray, InputError, check_finite_array, check_positive
+from .effects import BASE_EFFECTS, LIBRARY, Effect, Parameter, get_effect
+
+EffectLike = str | Effect
+_COMPILED = ("force", "gradient", "regime", "state_rate", "state_rate_gradient")
+
+
+@dataclass(frozen=True, init=False, repr=False)
+class Oscillator:
+    """One degree of freedom: ``mass * x'' + sum of the forces of its effects = 0``.
+
+    Parameters
+    ----------
+    mass : float
+        Mass [kg]; for a rotation the moment of inertia [kg m^2]. Positive.
+    effects : str, Effect or iterable of them, optional
+        Effects, by name (see `pymc_backbone.effects.LIBRARY`) or as `Effect`. Linear stiffness and viscous damping
+        are added in front when they are not named. The order decides the order of the parameters, nothing else.
+
+    Raises
+    ------
+    InputError
+        If the mass is not positive, an effect is unknown or there twice, or two effects share a parameter name.
+
+    Notes
+    -----
+    Equal oscillators have equal masses and the same effects in the same order. Pickles hold effects of the library,
+    and effects at module level of a file that can be imported, by name; so they survive in another process. An effect
+    made elsewhere (inside a function, in a notebook) is pickled whole, for which `cloudpickle` is needed.
+
+    Examples
+    --------
+    >>> from pymc_backbone.oscillator import Oscillator
+    >>> duffing = Oscillator(1.0, "cubic_stiffness")
+    >>> duffing.parameter_names
+    ('linear_stiffness', 'viscous_damping', 'cubic_stiffness')
+    >>> print((duffing + "coulomb_friction").equation.splitlines()[0])
+    m x'' + c x' + k x + k3 x^3 + Fc sign(x') = 0
+    """
+
+    mass: float
+    effects: tuple[Effect, ...]
+
+    def __init__(self, mass: float, effects: EffectLike | Iterable[EffectLike] = ()) -> None:
+        chosen = _as_effects(effects)
+        present = {effect.name for effect in chosen}
+        chosen = (*(LIBRARY[name] for name in BASE_EFFECTS if name not in present), *chosen)
+        owners: dict[str, str] = {}
+        seen: set[str] = set()
+        for effect in chosen:
+            if effect.name in seen:
+                raise InputError(f"effect {effect.name!r} is there already; name it once.")
+            seen.add(effect.name)
+            for name in effect.parameter_names:
+                if name in owners:
+                    raise InputError(
+                        f"parameter {name!r} belongs to both {owners[name]!r} and {effect.name!r}; rename one of them."
+                    )
+                owners[name] = effect.name
+        object.__setattr__(self, "mass", check_positive("mass", mass))
+        object.__setattr__(self, "effects", chosen)
+
+    def __add__(self, other: EffectLike | Iterable[EffectLike]) -> Oscillator:
+        """Return a new oscillator with the given effect or effects added behind."""
+        if not isinstance(other, str | Effect | Iterable):
+            return NotImplemented
+        return Oscillator(self.mass, (*self.effects, *_as_effects(other)))
+
+    def __repr__(self) -> str:
+        return f"Oscillator(mass={self.mass!r}, effects=({', '.join(repr(effect.name) for effect in self.effects)}))"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restore, (self.mass, tuple(_reference(effect) for effect in self.effects))
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """All parameters, effect by effect."""
+        return tuple(parameter for effect in self.effects for parameter in effect.parameters)
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of all parameters: the layout of a parameter vector."""
+        return tuple(parameter.name for parameter in self.parameters)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each parameter."""
+        return {parameter.name: parameter.unit for parameter in self.parameters}
+
+    @property
+    def slices(self) -> dict[str, slice]:
+        """Where the parameters of each effect stand in the parameter vector."""
+        slices: dict[str, slice] = {}
+        start = 0
+        for effect in self.effects:
+            slices[effect.name] = slice(start, start + len(effect.parameters))
+            start += len(effect.parameters)
+        return slices
+
+    def index(self, parameter_name: str) -> int:
+        """Return the position of a parameter in the parameter vector; raise `InputError` if it is not there."""
+        names = self.parameter_names
+        if parameter_name not in names:
+            raise InputError(f"the oscillator has {', '.join(names)}; got {_unknown([parameter_name], names)}.")
+        return names.index(parameter_name)
+
+    def default_bounds(self, amplitude: float, angular_frequency: float) -> dict[str, tuple[float, float]]:
+        """Return bounds of a Uniform prior for each parameter, scaled with the record.
+
+        Parameters
+        ----------
+        amplitude : float
+            Largest amplitude of the records [m or rad].
+        angular_frequency : float
+            Angular frequency of the records [rad/s].
+
+        Returns
+        -------
+        dict
+            Parameter name to (low, high), in the parameter's unit.
+
+        Examples
+        --------
+        >>> Oscillator(2.0).default_bounds(amplitude=0.01, angular_frequency=10.0)["viscous_damping"]
+        (0.0, 4.0)
+        """
+        scale = (
+            self.mass,
+            check_positive("amplitude", amplitude),
+            check_positive("angular_frequency", angular_frequency),
+        )
+        return {parameter.name: parameter.bounds(*scale) for parameter in self.parameters}
+
+    def pack(self, parameters: Mapping[str, float] | ArrayLike) -> FloatArray:
+        """Return a parameter vector from values by name, or check one that is a vector already.
+
+        Parameters
+        ----------
+        parameters : mapping or array-like, shape (p,)
+            A value for each of `parameter_names`, by name or in their order, in their units.
+
+        Returns
+        -------
+        ndarray, shape (p,)
+            A new array.
+
+        Raises
+        ------
+        InputError
+            If a name is missing or unknown, the length is wrong, or a value is not finite or outside the physical
+            limits of its parameter.
+
+        Examples
+        --------
+        >>> Oscillator(1.0).pack({"viscous_damping": 0.5, "linear_stiffness": 100.0}).tolist()
+        [100.0, 0.5]
+        """
+        names = self.parameter_names
+        if isinstance(parameters, Mapping):
+            unknown = [str(name) for name in parameters if name not in names]
+            if unknown:
+                raise InputError(f"`parameters` may hold {', '.join(names)}; got {_unknown(unknown, names)}.")
+            missing = [name for name in names if name not in parameters]
+            if missing:
+                raise InputError(f"`parameters` lacks {', '.join(missing)}; give a value for each of them.")
+            parameters = [parameters[name] for name in names]
+        vector = check_finite_array("parameters", parameters)
+        if vector.size != len(names):
+            raise InputError(f"`parameters` must hold {len(names)} values ({', '.join(names)}), got {vector.size}.")
+        for parameter, value in zip(self.parameters, vector, strict=True):
+            if not parameter.minimum <= value <= parameter.maximum:
+                raise InputError(
+                    f"`{parameter.name}` must lie between {parameter.minimum:g} and {parameter.maximum:g} "
+                    f"{parameter.unit}, got {value:g}."
+                )
+        return vector
+
+    def unpack(self, vector: ArrayLike) -> dict[str, float]:
+        """Return the values of a parameter vector by name; the inverse of `pack`."""
+        return dict(zip(self.parameter_names, self.pack(vector).tolist(), strict=True))
+
+    @property
+    def equation(self) -> str:
+        """Equation of motion as text, then what its symbols mean, one per line."""
+        symbols = self._symbols()
+        pattern = re.compile(r"\b(" + "|".join(sorted(symbols, key=len, reverse=True)) + r")\b")
+
+        def shorten(text: str) -> str:
+            return pattern.sub(lambda match: symbols[match[0]], text)
+
+        forces, definitions = self._terms("text")
+        lines = [_sum_of(["m x''", *map(shorten, forces)]), *(f"  {shorten(text)}" for text in definitions)]
+        lines.append(f"  m: mass = {self.mass:g}")
+        lines += [f"  {symbols[parameter.name]}: {parameter.name} [{parameter.unit}]" for parameter in self.parameters]
+        return "\n".join(lines)
+
+    @property
+    def latex(self) -> str:
+        """Equation of motion in LaTeX, without dollar signs."""
+        forces, definitions = self._terms("latex")
+        return r",\quad ".join([_sum_of([r"m \ddot{x}", *forces]), *definitions])
+
+    def _repr_latex_(self) -> str:
+        return rf"$\displaystyle {self.latex}$"
+
+    def _terms(self, attribute: str) -> tuple[list[str], list[str]]:
+        """Split the effects' formulas into forces, damper and spring first, and the definitions behind them."""
+        order = {"viscous_damping": 0, "linear_stiffness": 1}
+        forces, definitions = [], []
+        for effect in sorted(self.effects, key=lambda effect: order.get(effect.name, 2)):
+            # The lookbehind spares LaTeX's own `\;`.
+            force, *rest = re.split(r"(?<!\\);\s+", getattr(effect, attribute))
+            forces.append(force)
+            definitions += rest
+        return forces, definitions
+
+    def _symbols(self) -> dict[str, str]:
+        """Return a short plain-text symbol per parameter; where two would be alike, the names."""
+        plain = {parameter.name: _plain(parameter.latex) for parameter in self.parameters}
+        taken = list(plain.values())
+        return {name: symbol if symbol and taken.count(symbol) == 1 else name for name, symbol in plain.items()}
+
+    def source_digest(self) -> str:
+        """Return a SHA-256 of everything the compiled forces are made of: a key for caches.
+
+        It covers, for each effect in order, its layout and the compiled functions with every helper function, global
+        constant and closure variable that they refer to, however deep.
+
+        Returns
+        -------
+        str
+            64 hexadecimal digits; the same in every process with the same Python version.
+
+        Notes
+        -----
+        The functions are hashed as byte code, which is what numba compiles, not as source text: it exists in a
+        notebook too, moving a function or editing a comment does not change it, and a file edited after it was
+        imported cannot lend its new text to the old code.
+        """
+        digest = _Digest()
+        for effect in self.effects:
+            digest.add("effect", effect.name, *effect.parameter_names, str(effect.has_memory), str(effect.n_states))
+            for label in _COMPILED:
+                digest.add(label)
+                digest.visit(getattr(effect, label))
+        return digest.hexdigest()
+
+
+def _as_effects(effects: EffectLike | Iterable[EffectLike]) -> tuple[Effect, ...]:
+    """Look up names; accept one effect or several."""
+    if not isinstance(effects, str | Effect | Iterable):
+        raise InputError(f"`effects` must be a name, an `Effect` or several of them, got {effects!r}.")
+    several = [effects] if isinstance(effects, str | Effect) else list(effects)
+    for effect in several:
+        if not isinstance(effect, str | Effect):
+            raise InputError(f"`effects` must hold names or `Effect`s, got {effect!r}.")
+    return tuple(get_effect(effect) if isinstance(effect, str) else effect for effect in several)
+
+
+def _unknown(unknown: Iterable[str], known: Iterable[str]) -> str:
+    """Name what is unknown, each with the nearest of what is known."""
+    options = list(known)
+    parts = []
+    for name in unknown:
+        near = difflib.get_close_matches(name, options, n=1)
+        parts.append(f"{name!r} (did you mean {near[0]!r}?)" if near else repr(name))
+    return ", ".join(parts)
+
+
+def _sum_of(terms: Iterable[str]) -> str:
+    return " + ".join(terms).replace("+ -", "- ") + " = 0"
+
+
+def _plain(latex: str) -> str:
+    r"""Turn a LaTeX symbol into plain text: ``\bar A`` into ``A``, ``k_3`` into ``k3``."""
+    without_accents = re.sub(r"\\(bar|hat|tilde|mathrm|mathit|text)\b", "", latex)
+    return re.sub(r"[\\{}_^\s]", "", without_accents)
+
+
+def _reference(effect: Effect) -> Effect | tuple[str, str]:
+    """Return (module, attribute) under which another process finds the effect, or the effect if there is none."""
+    if LIBRARY.get(effect.name) is effect:
+        return "", effect.name
+    for label in _COMPILED:
+        module = sys.modules.get(getattr(getattr(effect, label), "__module__", ""))
+        # What is typed into a session (no file) is not there in another process.
+        if module is not None and getattr(module, "__file__", None) is not None:
+            for attribute, value in vars(module).items():
+                if value is effect:
+                    return module.__name__, attribute
+    return effect
+
+
+def _restore(mass: float, references: tuple[Effect | tuple[str, str], ...]) -> Oscillator:
+    """Rebuild a pickled oscillator."""
+    effects = []
+    for reference in references:
+        if isinstance(reference, Effect):
+            effects.append(reference)
+        else:
+            module, attribute = reference
+            effects.append(getattr(importlib.import_module(module), attribute) if module else get_effect(attribute))
+    return Oscillator(mass, effects)
+
+
+class _Digest:
+    """SHA-256 over functions and everything they refer to."""
+
+    # Changes inside these come with a new version of the package, of which other parts of a cache key take care.
+    _FOREIGN = frozenset({"builtins", "cmath", "math", "numba", "numpy", "operator", "scipy"})
+
+    def __init__(self) -> None:
+        self._hash = hashlib.sha256()
+        self._seen: dict[tuple[int, frozenset[str]], tuple[int, object]] = {}
+
+    def add(self, *texts: str) -> None:
+        """Add texts, each with its length in front, so that no two sequences look alike."""
+        for text in texts:
+            data = text.encode()
+            self._hash.update(f"{len(data)}:".encode() + data)
+
+    def hexdigest(self) -> str:
+        """Return the digest so far."""
+        return self._hash.hexdigest()
+
+    def visit(self, value: Any, names: frozenset[str] = frozenset()) -> None:
+        """Add a value; of a module or class, the attributes among ``names``."""
+        if isinstance(value, Enum):
+            self.add(type(value).__qualname__, value.name, repr(value.value))
+        elif isinstance(value, bool | int | float | complex | str | bytes | type(None) | np.generic):
+            self.add(type(value).__name__, repr(value))
+        elif isinstance(value, tuple | list):
+            self.add(type(value).__name__, str(len(value)))
+            for item in value:
+                self.visit(item, names)
+        elif isinstance(value, set | frozenset):
+            self.add("set", *sorted(map(repr, value)))
+        elif isinstance(value, dict):
+            self.add("dict", str(len(value)))
+            for key in sorted(value, key=repr):
+                self.visit(key)
+                self.visit(value[key], names)
+        elif isinstance(value, np.ndarray):
+            self.add("array", str(value.dtype), str(value.shape))
+            self._hash.update(value.tobytes())
+        else:
+            # Of a module or class only the attributes in use count, so that these are part of what has been seen.
+            key = (id(value), names if isinstance(value, ModuleType | type) else frozenset())
+            if key in self._seen:
+                self.add("seen", str(self._seen[key][0]))
+            else:
+                # The value is kept beside its number: a freed object's id may be used again.
+                self._seen[key] = (len(self._seen), value)
+                self._visit_once(value, names)
+
+    def _visit_once(self, value: Any, names: frozenset[str]) -> None:
+        module = value.__name__ if isinstance(value, ModuleType) else str(getattr(value, "__module__", ""))
+        if module.split(".")[0] in self._FOREIGN and not hasattr(value, "py_func"):
+            self.add("foreign", module, str(getattr(value, "__qualname__", getattr(value, "__name__", type(value)))))
+        elif isinstance(value, ModuleType | type):
+            # Its own name does not matter: what counts is what the names used in it stand for.
+            self.add("namespace")
+            for name in sorted(names & vars(value).keys()):
+                self.add(name)
+                self.visit(vars(value)[name], names)
+        elif isinstance(value, FunctionType):
+            self._visit_function(value)
+        elif hasattr(value, "py_func"):
+            self.add("compiled")
+            self.visit(getattr(value, "targetoptions", None))
+            self.visit(value.py_func)
+        elif isinstance(value, CodeType):
+            self._visit_code(value)
+        else:
+            self.add("object", module, type(value).__qualname__, str(getattr(value, "__name__", "")))
+
+    def _visit_function(self, function: FunctionType) -> None:
+        self.add("function")
+        self.visit(function.__code__)
+        self.visit(function.__defaults__)
+        self.visit(function.__kwdefaults__)
+        names = _referenced_names(function.__code__)
+        for name in sorted(names & function.__globals__.keys()):
+            self.add("global", name)
+            self.visit(function.__globals__[name], names)
+        for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
+            self.add("closure", name)
+            try:
+                contents = cell.cell_contents
+            except ValueError:  # a variable not assigned yet
+                continue
+            self.visit(contents, names)
+
+    def _visit_code(self, code: CodeType) -> None:
+        self.add("code", str(code.co_argcount), str(code.co_flags))
+        self.add(*code.co_names, *code.co_varnames, *code.co_freevars, *code.co_cellvars)
+        self._hash.update(code.co_code + code.co_exceptiontable)
+        self.visit(code.co_consts)
+
+
+def _referenced_names(code: CodeType) -> frozenset[str]:
+    """Return the names of globals and attributes in a code object and those nested in it."""
+    names = set(code.co_names)
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            names |= _referenced_names(constant)
+    return frozenset(names)

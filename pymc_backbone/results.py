@@ -1,0 +1,249 @@
+"""The output folder of a run.
+
+========================  ====================================================================================
+file                      what it holds
+========================  ====================================================================================
+``result.json``           everything in numbers and words; see `RESULT_KEYS`
+``summary.csv``           a row for each parameter: mean, sd, 95 % HDI, R-hat, effective draws
+``backbones.csv``         measured backbones: specimen, observable, level, value, standard error
+``backbones.nc``          the same with the covariance over the levels (NetCDF)
+``posterior.nc``          all draws and the sampler's statistics (NetCDF; ``xarray.open_datatree``)
+``figures/*.png``         records, backbones, densities, chains, posteriors, measured against simulated
+========================  ====================================================================================
+
+Every file is written beside its place and then renamed, so that a run that is stopped leaves no half-written file.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from ._checks import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+PROGRAM = "pymc-backbone"
+RESULT, SUMMARY, BACKBONES_TABLE, BACKBONES, POSTERIOR = (
+    "result.json",
+    "summary.csv",
+    "backbones.csv",
+    "backbones.nc",
+    "posterior.nc",
+)
+FIGURES = ("records", "backbones", "densities", "prior_posterior", "trace", "rank", "pair", "predictive")
+
+RESULT_KEYS = {
+    "program": "'pymc-backbone'",
+    "version": "of this package",
+    "command": "'extract', 'update' or 'demo', with its settings under 'settings'",
+    "settings": "every setting of the run, defaults filled in",
+    "seed": "of the sampler; the same seed and versions give the same draws",
+    "equation": "of motion, with the meaning and unit of each symbol",
+    "mass": "kg, or kg m^2 for a rotation",
+    "effects": "names, in the order of the parameters",
+    "observables": "compared with the measurement: frequency [Hz], damping [1], offset [1]",
+    "density": "what was fitted to the population, in words; null if none was",
+    "levels": "amplitudes at which curves are compared, in 'amplitude_unit'",
+    "amplitude_unit": "m or rad",
+    "specimens": "names",
+    "parameters": "name: mean, sd, hdi_low, hdi_high, unit, r_hat, ess_bulk, ess_tail, prior_low, prior_high",
+    "fixed": "name: value of the parameters that were not inferred",
+    "findings": "sentences on what is wrong with the posterior; empty if nothing was found",
+    "notes": "what was assumed or done while reading and conditioning the records",
+    "failures": "number of simulations that gave no backbone; null if not counted",
+    "seconds": "reading, sampling and in total",
+    "files": "written by this run, relative to the folder",
+}
+"""Keys of ``result.json``; ``extract`` writes those that apply to it."""
+
+
+def prepare_output(path: str | os.PathLike[str], overwrite: bool = False) -> Path:
+    """Make the output folder ready, before any long computation.
+
+    Parameters
+    ----------
+    path : path-like
+        Folder; made if it is not there, with its parents.
+    overwrite : bool, optional
+        Whether a folder that is not empty may be used. `write_results` then replaces what it writes, and removes what
+        an earlier run listed in its own ``result.json`` and this one did not write; nothing else is touched.
+
+    Returns
+    -------
+    pathlib.Path
+        The folder.
+
+    Raises
+    ------
+    InputError
+        If the path is a file, the folder is not empty (without ``overwrite``), or nothing can be written there.
+    """
+    folder = Path(path)
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"The output {folder} is a file; name a folder.")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        occupied = sorted(entry.name for entry in folder.iterdir())
+        if occupied and not overwrite:
+            raise InputError(
+                f"The output folder {folder} is not empty (it holds {occupied[0]}); name another one, or add "
+                "--overwrite."
+            )
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise InputError(
+            f"The output folder {folder} cannot be written ({error.strerror}); name another one."
+        ) from None
+    return folder
+
+
+def write_results(
+    folder: Path,
+    result: Mapping[str, Any],
+    *,
+    backbones: xr.Dataset | None = None,
+    summary: pd.DataFrame | None = None,
+    posterior: xr.DataTree | None = None,
+    figures: Mapping[str, Figure] | None = None,
+) -> list[str]:
+    """Write what there is; return the names of the files, ``result.json`` last.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        From `prepare_output`.
+    result : mapping
+        For ``result.json``: keys of `RESULT_KEYS`; ``program`` and ``files`` are added.
+    backbones : xarray.Dataset, optional
+        Measured backbones.
+    summary : pandas.DataFrame, optional
+        From `diagnostics.summarise`.
+    posterior : xarray.DataTree, optional
+        What `sample` returned.
+    figures : mapping of str to matplotlib.figure.Figure, optional
+        Figures by name, without suffix.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be written (no space, no permission).
+    """
+    unknown = sorted(set(result) - set(RESULT_KEYS))
+    if unknown:
+        raise KeyError(f"undocumented key of {RESULT}: {', '.join(unknown)}")
+    writers: dict[str, Callable[[Path], Any]] = {}
+    if backbones is not None:
+        table = backbone_table(backbones)
+        writers[BACKBONES_TABLE] = lambda path: table.to_csv(path, index=False, float_format="%.9g")
+        portable = _portable(backbones)
+        writers[BACKBONES] = lambda path: portable.to_netcdf(path, engine="h5netcdf")
+    if summary is not None:
+        writers[SUMMARY] = lambda path: summary.to_csv(path, float_format="%.9g")
+    if posterior is not None:
+        tree = xr.DataTree.from_dict({node.path: _portable(node.to_dataset()) for node in posterior.subtree})
+        writers[POSTERIOR] = lambda path: tree.to_netcdf(path, engine="h5netcdf")
+    for name, figure in (figures or {}).items():
+        writers[f"figures/{name}.png"] = partial(figure.savefig, dpi=150, format="png")
+    files = [*writers, RESULT]
+    stale = [name for name in _files_of_earlier_run(folder) if name not in files]
+    text = json.dumps(_plain({"program": PROGRAM, **result, "files": files}), indent=1, allow_nan=False)
+    writers[RESULT] = lambda path: path.write_text(text + "\n", encoding="utf-8")
+    for name, write in writers.items():
+        with _beside(folder / name) as temporary:
+            write(temporary)
+    for name in stale:
+        (folder / name).unlink(missing_ok=True)
+    return files
+
+
+def read_result(folder: str | os.PathLike[str]) -> dict[str, Any]:
+    """Read ``result.json`` of an output folder; raise `InputError` if there is none of this program."""
+    path = Path(folder) / RESULT
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError):
+        data = None
+    if not isinstance(data, dict) or data.get("program") != PROGRAM:
+        raise InputError(f"{path} is not a result of {PROGRAM}; name the output folder of a run.")
+    return data
+
+
+def backbone_table(backbones: xr.Dataset) -> pd.DataFrame:
+    """List measured backbones: one row for each specimen, observable and level that was reached."""
+    frame = backbones[["value", "standard_error"]].to_dataframe().reset_index()
+    columns = ["specimen", "observable", "level", "value", "standard_error"]
+    return frame[columns].dropna(subset=["value"]).reset_index(drop=True)
+
+
+def _files_of_earlier_run(folder: Path) -> list[str]:
+    """Names, out of those that this program writes, which an earlier run says it wrote."""
+    ours = {RESULT, SUMMARY, BACKBONES_TABLE, BACKBONES, POSTERIOR, *(f"figures/{name}.png" for name in FIGURES)}
+    try:
+        listed = read_result(folder).get("files", [])
+    except InputError:
+        return []
+    return [name for name in listed if name in ours] if isinstance(listed, list) else []
+
+
+@contextmanager
+def _beside(path: Path) -> Iterator[Path]:
+    """Yield a temporary path to write; rename it to ``path`` at the end, remove it on any failure."""
+    temporary: Path | None = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(prefix=".writing-", dir=path.parent))
+        yield temporary / path.name
+        os.replace(temporary / path.name, path)
+    except OSError as error:
+        raise InputError(
+            f"{path} cannot be written ({error.strerror or error}); free space or name another folder."
+        ) from None
+    finally:
+        if temporary is not None:
+            shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _portable(dataset: xr.Dataset) -> xr.Dataset:
+    """Return a copy that NetCDF can hold: booleans and objects as it knows them, attributes as text or numbers."""
+    result = dataset.copy()
+    for name, variable in result.variables.items():
+        if variable.dtype == object and not all(isinstance(value, str) for value in variable.values.ravel()):
+            result[name] = variable.astype(str)
+        result[name].attrs = {key: _attribute(value) for key, value in variable.attrs.items()}
+    result.attrs = {key: _attribute(value) for key, value in dataset.attrs.items()}
+    return result
+
+
+def _attribute(value: Any) -> Any:
+    if isinstance(value, str | int | float) and not isinstance(value, bool):
+        return value
+    return json.dumps(_plain(value))
+
+
+def _plain(value: Any) -> Any:
+    """Turn NumPy scalars, arrays, paths and tuples into what JSON holds; NaN and infinities become null."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.ndarray):
+        return [_plain(item) for item in value.tolist()]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value if value is None or isinstance(value, str | int | float | bool) else str(value)

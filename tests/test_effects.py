@@ -1,0 +1,480 @@
+"""Effects: every test over `LIBRARY` runs on a new effect by itself; the sliders meet brute-force beds."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+
+import pymc_backbone.effects as effects_package
+from pymc_backbone._checks import InputError
+from pymc_backbone.effects import BASE_EFFECTS, LIBRARY, Effect, Parameter, get_effect
+
+ALL = pytest.mark.parametrize("effect", LIBRARY.values(), ids=LIBRARY.keys())
+
+
+def having(label: str) -> pytest.MarkDecorator:
+    """Run over the effects that have a function of their own called ``label``."""
+    chosen = [effect for effect in LIBRARY.values() if getattr(effect, label) is not None]
+    return pytest.mark.parametrize("effect", chosen, ids=[effect.name for effect in chosen])
+
+
+# An unround mass, amplitude and frequency, far from one, so that a missing factor shows.
+MASS, AMPLITUDE, OMEGA = 0.37, 0.23, 41.0
+FORCE = MASS * OMEGA**2 * AMPLITUDE
+NO_STATE = np.zeros(0)
+
+
+def draw_parameters(effect: Effect, rng: np.random.Generator) -> np.ndarray:
+    """Draw inside the default bounds, away from their ends."""
+    bounds = np.array([parameter.bounds(MASS, AMPLITUDE, OMEGA) for parameter in effect.parameters])
+    return bounds[:, 0] + rng.uniform(0.1, 0.9, len(bounds)) * (bounds[:, 1] - bounds[:, 0])
+
+
+def draw_state(effect: Effect, p: np.ndarray, rng: np.random.Generator) -> tuple[float, float, float, np.ndarray]:
+    """Draw x, v, direction and z that belong together."""
+    direction = float(rng.choice([-1.0, 1.0]))
+    v = direction * AMPLITUDE * OMEGA * rng.uniform(0.05, 1.0)
+    if not effect.has_memory:
+        return AMPLITUDE * rng.uniform(-1.0, 1.0), v, direction, AMPLITUDE * rng.uniform(-1.0, 1.0, effect.n_states)
+    z = np.zeros(3)
+    if rng.random() < 0.5:
+        # After a reversal: the slider was loaded from its virgin state to x_r, where the motion turned round.
+        x_r = -direction * AMPLITUDE * rng.uniform(0.2, 1.0)
+        z = np.array([x_r, effect.force(x_r, 0.0, -direction, z, p), 1.0])
+    # At least a fifth of the amplitude away from the turning point, where a bed of sliders has a vertical tangent.
+    return z[0] + direction * AMPLITUDE * rng.uniform(0.2, 1.8), v, direction, z
+
+
+def differentiate(function, at: float, step: float) -> np.ndarray:
+    """Differentiate by central differences at three steps, extrapolated to an error of order step^6 (Richardson)."""
+    table = [(function(at + h) - function(at - h)) / (2.0 * h) for h in (step, step / 2, step / 4)]
+    for factor in (4.0, 16.0):
+        table = [(factor * fine - coarse) / (factor - 1.0) for coarse, fine in zip(table, table[1:], strict=False)]
+    return table[0]
+
+
+def label_of(effect: Effect, *arguments) -> int:
+    return 0 if effect.regime is None else effect.regime(*arguments)
+
+
+def columns(effect: Effect, p: np.ndarray, n_z: int) -> list[tuple[str, int, float]]:
+    """Return (kind, index, scale) of each column of a gradient: x, v, parameters, states."""
+    scales = [max(abs(b) for b in parameter.bounds(MASS, AMPLITUDE, OMEGA)) for parameter in effect.parameters]
+    states = [("z", 0, AMPLITUDE), ("z", 1, FORCE)] if effect.has_memory else [("z", i, AMPLITUDE) for i in range(n_z)]
+    return [("x", 0, AMPLITUDE), ("v", 0, AMPLITUDE * OMEGA), *(("p", i, s) for i, s in enumerate(scales)), *states]
+
+
+def check_against_differences(effect: Effect, evaluate, gradient, output_scale: float, rng) -> None:
+    """Compare each column of ``gradient`` with differences of ``evaluate`` at points away from kinks."""
+    compared = 0
+    for _ in range(60):
+        p = draw_parameters(effect, rng)
+        x, v, direction, z = draw_state(effect, p, rng)
+        exact = gradient(x, v, direction, z, p)
+        for column, (kind, index, scale) in enumerate(columns(effect, p, effect.n_states)):
+
+            def shifted(value, kind=kind, index=index, x=x, v=v, direction=direction, z=z, p=p):
+                z_new, p_new = z.copy(), p.copy()
+                if kind in "zp":
+                    (z_new if kind == "z" else p_new)[index] = value
+                return value if kind == "x" else x, value if kind == "v" else v, direction, z_new, p_new
+
+            at = {"x": x, "v": v, "p": p[index] if kind == "p" else 0.0, "z": z[index] if kind == "z" else 0.0}[kind]
+            step = 3e-3 * scale
+            labels = {label_of(effect, *shifted(at + i * step / 4)) for i in range(-4, 5)}
+            if len(labels) > 1 or (kind == "z" and abs(at) < 2 * step and not effect.has_memory):
+                continue
+            difference = differentiate(lambda value, shifted=shifted: evaluate(*shifted(value)), at, step)
+            # Truncation (3e-3)^6 ~ 1e-15 times a growth of the higher derivatives of the power laws of up to ~1e5,
+            # rounding 2e-16 / (3e-3 / 4) ~ 3e-13: 1e-9 of the natural size holds both.
+            np.testing.assert_allclose(
+                exact[..., column] * scale, difference * scale, rtol=1e-9, atol=1e-9 * output_scale
+            )
+            compared += 1
+    assert compared > 30 * (2 + len(effect.parameters))
+
+
+@having("gradient")
+def test_gradient_matches_differences(effect, rng):
+    def gradient(x, v, direction, z, p):
+        out = np.full(2 + len(p) + len(z), np.nan)
+        effect.gradient(x, v, direction, z, p, out)
+        assert np.all(np.isfinite(out))
+        return out
+
+    check_against_differences(effect, effect.force, gradient, FORCE, rng)
+
+
+@having("state_rate_gradient")
+def test_state_rate_gradient_matches_differences(effect, rng):
+    def rate(x, v, direction, z, p):
+        out = np.full(len(z), np.nan)
+        effect.state_rate(x, v, direction, z, p, out)
+        return out
+
+    def gradient(x, v, direction, z, p):
+        out = np.full((len(z), 2 + len(p) + len(z)), np.nan)
+        effect.state_rate_gradient(x, v, direction, z, p, out)
+        assert np.all(np.isfinite(out))
+        return out
+
+    check_against_differences(effect, rate, gradient, AMPLITUDE * OMEGA, rng)
+
+
+@ALL
+def test_force_is_zero_at_zero_parameters(effect, rng):
+    zeros = np.zeros(len(effect.parameters))
+    for _ in range(20):
+        x, v, direction, z = draw_state(effect, zeros, rng)
+        assert effect.force(x, v, direction, z, zeros) == 0.0
+        out = np.full(2 + len(zeros) + len(z), np.nan)
+        if effect.gradient is not None:
+            effect.gradient(x, v, direction, z, zeros, out)
+            assert np.all(np.isfinite(out))
+            assert out[0] == out[1] == 0.0
+        if effect.state_rate is not None:
+            rate = np.full(len(z), np.nan)
+            effect.state_rate(x, v, direction, z, zeros, rate)
+            assert np.all(np.isfinite(rate))
+
+
+@having("regime")
+def test_force_is_continuous_where_the_regime_changes(effect, rng):
+    crossings = 0
+    for _ in range(20):
+        p = draw_parameters(effect, rng)
+        _, v, direction, z = draw_state(effect, p, rng)
+        start = z[0] if effect.has_memory else -2.0 * AMPLITUDE * direction
+
+        def at(s, v=v, direction=direction, z=z, p=p, start=start):
+            """Move along x in the direction of motion or, for an internal state, along z."""
+            if effect.n_states and not effect.has_memory:
+                return 0.0, v, direction, np.full(effect.n_states, s - AMPLITUDE), p
+            return start + direction * s, v, direction, z, p
+
+        grid = np.linspace(0.0, 4.0 * AMPLITUDE, 401)
+        labels = [label_of(effect, *at(s)) for s in grid]
+        for i in np.flatnonzero(np.diff(labels)):
+            low, high = grid[i], grid[i + 1]
+            for _ in range(60):
+                middle = 0.5 * (low + high)
+                low, high = (middle, high) if label_of(effect, *at(middle)) == labels[i] else (low, middle)
+            jump = effect.force(*at(high)) - effect.force(*at(low))
+            # The two points are one rounding apart.
+            assert abs(jump) < 1e-12 * FORCE
+            if effect.state_rate is not None:
+                rates = np.zeros((2, effect.n_states))
+                effect.state_rate(*at(low), rates[0])
+                effect.state_rate(*at(high), rates[1])
+                assert np.all(np.abs(rates[1] - rates[0]) < 1e-12 * AMPLITUDE * OMEGA)
+            crossings += 1
+    assert crossings >= 10
+
+
+@pytest.mark.parametrize("name", [n for n in LIBRARY if n not in ("quadratic_stiffness", "bilinear_stiffness")])
+def test_symmetric_effect_has_an_odd_force(name, rng):
+    effect = LIBRARY[name]
+    for _ in range(20):
+        p = draw_parameters(effect, rng)
+        x, v, direction, z = draw_state(effect, p, rng)
+        mirrored = z * np.array([-1.0, -1.0, 1.0]) if effect.has_memory else -z
+        assert effect.force(-x, -v, -direction, mirrored, p) == -effect.force(x, v, direction, z, p)
+
+
+def dimension(unit: str) -> np.ndarray:
+    """Return the exponents of mass, length and time of a unit; 1/m^n counts as an exponent n of 1."""
+    if "rad" in unit:  # a rotation: the moment is the force and the angle the length
+        unit = unit.replace("N m", "N").replace("rad", "m")
+    base = {"N": (1, 1, -2), "m": (0, 1, 0), "s": (0, 0, 1), "kg": (1, 0, 0)}
+    total = np.zeros(3)
+    numerator, _, denominator = unit.partition("/")
+    for sign, part in ((1, numerator), (-1, denominator)):
+        for token in part.split():
+            if token not in ("-", "1"):
+                symbol, _, power = token.partition("^")
+                total += sign * np.array(base[symbol]) * (1 if power in ("", "n") else int(power))
+    return total
+
+
+@ALL
+def test_default_bounds_do_not_depend_on_units(effect):
+    mass, length, time = 1e3, 1e-3, 60.0
+    for parameter in effect.parameters:
+        low, high = parameter.bounds(MASS, AMPLITUDE, OMEGA)
+        assert parameter.minimum <= low < high <= parameter.maximum
+        factor = np.prod(np.array([mass, length, time]) ** dimension(parameter.unit))
+        rescaled = parameter.bounds(MASS * mass, AMPLITUDE * length, OMEGA / time)
+        # Only the rounding of a few powers.
+        np.testing.assert_allclose(rescaled, [low * factor, high * factor], rtol=1e-13)
+
+
+@ALL
+def test_text_and_latex_mention_every_parameter(effect):
+    for parameter in effect.parameters:
+        assert re.search(rf"\b{parameter.name}\b", effect.text)
+        assert parameter.latex in effect.latex
+        assert parameter.summary and "\n" not in parameter.summary
+    assert effect.summary and "\n" not in effect.summary
+    assert effect.references
+
+
+@ALL
+def test_functions_compile_for_scalars_and_contiguous_arrays(effect):
+    number, vector, matrix = numba.float64, numba.float64[::1], numba.float64[:, ::1]
+    state = (number, number, number, vector, vector)
+    wanted = {
+        "force": (state, number),
+        "gradient": ((*state, vector), numba.none),
+        "regime": (state, numba.int64),
+        "state_rate": ((*state, vector), numba.none),
+        "state_rate_gradient": ((*state, matrix), numba.none),
+    }
+    for label, (signature, returned) in wanted.items():
+        function = getattr(effect, label)
+        if function is not None:
+            function.compile(signature)
+            assert function.overloads[signature].signature.return_type == returned, label
+
+
+def test_library_is_ordered_and_names_are_unique():
+    names = list(LIBRARY)
+    assert tuple(names[:2]) == BASE_EFFECTS
+    assert names[2:] == sorted(names[2:])
+    parameters = [parameter for effect in LIBRARY.values() for parameter in effect.parameters]
+    assert len({parameter.name for parameter in parameters}) == len(parameters)
+    assert len({parameter.latex for parameter in parameters}) == len(parameters)
+    with pytest.raises(TypeError):
+        LIBRARY["mine"] = LIBRARY["iwan"]
+
+
+def test_unknown_effect_is_named_with_its_nearest():
+    with pytest.raises(InputError, match=r"iwan.*got 'cubic_stifness'. Did you mean 'cubic_stiffness'"):
+        get_effect("cubic_stifness")
+
+
+def test_effect_files_import_nothing_but_the_allowed():
+    folder = Path(effects_package.__file__).parent
+    allowed = {"__future__", "math", "numba", "numpy", "_base", "_checks"}
+    for path in folder.glob("*.py"):
+        if path.name in ("__init__.py", "_base.py"):
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                assert {alias.name for alias in node.names} <= allowed, path.name
+            elif isinstance(node, ast.ImportFrom):
+                assert node.module in allowed, path.name
+
+
+def test_uncompiled_force_is_refused():
+    with pytest.raises(InputError, match="numba.njit"):
+        Effect("mine", "", "", "", (), force=lambda x, v, direction, z, p: 0.0)
+
+
+def test_parameter_limits_in_the_wrong_order_are_refused():
+    with pytest.raises(InputError, match="minimum < maximum"):
+        Parameter("mine", "N", "m", "", bounds=lambda m, a, w: (0.0, 1.0), minimum=2.0, maximum=1.0)
+
+
+# --- sliders against brute force --------------------------------------------------------------------------------------
+
+
+def decaying_turning_points(rng: np.random.Generator, first: float, count: int = 12) -> np.ndarray:
+    """Draw turning points of a free decay: each one between the two before it, not about a fixed centre."""
+    points = [first, first * rng.uniform(-0.95, -0.5)]
+    for _ in range(count - 2):
+        before, last = points[-2:]
+        points.append(last + (before - last) * rng.uniform(0.75, 0.98))
+    return np.array(points)
+
+
+class Bed:
+    """Sliders in parallel, pushed from one displacement to the next; one clip per straight stretch is exact."""
+
+    def __init__(self, stiffness: np.ndarray, strength: np.ndarray):
+        self.stiffness, self.strength = stiffness, strength
+        self.x, self.forces = 0.0, np.zeros_like(strength)
+
+    def push(self, x: float) -> float:
+        trial = self.forces + self.stiffness * (x - self.x)
+        self.x, self.forces = x, np.clip(trial, -self.strength, self.strength)
+        return float(self.forces.sum())
+
+
+def largest_difference(
+    effect: Effect, p: np.ndarray, bed: Bed, turning_points: np.ndarray, start: float = 0.0
+) -> float:
+    """Follow the turning points with the effect's memory of one and with the bed; return the largest difference."""
+    z = np.array([start, 0.0, 0.0])
+    bed.x = start
+    largest = 0.0
+    for turning_point in turning_points:
+        direction = float(np.sign(turning_point - z[0]))
+        for x in np.linspace(z[0], turning_point, 24)[1:]:
+            largest = max(largest, abs(effect.force(x, direction, direction, z, p) - bed.push(x)))
+        z = np.array([turning_point, effect.force(turning_point, 0.0, direction, z, p), 1.0])
+    return largest
+
+
+def power_law_bed(stiffness: float, slip_force: float, exponent: float, n_sliders: int = 20_000) -> Bed:
+    """Draw slider strengths at the midpoints of equal shares of stiffness of the power-law density."""
+    phi_max = slip_force * (exponent + 2.0) / (stiffness * (exponent + 1.0))
+    quantiles = (np.arange(n_sliders) + 0.5) / n_sliders
+    share = stiffness / n_sliders
+    return Bed(np.full(n_sliders, share), share * phi_max * quantiles ** (1.0 / (exponent + 1.0)))
+
+
+def test_jenkins_is_an_incremental_slider_for_any_history(rng):
+    for _ in range(10):
+        stiffness, slip_force = rng.uniform(0.5, 2.0), rng.uniform(0.1, 1.0)
+        bed = Bed(np.array([stiffness]), np.array([slip_force]))
+        turning_points = rng.uniform(-1.0, 1.0, 30)
+        # The same arithmetic in another order: rounding only.
+        assert largest_difference(LIBRARY["jenkins"], np.array([stiffness, slip_force]), bed, turning_points) < 1e-13
+
+
+@pytest.mark.parametrize("first", [0.3, 0.9, 1.6], ids=lambda reach: f"reach-{reach}")
+@pytest.mark.parametrize("exponent", [-0.8, -0.4, 0.0])
+def test_iwan_is_a_bed_of_sliders_in_a_free_decay(exponent, first, rng):
+    stiffness, slip_force = 3.0, 2.0
+    phi_max = slip_force * (exponent + 2.0) / (stiffness * (exponent + 1.0))
+    p = np.array([stiffness, slip_force, exponent])
+    for start in (0.0, first * phi_max):  # loaded from the centre before release, and unstressed at release
+        points = decaying_turning_points(rng, first * phi_max)[0 if start == 0.0 else 1 :]
+        # Midpoints of 20 000 shares: the sum is the midpoint rule of the integral, whose error is at most a few
+        # kinks of one share each (1/20 000 of the slip force, squared in the smooth part).
+        bed = power_law_bed(*p)
+        assert largest_difference(LIBRARY["iwan"], p, bed, points, start) < 2e-5 * slip_force
+
+
+def test_iwan_differs_from_the_bed_when_loops_grow(rng):
+    # Negative control: outward loops need the memory that a free decay does not.
+    p = np.array([3.0, 2.0, -0.4])
+    growing = decaying_turning_points(rng, 1.0)[::-1]
+    assert largest_difference(LIBRARY["iwan"], p, power_law_bed(*p), growing) > 1e-2 * p[1]
+
+
+@pytest.mark.parametrize("name, zeroed", [("jenkins", 0), ("jenkins", 1), ("iwan", 0), ("iwan", 1)])
+def test_slider_without_stiffness_or_strength_is_exactly_nothing(name, zeroed, rng):
+    effect = LIBRARY[name]
+    p = draw_parameters(effect, rng)
+    p[zeroed] = 0.0
+    for branch in (0.0, 1.0):
+        for x in (-0.3, -1e-17, 0.0, 1e-17, 0.3):
+            for direction in (-1.0, 1.0):
+                z = np.array([0.0, 0.0, branch])
+                out = np.full(2 + len(p) + 3, np.nan)
+                effect.gradient(x, 0.0, direction, z, p, out)
+                assert effect.force(x, 0.0, direction, z, p) == 0.0
+                assert out[0] == out[1] == 0.0
+                assert np.all(np.isfinite(out))
+
+
+@pytest.mark.parametrize("name", ["jenkins", "iwan"])
+def test_slider_is_smooth_across_its_turning_point(name, rng):
+    effect = LIBRARY[name]
+    for _ in range(20):
+        p = draw_parameters(effect, rng)
+        x_r = AMPLITUDE * rng.uniform(0.1, 3.0)
+        z = np.array([x_r, effect.force(x_r, 0.0, 1.0, np.zeros(3), p), 1.0])
+        eps = 1e-9 * AMPLITUDE
+        forces = [effect.force(x_r + step, 0.0, -1.0, z, p) for step in (-eps, 0.0, eps)]
+        assert {effect.regime(x_r + step, 0.0, -1.0, z, p) for step in (-eps, 0.0, eps)} == {0}
+        assert forces[1] == z[1]
+        # Equal slopes on both sides, to the rounding of a difference of 1e-9 (2e-16 / 1e-9 = 2e-7 of the force).
+        assert abs((forces[2] - forces[1]) - (forces[1] - forces[0])) < 1e-15 * FORCE
+
+
+def test_iwan_stays_finite_at_its_lowest_exponent():
+    p, z, out = np.array([3.0, 2.0, -1.0]), np.array([0.1, 0.0, 1.0]), np.full(8, np.nan)
+    for x in (0.1, 0.5):
+        LIBRARY["iwan"].gradient(x, 0.0, 1.0, z, p, out)
+        assert np.all(np.isfinite(out)) and LIBRARY["iwan"].force(x, 0.0, 1.0, z, p) == 0.0
+
+
+def test_iwan_damping_follows_the_power_law():
+    # Segalman (2005): the energy of a closed loop of amplitude u grows with u^(chi + 3).
+    stiffness, slip_force, exponent = 3.0, 2.0, -0.4
+    p = np.array([stiffness, slip_force, exponent])
+    phi_max = slip_force * (exponent + 2.0) / (stiffness * (exponent + 1.0))
+    nodes, weights = np.polynomial.legendre.leggauss(200)
+    energies = []
+    for amplitude in (0.1 * phi_max, 0.2 * phi_max):
+        top = LIBRARY["iwan"].force(amplitude, 1.0, 1.0, np.zeros(3), p)
+        z = np.array([amplitude, top, 1.0])
+        down = np.array([LIBRARY["iwan"].force(amplitude * s, -1.0, -1.0, z, p) for s in nodes])
+        # Masing: the upper branch mirrors the lower one.
+        energies.append(-2.0 * amplitude * np.sum(weights * down))
+    # Exact for a pure power law; the quadrature sees one end point of order u^1.6 (error ~ 200^-5.2).
+    assert np.log2(energies[1] / energies[0]) == pytest.approx(exponent + 3.0, abs=1e-9)
+
+
+# --- other effects against what is known of them ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("exponent", [1.0, 1.5, 2.0])
+@pytest.mark.parametrize("direction", [-1.0, 1.0])
+def test_bouc_wen_is_finite_at_rest_of_its_state(exponent, direction):
+    effect = LIBRARY["bouc_wen"]
+    p = np.array([100.0, 1.2, 0.4, 1.5, -0.3, exponent])
+    for size in (0.0, 1e-300):
+        rate, out = np.full(1, np.nan), np.full((1, 9), np.nan)
+        z = np.array([direction * size])
+        effect.state_rate(0.0, 2.0 * direction, direction, z, p, rate)
+        effect.state_rate_gradient(0.0, 2.0 * direction, direction, z, p, out)
+        assert np.all(np.isfinite(out))
+        assert rate[0] == 1.2 * 2.0 * direction
+        # With n = 1: dz'/dz = -(beta |v| + gamma v sign z), sign z being the one that z takes on next.
+        assert out[0, 8] == pytest.approx(-(1.5 - 0.3) * 2.0 if exponent == 1.0 else 0.0, abs=1e-100)
+
+
+def test_bouc_wen_matches_its_published_rate(rng):
+    effect = LIBRARY["bouc_wen"]
+    for _ in range(20):
+        p = draw_parameters(effect, rng)
+        _, amplitude, alpha, beta, gamma, n = p
+        x, v, direction, z = draw_state(effect, p, rng)
+        rate = np.zeros(1)
+        effect.state_rate(x, v, direction, z, p, rate)
+        published = amplitude * v - beta * abs(v) * abs(z[0]) ** (n - 1) * z[0] - gamma * v * abs(z[0]) ** n
+        # The same formula written differently: rounding of terms of this size.
+        assert rate[0] == pytest.approx(published, abs=1e-12 * AMPLITUDE * OMEGA)
+        assert effect.force(x, v, direction, z, p) == pytest.approx((1 - alpha) * p[0] * z[0], rel=1e-15)
+
+
+def test_regime_at_a_kink_is_the_branch_being_entered():
+    p = np.array([100.0, 0.1])
+    freeplay = LIBRARY["freeplay"].regime
+    assert [freeplay(0.1, 1.0, 1.0, NO_STATE, p), freeplay(0.1, -1.0, -1.0, NO_STATE, p)] == [1, 0]
+    assert [freeplay(-0.1, 1.0, 1.0, NO_STATE, p), freeplay(-0.1, -1.0, -1.0, NO_STATE, p)] == [0, -1]
+    bilinear = LIBRARY["bilinear_stiffness"].regime
+    assert [bilinear(0.0, 1.0, 1.0, NO_STATE, p), bilinear(0.0, -1.0, -1.0, NO_STATE, p)] == [1, -1]
+
+
+FORMULAS = {
+    "linear_stiffness": lambda x, v, p: p[0] * x,
+    "viscous_damping": lambda x, v, p: p[0] * v,
+    "cubic_stiffness": lambda x, v, p: p[0] * x**3,
+    "quintic_stiffness": lambda x, v, p: p[0] * x**5,
+    "quadratic_stiffness": lambda x, v, p: p[0] * x**2,
+    "bilinear_stiffness": lambda x, v, p: p[0] * x if x > 0 else 0.0,
+    "freeplay": lambda x, v, p: p[0] * np.sign(x) * max(abs(x) - p[1], 0.0),
+    "pendulum_stiffness": lambda x, v, p: p[0] * (np.sin(x) - x),
+    "coulomb_friction": lambda x, v, p: p[0] * np.sign(v),
+    "quadratic_damping": lambda x, v, p: p[0] * v * abs(v),
+    "cubic_damping": lambda x, v, p: p[0] * v**3,
+    "displacement_dependent_damping": lambda x, v, p: p[0] * x**2 * v,
+}
+
+
+@pytest.mark.parametrize("name", FORMULAS)
+def test_force_is_the_textbook_formula(name, rng):
+    for _ in range(20):
+        p = draw_parameters(LIBRARY[name], rng)
+        x, v, direction, z = draw_state(LIBRARY[name], p, rng)
+        # Another order of the same few operations; the terms have the size of FORCE.
+        assert LIBRARY[name].force(x, v, direction, z, p) == pytest.approx(FORMULAS[name](x, v, p), abs=1e-13 * FORCE)
