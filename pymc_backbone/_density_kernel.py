@@ -25,6 +25,8 @@ from numpy.typing import NDArray
 
 from pymc_backbone._checks import FloatArray
 
+IntArray = NDArray[np.int64]
+
 PRODUCT, JOINT = 0, 1
 UNIFORM, NORMAL, KDE, GEV = 0, 1, 2, 3
 FAMILY_CODES: dict[str, int] = {"uniform": UNIFORM, "normal": NORMAL, "kde": KDE, "gev": GEV}
@@ -36,7 +38,7 @@ _NEGLIGIBLE = -40.0
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _kde(table, start, size, y):
+def _kde(table: FloatArray, start: int, size: int, y: float) -> tuple[float, float]:
     """Return log density and derivative of a one-dimensional Gaussian kernel density at ``y``."""
     bandwidth = table[start]
     first = start + 2
@@ -79,7 +81,7 @@ def _kde(table, start, size, y):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _gev(table, start, y):
+def _gev(table: FloatArray, start: int, y: float) -> tuple[float, float]:
     """Return log density and derivative of a generalised extreme value density at ``y``."""
     scale = table[start + 1]
     shape = table[start + 2]
@@ -96,7 +98,7 @@ def _gev(table, start, y):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _product(codes, table, y, gradient):
+def _product(codes: IntArray, table: FloatArray, y: FloatArray, gradient: FloatArray) -> float:
     """Return the sum of the marginal log densities; fill ``gradient``."""
     total = 0.0
     for index in range(codes[1]):
@@ -123,7 +125,7 @@ def _product(codes, table, y, gradient):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _joint(codes, table, y, gradient):
+def _joint(codes: IntArray, table: FloatArray, y: FloatArray, gradient: FloatArray) -> float:
     """Return the joint log density; fill ``gradient``."""
     d, r, n = codes[1], codes[2], codes[3]
     whitening = 2 + d
@@ -179,7 +181,7 @@ def _joint(codes, table, y, gradient):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def log_density(codes, table, y, gradient):
+def log_density(codes: IntArray, table: FloatArray, y: FloatArray, gradient: FloatArray) -> float:
     """Evaluate a fitted density and its gradient.
 
     Compiled (``numba.njit``, cached on disk, without fast-math because NaN matters) and usable inside other compiled
@@ -217,7 +219,9 @@ def log_density(codes, table, y, gradient):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def log_density_batch(codes, table, values, result, gradients):
+def log_density_batch(
+    codes: IntArray, table: FloatArray, values: FloatArray, result: FloatArray, gradients: FloatArray
+) -> None:
     """Evaluate `log_density` for every row of ``values`` (n, d) into ``result`` (n,) and ``gradients`` (n, d)."""
     for index in range(values.shape[0]):
         result[index] = log_density(codes, table, values[index], gradients[index])
@@ -230,7 +234,7 @@ def kde_table(bandwidth: float, centres: FloatArray) -> list[float]:
 
 def mixture_marginal(
     bandwidth: float, mean: FloatArray, whitening: FloatArray, centres: FloatArray, index: int
-) -> tuple[NDArray[np.int64], FloatArray]:
+) -> tuple[IntArray, FloatArray]:
     """Return codes and table of the marginal of one value of a joint density, a one-dimensional kernel density."""
     along = np.linalg.inv(whitening)[index]
     r = centres.shape[1]
@@ -239,7 +243,7 @@ def mixture_marginal(
     return np.array([PRODUCT, 1, KDE, 0, table.size]), table
 
 
-def is_layout(codes: NDArray[np.int64], table_size: int, kind: int, size: int) -> bool:
+def is_layout(codes: IntArray, table_size: int, kind: int, size: int) -> bool:
     """Whether codes and table are of a density of ``kind`` over ``size`` values: the compiled code does not check."""
     if codes.ndim != 1 or codes.size < 2 or codes[0] != kind or codes[1] != size:
         return False

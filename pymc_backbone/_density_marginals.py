@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
@@ -54,7 +54,7 @@ def shrunk_centres(whitened: FloatArray, bandwidth: float) -> FloatArray:
     References
     ----------
     .. [1] M. C. Jones, "On correcting for variance inflation in kernel density estimation", Computational Statistics &
-       Data Analysis 11 (1991) 3-15.
+       Data Analysis (1991).
     """
     n, r = whitened.shape
     if bandwidth >= 1.0:
@@ -148,7 +148,7 @@ def fit_gev(sample: FloatArray) -> tuple[float, float, float]:
             shape *= 0.5
         usable.append(np.array([location, np.log(scale), shape]))
     usable.sort(key=loss)
-    options = {"xatol": 1e-9, "fatol": 1e-10, "maxiter": 2000}
+    options: Any = {"xatol": 1e-9, "fatol": 1e-10, "maxiter": 2000}
     fits = [minimize(loss, start, method="Nelder-Mead", options=options) for start in usable[:2]]
     best = min(fits, key=lambda fit: float(fit.fun))
     best = minimize(

@@ -39,6 +39,7 @@ from ._halfcycle import (
 
 OBSERVABLE_COUNT = 3
 _ON_LEVEL = 3e-5  # a cycle this close to its level is carried there along its slope (error: its square)
+_NEAR_LEVEL = 1e-3  # one this close by the cubic through it and the cycle before it, slopes included
 _MAXIMUM_CYCLES_PER_LEVEL = 14
 _RAMP_STEPS = 200
 
@@ -98,7 +99,7 @@ def _release(layout, y, S, p, amplitude, virgin, mode, work):
 
 
 @numba.njit
-def _ramp_slopes(layout, x, speed, z, Sz, p, amplitude, work, dz, dS):
+def _ramp_slopes(layout, x, z, Sz, p, amplitude, work, dz, dS):
     """Write slopes along the slow loading path x = amplitude * s, s from 0 to 1."""
     n, columns = Sz.shape
     side = 1.0 if amplitude > 0.0 else -1.0
@@ -143,31 +144,28 @@ def _load_slowly(layout, y, S, p, amplitude, side, work):
         for stage in range(4):
             weight = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
             before = max(stage - 1, 0)
-            _ramp_slopes(
-                layout,
-                amplitude * (step + weight) * h,
-                1.0,
-                z + weight * h * k[before],
-                Sz + weight * h * kS[before],
-                p,
-                amplitude,
-                work,
-                k[stage],
-                kS[stage],
-            )
-        z += h / 6.0 * (k[0] + 2.0 * k[1] + 2.0 * k[2] + k[3])
-        Sz += h / 6.0 * (kS[0] + 2.0 * kS[1] + 2.0 * kS[2] + kS[3])
-    y[2:] = z
-    S[2:, :] = Sz
+            for j in range(n):
+                z[j] = y[2 + j] + weight * h * k[before, j]
+                for c in range(columns):
+                    Sz[j, c] = S[2 + j, c] + weight * h * kS[before, j, c]
+            _ramp_slopes(layout, amplitude * (step + weight) * h, z, Sz, p, amplitude, work, k[stage], kS[stage])
+        for j in range(n):
+            y[2 + j] += h / 6.0 * (k[0, j] + 2.0 * k[1, j] + 2.0 * k[2, j] + k[3, j])
+            for c in range(columns):
+                S[2 + j, c] += h / 6.0 * (kS[0, j, c] + 2.0 * kS[1, j, c] + 2.0 * kS[2, j, c] + kS[3, j, c])
 
 
-@numba.njit
-def backbone_by_cycles(layout, p, levels, sensitivities, tolerance, values, jacobian, status):
+@cached
+def backbone_by_cycles(
+    user, table, stiffness, damping, n_states, mass, has_regime,
+    p, levels, release, virgin, sensitivities, tolerance, maximum, values, jacobian, status,
+):  # fmt: skip
     """Write the backbone at ``levels`` from one cycle each; for oscillators without internal states.
 
-    The starting peak of a cycle is found by Newton's method on its amplitude; the derivative along the starting
-    amplitude, which the integrator carries anyway, takes the last cycle onto its level exactly.
+    The starting peak of a cycle is found by Newton's method on its amplitude. The derivative along the starting
+    amplitude, which the integrator carries anyway, predicts the next start and takes a cycle onto its level.
     """
+    layout = Layout(table, stiffness, damping, n_states, mass, has_regime, np.ones(2), user)
     n = p.size
     mode = SENSITIVITY if sensitivities else VALUE
     columns = n + 1 if sensitivities else 1
@@ -181,24 +179,24 @@ def backbone_by_cycles(layout, p, levels, sensitivities, tolerance, values, jaco
     quantity = np.zeros(4)
     slope = np.zeros(4)
     along = np.zeros(4)
-    # log(starting peak / level) of the last three levels done, for the first guess at the next.
-    known = 0
-    past = np.zeros((3, 2))
+    # Rows: log amplitude; then value and slope, along log amplitude, of log starting peak and of each observable.
+    node = np.zeros((2, 9))
+    last, previous, known = 0, 1, 0
     for k in range(levels.size - 1, -1, -1):
         level = levels[k]
-        guess = 0.0
+        at = np.log(level)
+        start = level
         if known == 1:
-            guess = past[0, 1]
-        elif known >= 2:
-            guess = _extrapolate(past, min(known, 3), np.log(level))
-        start = level * np.exp(min(max(guess, -1.0), 1.0))
+            start = np.exp(node[last, 1] + node[last, 2] * (at - node[last, 0]))
+        elif known > 1:
+            start = np.exp(_hermite(node[previous], node[last], 1, at))
+        start = min(max(start, 0.3 * level), 30.0 * level)
+        near = _NEAR_LEVEL if (known > 0 and not sensitivities) else _ON_LEVEL
         code = OUT_OF_REACH
         for _ in range(_MAXIMUM_CYCLES_PER_LEVEL):
             _release(layout, y, S, p, start, True, mode, work)
             code = half_cycle(layout, y, S, p, -1.0, mode, tolerance, work, samples)
             if code != COMPLETED:
-                if code == STUCK or (code == NO_RETURN and known == 0 and start < 4.0 * level):
-                    pass
                 break
             q = y[0]
             trough[:] = S[0]
@@ -212,23 +210,33 @@ def backbone_by_cycles(layout, p, levels, sensitivities, tolerance, values, jaco
                 break
             cycle_quantities(start, q, p1, work.clock[0], quantity)
             cycle_slope(start, q, p1, work.clock[0], 1.0, trough[0], peak[0], work.dt[0], quantity[3], along)
-            error = (level - quantity[0]) / level
+            error = level - quantity[0]
             if not (along[0] > 0.0 and np.isfinite(error)):
                 code = OUT_OF_REACH
                 break
-            change = level * error / along[0]
-            if abs(error) <= _ON_LEVEL:
+            if abs(error) <= near * level:
                 break
             code = OUT_OF_REACH
-            start = start + min(max(change, -0.5 * start), start)
+            start += min(max(error / along[0], -0.5 * start), start)
         status[k] = code
         if code != COMPLETED:
             values[:, k] = np.nan
             if sensitivities:
                 jacobian[:, k, :] = np.nan
             continue
+        if known > 0:
+            last, previous = previous, last
+        known += 1
+        node[last, 0] = np.log(quantity[0])
+        node[last, 1] = np.log(start)
+        node[last, 2] = quantity[0] / (along[0] * start)
         for i in range(3):
-            values[i, k] = quantity[1 + i] + along[1 + i] * change
+            node[last, 3 + 2 * i] = quantity[1 + i]
+            node[last, 4 + 2 * i] = along[1 + i] / along[0] * quantity[0]
+            if known > 1:
+                values[i, k] = _hermite(node[previous], node[last], 3 + 2 * i, at)
+            else:
+                values[i, k] = quantity[1 + i] + along[1 + i] / along[0] * error
         if sensitivities:
             for j in range(n):
                 cycle_slope(
@@ -236,27 +244,20 @@ def backbone_by_cycles(layout, p, levels, sensitivities, tolerance, values, jaco
                 )
                 for i in range(3):
                     jacobian[i, k, j] = slope[1 + i] - along[1 + i] / along[0] * slope[0]
-        past[2] = past[1]
-        past[1] = past[0]
-        past[0, 0] = np.log(level)
-        past[0, 1] = np.log((start + change) / level)
-        known += 1
 
 
 @numba.njit
-def _extrapolate(past, count, at):
-    """Return the polynomial through the last ``count`` points, at ``at``."""
-    total = 0.0
-    for i in range(count):
-        term = past[i, 1]
-        for j in range(count):
-            if j != i:
-                term *= (at - past[j, 0]) / (past[i, 0] - past[j, 0])
-        total += term
-    return total
+def _hermite(far, near, column, at):
+    """Return the cubic through two nodes (value in ``column``, slope behind it), expanded about ``near``."""
+    width = far[0] - near[0]
+    secant = (far[column] - near[column]) / width
+    second = (3.0 * secant - 2.0 * near[column + 1] - far[column + 1]) / width
+    third = (near[column + 1] + far[column + 1] - 2.0 * secant) / (width * width)
+    e = at - near[0]
+    return near[column] + e * (near[column + 1] + e * (second + e * third))
 
 
-@numba.njit
+@numba.njit(inline="always")
 def whole_decay(layout, p, release, virgin, stop, maximum, mode, tolerance, turns, slopes, time_slopes, times, samples):
     """Run a decay turning point by turning point until its amplitude falls below ``stop``.
 
@@ -345,12 +346,16 @@ def cycles_of_decay(turns, times, slopes, time_slopes, count, columns, values, j
     return cycles
 
 
-@numba.njit
+@cached
 def backbone_by_decay(
-    layout, p, levels, release, virgin, sensitivities, tolerance, maximum, values, jacobian, status
-):
+    user, table, stiffness, damping, n_states, mass, has_regime,
+    p, levels, release, virgin, sensitivities, tolerance, maximum, values, jacobian, status,
+):  # fmt: skip
     """Write the backbone at ``levels`` from the whole decay, by local cubics in log amplitude between its cycles."""
+    layout = Layout(table, stiffness, damping, n_states, mass, has_regime, np.ones(2), user)
     n = p.size
+    if release <= 0.0:
+        release = 1.25 * levels[-1]
     own = _own_states(layout)
     mode = OWN_STATES if own else (SENSITIVITY if sensitivities else VALUE)
     columns = n + 1 if sensitivities else (0 if own else 1)
@@ -453,60 +458,13 @@ def _lagrange_slope(nodes, j, i):
     return product
 
 
-@numba.njit
-def backbone(layout, p, levels, release, virgin, sensitivities, tolerance, maximum, values, jacobian, status):
-    """Write the backbone at ``levels``: one cycle per level, or the whole decay where states remember."""
-    if layout.n_states == 0 and release == 0.0:
-        backbone_by_cycles(layout, p, levels, sensitivities, tolerance, values, jacobian, status)
-    else:
-        start = release if release > 0.0 else 1.25 * levels[-1]
-        backbone_by_decay(
-            layout, p, levels, start, virgin, sensitivities, tolerance, maximum, values, jacobian, status
-        )
-
-
 @cached
-def library_backbone(
-    table, stiffness, damping, n_states, mass, has_regime,
-    p, levels, release, virgin, sensitivities, tolerance, maximum, values, jacobian, status,
-):  # fmt: skip
-    """Run `backbone` for an oscillator that holds library effects only; kept on disk."""
-    layout = Layout(table, stiffness, damping, n_states, mass, has_regime, np.ones(2), NO_USER_EFFECT)
-    backbone(layout, p, levels, release, virgin, sensitivities, tolerance, maximum, values, jacobian, status)
-
-
-@cached
-def user_backbone(
-    user, table, stiffness, damping, n_states, mass, has_regime,
-    p, levels, release, virgin, sensitivities, tolerance, maximum, values, jacobian, status,
-):  # fmt: skip
-    """Run `backbone` for an oscillator with effects reached through the function pointer ``user``."""
-    layout = Layout(table, stiffness, damping, n_states, mass, has_regime, np.ones(2), user)
-    backbone(layout, p, levels, release, virgin, sensitivities, tolerance, maximum, values, jacobian, status)
-
-
-@cached
-def library_decay(
-    table, stiffness, damping, n_states, mass, has_regime,
-    p, release, virgin, stop, sensitivities, tolerance, maximum, turns, slopes, time_slopes, times,
-    sample_times, displacement, sample_slopes,
-):  # fmt: skip
-    """Run `whole_decay` for an oscillator that holds library effects only; kept on disk."""
-    layout = Layout(table, stiffness, damping, n_states, mass, has_regime, np.ones(2), NO_USER_EFFECT)
-    mode = OWN_STATES if _own_states(layout) else (SENSITIVITY if sensitivities else VALUE)
-    samples = Samples(sample_times, displacement, sample_slopes, np.zeros(1, np.int64))
-    return whole_decay(
-        layout, p, release, virgin, stop, maximum, mode, tolerance, turns, slopes, time_slopes, times, samples
-    )
-
-
-@cached
-def user_decay(
+def decay(
     user, table, stiffness, damping, n_states, mass, has_regime,
     p, release, virgin, stop, sensitivities, tolerance, maximum, turns, slopes, time_slopes, times,
     sample_times, displacement, sample_slopes,
 ):  # fmt: skip
-    """Run `whole_decay` for an oscillator with effects reached through the function pointer ``user``."""
+    """Run `whole_decay`, writing displacement and sensitivities at the sample times on the way."""
     layout = Layout(table, stiffness, damping, n_states, mass, has_regime, np.ones(2), user)
     mode = OWN_STATES if _own_states(layout) else (SENSITIVITY if sensitivities else VALUE)
     samples = Samples(sample_times, displacement, sample_slopes, np.zeros(1, np.int64))

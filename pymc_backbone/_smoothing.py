@@ -17,6 +17,12 @@ SMOOTHNESS_GRID = np.logspace(-1.0, 9.0, 31)
 """Prior variance of the curve's bending over the noise variance, in the direction the record determines best."""
 
 
+KINKS: tuple[float, ...] = tuple(np.linspace(0.0, 1.0, 9))
+"""Places (in the range of the abscissa) where the curve may bend much more than elsewhere."""
+KINK_WIDTH = 0.07
+KINK_EASE = 1e4
+
+
 @dataclass(frozen=True)
 class Curve:
     """A smoothed curve at the places asked for: value, its covariance, and mean squared normalised residual (at least 1)."""
@@ -34,13 +40,18 @@ def _spline_basis(sites: FloatArray, n_basis: int) -> FloatArray:
     return np.concatenate([np.zeros(3), inner, np.ones(3)])
 
 
-def _bending_roots(knots: FloatArray, order: int) -> tuple[FloatArray, FloatArray]:
-    """Return the null space of the ``order``-th derivative penalty and a square root of its pseudo-inverse."""
+def _bending_roots(knots: FloatArray, order: int, kink: float | None = None) -> tuple[FloatArray, FloatArray]:
+    """Return the null space of the ``order``-th derivative penalty and a square root of its pseudo-inverse.
+
+    With a ``kink`` (in [0, 1]) bending costs `KINK_EASE` times less there.
+    """
     nodes, weights = np.polynomial.legendre.leggauss(3)
     breaks = np.unique(knots)
     half = np.diff(breaks) / 2.0
     points = ((breaks[:-1] + half)[:, None] + half[:, None] * nodes).ravel()
     scale = np.sqrt((half[:, None] * weights).ravel())
+    if kink is not None:
+        scale = scale / np.sqrt(1.0 + KINK_EASE * np.exp(-0.5 * ((points - kink) / KINK_WIDTH) ** 2))
     n_basis = knots.size - 4
     bending = BSpline(knots, np.eye(n_basis), 3).derivative(order)(points) * scale[:, None]
     values, vectors = eigh(bending.T @ bending)
@@ -76,6 +87,7 @@ def smooth(
     *,
     orders: tuple[int, ...] = (2,),
     scatter_prior: float = 12.0,
+    kinks: bool = False,
 ) -> Curve:
     """Smooth ``values`` with noise covariance ``bands``, averaging over smoothness and over abscissas.
 
@@ -98,6 +110,9 @@ def smooth(
     scatter_prior : float, default 12
         Weight, in observations, of the belief that ``bands`` is right; scatter beyond it inflates the covariance.
 
+    kinks : bool, default False
+        Average over curves with one place of strong bending, too.
+
     Returns
     -------
     Curve
@@ -110,6 +125,8 @@ def smooth(
         for order in orders:
             if n > order + 1:
                 collected.append(_smooth_on(place, values, bands, target, order, scatter_prior))
+        for kink in KINKS if kinks else ():
+            collected.append(_smooth_on(place, values, bands, target, 2, scatter_prior, kink))
     if not collected:
         raise ValueError("smoothing needs at least four values")
     logs = np.concatenate([item[0] for item in collected])
@@ -129,14 +146,14 @@ def smooth(
     return Curve(value, covariance, scatter)
 
 
-def _smooth_on(place, values, bands, target, order, scatter_prior):  # type: ignore[no-untyped-def]
+def _smooth_on(place, values, bands, target, order, scatter_prior, kink=None):  # type: ignore[no-untyped-def]
     n = values.size
     low, high = float(place.min()), float(place.max())
     unit = np.clip((place - low) / (high - low), 0.0, 1.0)
     goal = np.clip((target - low) / (high - low), 0.0, 1.0)
     n_basis = int(min(max(2 * n, 8), MAXIMUM_BASIS))
     knots = _spline_basis(np.sort(unit), n_basis)
-    null, bent = _bending_roots(knots, order)
+    null, bent = _bending_roots(knots, order, kink)
     spline = BSpline(knots, np.hstack([null, bent]), 3)
     white = _whiten(bands, np.column_stack([values, spline(unit)]))
     y, free, rough = white[:, 0], white[:, 1 : 1 + order], white[:, 1 + order :]

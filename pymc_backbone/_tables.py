@@ -134,18 +134,18 @@ def list_tables(path: str | os.PathLike[str]) -> list[Path]:
     """Return the CSV files a path stands for (a folder's or the file itself), naturally sorted."""
     try:
         root = Path(os.fspath(path))
-        if root.is_dir():
-            files = [entry for entry in root.iterdir() if _is_table(entry)]
-        elif root.exists():
-            return [root]
-        else:
-            raise InputError(f"{printable(str(path))}: there is no such file or folder; check the path.")
+        is_folder, exists = root.is_dir(), root.exists()
+        files = [entry for entry in root.iterdir() if _is_table(entry)] if is_folder else [root]
     except (TypeError, ValueError):
         raise InputError(
             f"`path` must be the path of a CSV file or of a folder of CSV files, got {shorten(ascii(path))}."
         ) from None
     except OSError as error:
         raise InputError(f"{printable(str(path))}: cannot be read ({error.strerror}); check its permissions.") from None
+    if not exists:
+        raise InputError(f"{printable(str(root))}: there is no such file or folder; check the path.")
+    if not is_folder:
+        return files
     if not files:
         raise InputError(f"{printable(str(root))}: the folder holds no .csv file; {_folder_hint(root)}")
     return sorted(files, key=lambda file: natural_key(file.name))

@@ -148,6 +148,7 @@ def _level_values(item: Cycles, observable: str, levels: FloatArray) -> tuple[Fl
         item.bands[QUANTITIES.index(observable)],
         [np.log(wanted), wanted],
         orders=(2, 3),
+        kinks=True,
     )
     n = levels.size
     slope = (curve.value[n:] - curve.value[:n]) / np.log(beside / levels)

@@ -10,11 +10,12 @@ import argparse
 import os
 import sys
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from ._checks import OBSERVABLES, InputError, check_observables
+from . import _options
+from ._checks import OBSERVABLES, InputError
 
 PROGRAM = "pymc-backbone"
 LIKELIHOODS = ("auto", "population", "specimen", "pooled")
@@ -108,7 +109,7 @@ def build_parser() -> argparse.ArgumentParser:
     effects = commands.add_parser(
         "effects",
         help="list the physical effects, or explain one",
-        description="List the physical effects that a model can be made of, or explain one: equation, parameters, units.",
+        description="List the physical effects a model can be made of, or explain one: force, parameters, units.",
     )
     effects.add_argument("name", nargs="?", metavar="NAME", help="an effect, for example cubic_stiffness")
     effects.set_defaults(run=_effects)
@@ -145,8 +146,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if os.environ.get(TRACEBACK_VARIABLE):
             raise
         return _stop(
-            f"{type(error).__name__} where none was expected ({' '.join(str(error).split())[:300]}): this is a fault of "
-            f"the program; set {TRACEBACK_VARIABLE}=1 to see where.",
+            f"{type(error).__name__} where none was expected ({' '.join(str(error).split())[:300]}): this is a fault "
+            f"of the program; set {TRACEBACK_VARIABLE}=1 to see where.",
             1,
         )
     return 0
@@ -182,7 +183,7 @@ def _add_update(commands: Any) -> None:
 
     model = parser.add_argument_group("model")
     model.add_argument(
-        "--mass", type=_number("--mass"), required=True, metavar="M", help="mass [kg], or inertia [kg m^2]"
+        "--mass", type=_options.number("--mass"), required=True, metavar="M", help="mass [kg], or inertia [kg m^2]"
     )
     model.add_argument(
         "--effect",
@@ -195,15 +196,15 @@ def _add_update(commands: Any) -> None:
         "--prior",
         action="append",
         default=[],
-        type=_prior,
+        type=_options.prior,
         metavar="NAME=LOW:HIGH",
-        help="bounds of a parameter's uniform prior, in its SI unit; may be repeated (default: scaled with the records)",
+        help="bounds of a parameter's uniform prior, in SI units; may be repeated (default: scaled with the records)",
     )
     model.add_argument(
         "--fix",
         action="append",
         default=[],
-        type=_fixed,
+        type=_options.fixed,
         metavar="NAME=VALUE",
         help="hold a parameter at a value; may be repeated",
     )
@@ -213,15 +214,15 @@ def _add_update(commands: Any) -> None:
         "--likelihood",
         choices=LIKELIHOODS,
         default="auto",
-        help="population: the parameter distribution over the batch, against the density of its backbones; specimen: each "
-        "specimen its own parameters; pooled: one parameter set for all; auto: chosen by the number of specimens",
+        help="population: the parameter distribution over the batch, against the density of its backbones; specimen: "
+        "each specimen its own parameters; pooled: one parameter set for all; auto: population from 8 specimens",
     )
     likelihood.add_argument(
         "--density",
         choices=DENSITIES,
         default="product",
-        help="population density: independent at each level (product, as in arXiv:2410.11902; recovers too little scatter), "
-        "or joint over the levels (default: product)",
+        help="population density: independent at each level (product, as in arXiv:2410.11902; recovers too little "
+        "scatter), or joint over the levels (default: product)",
     )
     likelihood.add_argument(
         "--marginal",
@@ -231,32 +232,40 @@ def _add_update(commands: Any) -> None:
     )
 
     sampler = parser.add_argument_group("sampling")
-    sampler.add_argument("--draws", type=_count("--draws"), default=2000, metavar="N", help="per chain, kept (2000)")
     sampler.add_argument(
-        "--tune", type=_count("--tune", 0), default=1000, metavar="N", help="per chain, dropped (1000)"
+        "--draws", type=_options.count("--draws"), default=2000, metavar="N", help="per chain, kept (2000)"
     )
-    sampler.add_argument("--chains", type=_count("--chains"), default=4, metavar="N", help="number of chains (4)")
+    sampler.add_argument(
+        "--tune", type=_options.count("--tune", 0), default=1000, metavar="N", help="per chain, dropped (1000)"
+    )
+    sampler.add_argument(
+        "--chains", type=_options.count("--chains"), default=4, metavar="N", help="number of chains (4)"
+    )
     sampler.add_argument("--step", choices=STEPS, default="metropolis", help="PyMC's step method (metropolis)")
-    sampler.add_argument("--seed", type=_count("--seed", 0), default=None, metavar="N", help="repeats a run exactly")
+    sampler.add_argument(
+        "--seed", type=_options.count("--seed", 0), default=None, metavar="N", help="repeats a run exactly"
+    )
     _add_output(parser, required=False)
     parser.set_defaults(run=_update)
 
 
 def _add_measurement(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("measurement")
-    group.add_argument("--band", type=_band, metavar="LO:HI", help="keep this frequency band [Hz]; for a second mode")
     group.add_argument(
-        "--start", type=_number("--start"), metavar="S", help="release at this time [s], instead of finding it"
+        "--band", type=_options.band, metavar="LO:HI", help="keep this frequency band [Hz]; for a second mode"
+    )
+    group.add_argument(
+        "--start", type=_options.number("--start"), metavar="S", help="release at this time [s], instead of finding it"
     )
     group.add_argument(
         "--levels",
-        type=_levels,
+        type=_options.levels,
         metavar="N|A,B,C",
         help="number of amplitude levels, or the amplitudes [m or rad] (default: 10, or fewer for short decays)",
     )
     group.add_argument(
         "--observables",
-        type=_observables,
+        type=_options.observables,
         metavar="LIST",
         help=f"what to compare: {', '.join(OBSERVABLES)} (default: frequency,damping)",
     )
@@ -290,9 +299,9 @@ def _update(options: argparse.Namespace) -> None:
     run.update(
         options.records,
         mass=options.mass,
-        effects=_split(options.effect),
-        priors=_once("--prior", options.prior),
-        fixed=_once("--fix", options.fix),
+        effects=_options.split(options.effect),
+        priors=_options.once("--prior", options.prior),
+        fixed=_options.once("--fix", options.fix),
         is_table=options.backbones,
         band=options.band,
         start=options.start,
@@ -318,16 +327,20 @@ def _effects(options: argparse.Namespace) -> None:
     if options.name is not None:
         print(_effect_text(get_effect(options.name)))
         return
-    print("Every model has linear_stiffness and viscous_damping. `pymc-backbone effects NAME` explains one.\n")
-    width = max(map(len, LIBRARY))
+    print("Every model has linear_stiffness and viscous_damping; --effect adds others. x is displacement, x' velocity.")
     for name, effect in LIBRARY.items():
-        print(
-            textwrap.fill(effect.summary, 118, initial_indent=f"{name:<{width}}  ", subsequent_indent=" " * (width + 2))
-        )
+        print(f"\n{name}\n{textwrap.fill(effect.summary, 112, initial_indent='  ', subsequent_indent='  ')}")
+        print(textwrap.fill(effect.text, 112, initial_indent="  force: ", subsequent_indent="         "))
+        print("  " + ", ".join(f"{parameter.name} [{parameter.unit}]" for parameter in effect.parameters))
 
 
 def _effect_text(effect: Any) -> str:
-    lines = [effect.name, "", textwrap.fill(effect.summary, 118), "", f"  force: {effect.text}", "", "  parameters:"]
+    lines = [effect.name, "", textwrap.fill(effect.summary, 118), ""]
+    lines += [
+        textwrap.fill(effect.text, 112, initial_indent="  force: ", subsequent_indent="         "),
+        "",
+        "  parameters:",
+    ]
     width = max(len(parameter.name) for parameter in effect.parameters)
     units = max(len(parameter.unit) for parameter in effect.parameters) + 2
     for parameter in effect.parameters:
@@ -353,103 +366,6 @@ def _stop(message: str, code: int) -> int:
 
 
 def _version() -> str:
-    from importlib.metadata import PackageNotFoundError, version
+    from . import __version__
 
-    try:
-        return version(PROGRAM)
-    except PackageNotFoundError:  # run from a folder, not installed
-        from . import __version__
-
-        return str(__version__)
-
-
-def _number(option: str) -> Callable[[str], float]:
-    def parse(text: str) -> float:
-        value = _float(text)
-        if value is None:
-            raise argparse.ArgumentTypeError(f"expected a number such as 0.35, got {text!r}")
-        return value
-
-    parse.__name__ = option
-    return parse
-
-
-def _count(option: str, minimum: int = 1) -> Callable[[str], int]:
-    def parse(text: str) -> int:
-        try:
-            value = int(text)
-        except ValueError:
-            value = minimum - 1
-        if value < minimum:
-            raise argparse.ArgumentTypeError(f"expected a whole number of at least {minimum}, got {text!r}")
-        return value
-
-    parse.__name__ = option
-    return parse
-
-
-def _float(text: str) -> float | None:
-    try:
-        value = float(text)
-    except ValueError:
-        return None
-    return value if abs(value) < float("inf") else None
-
-
-def _pair(text: str, what: str) -> tuple[float, float]:
-    ends = [_float(part) for part in text.split(":")]
-    if len(ends) != 2 or ends[0] is None or ends[1] is None or not ends[0] < ends[1]:
-        raise argparse.ArgumentTypeError(f"expected {what}, with the low end first, got {text!r}")
-    return ends[0], ends[1]
-
-
-def _band(text: str) -> tuple[float, float]:
-    low, high = _pair(text, "LO:HI in Hz, such as 90:160")
-    if low < 0.0:
-        raise argparse.ArgumentTypeError(f"expected frequencies in Hz, not negative, got {text!r}")
-    return low, high
-
-
-def _levels(text: str) -> int | tuple[float, ...]:
-    if text.strip().isdigit():
-        return _count("--levels", 1)(text)
-    values = [_float(part) for part in text.split(",")]
-    if any(value is None or value <= 0.0 for value in values):
-        raise argparse.ArgumentTypeError(
-            f"expected a number of levels such as 8, or amplitudes such as 0.002,0.005,0.01, got {text!r}"
-        )
-    return tuple(sorted({value for value in values if value is not None}))
-
-
-def _observables(text: str) -> tuple[str, ...]:
-    try:
-        return check_observables([name.strip() for name in text.split(",") if name.strip()])
-    except InputError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
-
-
-def _prior(text: str) -> tuple[str, tuple[float, float]]:
-    name, equals, rest = text.partition("=")
-    if not equals or not name.strip():
-        raise argparse.ArgumentTypeError(f"expected NAME=LOW:HIGH, such as cubic_stiffness=0:1e7, got {text!r}")
-    return name.strip(), _pair(rest, "NAME=LOW:HIGH, such as cubic_stiffness=0:1e7")
-
-
-def _fixed(text: str) -> tuple[str, float]:
-    name, _, rest = text.partition("=")
-    value = _float(rest)
-    if not name.strip() or value is None:
-        raise argparse.ArgumentTypeError(f"expected NAME=VALUE, such as viscous_damping=0.8, got {text!r}")
-    return name.strip(), value
-
-
-def _once(option: str, pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
-    names = [name for name, _ in pairs]
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(f"{option} names {name} twice; keep one.")
-    return dict(pairs)
-
-
-def _split(names: Sequence[str]) -> list[str]:
-    return [name.strip() for text in names for name in text.split(",") if name.strip()]
+    return str(__version__)

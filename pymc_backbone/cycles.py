@@ -23,8 +23,8 @@ REACH = 0.75 * np.pi
 pi lowers the standard errors by 3 % and doubles the bias at 60 dB."""
 OVERLAP = 2.0 * REACH / np.pi
 """How often a sample is seen: by the window of a peak and of a trough."""
-POWERS = 4
-"""The template's coefficients are polynomials in amplitude with this many terms: friction, linear, quadratic, cubic forces."""
+POWERS = 6
+"""The template's coefficients are polynomials in amplitude with this many terms: friction, linear, quadratic, cubic, ... forces."""
 SELECTION = 4.0
 """A template term enters when it lowers chi-square by more than this (every sample is seen twice)."""
 FLOOR = 8.0
@@ -203,7 +203,7 @@ def _extract(t, x, step, autocovariance, guess_noise, known, specimen, notes):  
         )
     guess = t[0] + places * step
     harmonics = int(np.clip(np.floor(0.5 * period / step) - 1, 2, 5))
-    fit, signs, periods, factor = _fit_with_template(x, t[0], step, guess, signs, harmonics, guess_noise)
+    fit, signs, periods, factor = _fit_with_template(x, t[0], step, guess, signs, harmonics, guess_noise, autocovariance)
     # noise from what the fits leave
     freedom = np.maximum(fit.count - 3.0, 0.5)
     residual_variance = float(fit.misfit.sum() / freedom.sum())
@@ -272,8 +272,10 @@ def _local_scales(fit_times, fit_values, signs):  # type: ignore[no-untyped-def]
     return _running(periods, 4), np.maximum(_running(halves, 2), 1e-3 * halves.max())
 
 
-def _fit_with_template(x, start, step, guess, signs, harmonics, noise):  # type: ignore[no-untyped-def]
+def _fit_with_template(x, start, step, guess, signs, harmonics, noise, autocovariance=None):  # type: ignore[no-untyped-def]
     n_shape = _turning.n_shape_functions(harmonics)
+    if autocovariance is None:
+        autocovariance = np.array([noise**2])
     values = np.interp(guess, start + step * np.arange(x.size), x)
     periods, amplitudes = _local_scales(guess, values, signs)
     template = np.zeros((guess.size, n_shape))
@@ -292,6 +294,12 @@ def _fit_with_template(x, start, step, guess, signs, harmonics, noise):  # type:
             slack = step + 3.0 * noise * np.sqrt((fit.influence[:, :, 0] ** 2).sum(axis=1))
         keep = fit.good & (fit.times >= start - slack) & (np.abs(fit.times - guess) < 0.25 * periods)
         keep &= start + step * (x.size - 1) - fit.times >= 0.25 * periods
+        if number == 1:
+            # what drowned in noise would only disturb the template
+            errors = _turning.turning_covariance(fit.influence, fit.first, fit.count, autocovariance, 1)[:, 0, 1, 1]
+            drowned = np.flatnonzero(_running(amplitudes, 4) < 0.5 * FLOOR * np.sqrt(errors))
+            if drowned.size:
+                keep[max(int(drowned[0]), 7) :] = False
         if not keep.all():
             # only a whole run of turning points can be used: cut at the ends
             inside = np.flatnonzero(~keep)
@@ -363,9 +371,10 @@ def _assemble(fit, signs, turning, factor, noise, specimen, notes):  # type: ign
     bands_of = 1 + (turning.shape[1] + 1) // 2
     amplitude_bands = _turning.cycle_covariance(gradients[:1], turning, shift, bands_of)[0]
     index = np.arange(n, dtype=np.float64)
-    curve = smooth([index], np.maximum(amplitude, 1e-3 * amplitude.max()), amplitude_bands, [index], orders=(2, 3))
+    positive = np.maximum(amplitude, 1e-3 * amplitude.max())
+    curve = smooth([index], positive, amplitude_bands, [index], orders=(2, 3), kinks=True)
     smoothed = np.maximum(curve.value, 1e-3 * amplitude.max())
-
+    spread = curve.covariance
     floor = np.flatnonzero(smoothed < FLOOR * np.sqrt(amplitude_bands[0]))
     end = int(floor[0]) if floor.size else n
     if end < n:
@@ -386,6 +395,7 @@ def _assemble(fit, signs, turning, factor, noise, specimen, notes):  # type: ign
     bands = _turning.cycle_covariance(gradients, turning, shift, bands_of)
     # second order: E[1/T] exceeds 1/E[T]; E[ln R] falls short of ln E[R]
     frequency = (1.0 - bands[1, 0] * period**2) / period
+    smoothed, spread = _amplitude_from_damping(positive, amplitude_bands, damping, bands[2], smoothed, end)
     swing = np.zeros((2, n, 3, 2))
     swing[0, :, 0, 1], swing[0, :, 1, 1], swing[1, :, 1, 1], swing[1, :, 2, 1] = 1.0, -1.0, -1.0, 1.0
     swing_variance = _turning.cycle_covariance(swing, turning, shift, 1)[:, 0]
@@ -412,8 +422,8 @@ def _assemble(fit, signs, turning, factor, noise, specimen, notes):  # type: ign
         offset_error=errors[3],
         bands=bands,
         shared=shared,
-        smoothed_amplitude=smoothed[:end],
-        smoothed_amplitude_covariance=curve.covariance[:end, :end],
+        smoothed_amplitude=smoothed,
+        smoothed_amplitude_covariance=spread,
         turning_times=fit.times,
         turning_values=fit.values,
         turning_time_errors=turning_errors[:, 0],
@@ -422,3 +432,36 @@ def _assemble(fit, signs, turning, factor, noise, specimen, notes):  # type: ign
         noise=noise,
         notes=tuple(notes),
     )
+
+
+def _amplitude_from_damping(amplitude, amplitude_bands, damping, damping_bands, smoothed, end):  # type: ignore[no-untyped-def]
+    """Return the first ``end`` amplitudes, smoothed with the help of the damping they imply, and their covariance.
+
+    Damping is a much smoother function of amplitude than amplitude is of time (friction ends a decay with a corner, slip begins it with
+    one). So the damping curve is integrated, and what the amplitudes say beyond it is smoothed over cycles and added.
+    """
+
+    def cut(bands: FloatArray) -> FloatArray:
+        bands = bands[:, :end].copy()
+        for b in range(1, bands.shape[0]):
+            bands[b, max(end - b, 0) :] = 0.0
+        return bands
+
+    index = np.arange(end, dtype=np.float64)
+    current, damping = smoothed[:end], damping[:end]
+    spread = np.zeros((end, end))
+    for _ in range(2):
+        place = [np.log(current), current]
+        curve = smooth(place, damping, cut(damping_bands), place, orders=(2, 3), kinks=True)
+        steps = (curve.value[1:] + curve.value[:-1]) / 2.0
+        base = np.concatenate([[0.0], -np.cumsum(steps)])
+        base -= np.mean(base - np.log(current))
+        scaled = cut(amplitude_bands)
+        for b in range(scaled.shape[0]):
+            scaled[b, : end - b] /= current[: end - b] * current[b:]
+        # E[ln A] falls short of ln E[A]
+        residual = np.log(np.maximum(amplitude[:end], 0.1 * current)) + 0.5 * scaled[0] - base
+        rest = smooth([index], residual, scaled, [index], orders=(2,))
+        current = np.exp(base + rest.value)
+        spread = rest.covariance * current[:, None] * current
+    return current, spread

@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _kernels
 from ._checks import FloatArray, InputError, check_finite_array, check_levels, check_positive
-from ._forces import KIND, OWN_EQUATION, compose_user_effects, describe_effects
+from ._forces import KIND, NO_USER_EFFECT, OWN_EQUATION, compose_user_effects, describe_effects
 from ._halfcycle import COMPLETED, NO_RETURN, OUT_OF_REACH, RUNAWAY, STUCK
 from .oscillator import Oscillator
 
-TOLERANCE = 3e-10  # of one step, relative to amplitude and speed; set by the decrement, not by the frequency
+TOLERANCE = 2e-9  # of one step, relative to amplitude and speed; set by the decrement, not by the frequency
 MAXIMUM_TURNING_POINTS = 20_001
 
 
@@ -139,8 +139,9 @@ class Simulator:
     def __init__(self, oscillator: Oscillator) -> None:
         self.oscillator = oscillator
         table, stiffness, damping, n_states, has_regime, users = describe_effects(oscillator.effects)
-        self.description = (table, stiffness, damping, n_states, float(oscillator.mass), has_regime)
-        self.user = compose_user_effects(users) if users else None
+        user = compose_user_effects(users) if users else NO_USER_EFFECT
+        self.description = (user, table, stiffness, damping, n_states, float(oscillator.mass), has_regime)
+        self.needs_decay = n_states > 0
         self.has_own_equation = bool(np.any(table[:, KIND] == OWN_EQUATION))
 
     def backbone(
@@ -154,29 +155,15 @@ class Simulator:
         status: NDArray[np.int64],
     ) -> None:
         """Run the compiled backbone into ``values``, ``jacobian`` (empty: not wanted) and ``status``."""
-        arguments = (
-            *self.description,
-            parameters,
-            levels,
-            release,
-            virgin,
-            jacobian.size > 0,
-            TOLERANCE,
-            MAXIMUM_TURNING_POINTS,
-            values,
-            jacobian,
-            status,
-        )
-        if self.user is None:
-            _kernels.library_backbone(*arguments)
-        else:
-            _kernels.user_backbone(self.user, *arguments)
+        run = _kernels.backbone_by_decay if self.needs_decay or release > 0.0 else _kernels.backbone_by_cycles
+        run(
+            *self.description, parameters, levels, release, virgin, jacobian.size > 0, TOLERANCE,
+            MAXIMUM_TURNING_POINTS, values, jacobian, status,
+        )  # fmt: skip
 
     def decay(self, *arguments: Any) -> tuple[int, int]:
         """Run the compiled whole decay."""
-        if self.user is None:
-            return _kernels.library_decay(*self.description, *arguments)  # type: ignore[no-any-return]
-        return _kernels.user_decay(self.user, *self.description, *arguments)  # type: ignore[no-any-return]
+        return _kernels.decay(*self.description, *arguments)  # type: ignore[no-any-return]
 
 
 def simulate_backbone(

@@ -21,6 +21,7 @@ from pymc_backbone._checks import (
     check_levels,
     check_observables,
 )
+from pymc_backbone._density_data import check_spread, measurement_covariance, population_values
 from pymc_backbone._density_joint import principal_directions
 from pymc_backbone._density_kernel import (
     FAMILY_CODES,
@@ -298,15 +299,16 @@ def fit_density(
     -----
     *Uniform*: sample extremes moved outwards by range / (n - 1), the unbiased estimate. *Normal*: mean and unbiased
     variance. *Gev*: maximum likelihood with -0.95 <= xi <= 1. *Kde*: Gaussian kernels whose centres are drawn towards
-    the mean, so that mean and variance (divisor n - 1) are the sample's; bandwidth by leave-one-out likelihood. Its
-    tails are never cut off: far away it decreases like its nearest kernel.
+    the mean [2]_, so that mean and variance (divisor n - 1) are the sample's; bandwidth by leave-one-out likelihood.
+    Its tails are never cut off: far away it decreases like its nearest kernel.
 
     *Joint*: only specimens that reach all levels count. The covariance is nearly singular, because o x l values depend
     on a few parameters. With the floor F = measurement covariance + diag(0.1 s)^2, s the standard deviation of each
     value, directions that vary more than F explains are the population's: a kernel density there has the sample's mean
     and covariance (less the measurement's). Across them the density is normal with covariance F, widened with few
     specimens: it only holds the model to the measured mean. The floor is as wide as that because the surface on which
-    the values lie is curved; whitening its curvature narrows the recovered spread by 10-16 %.
+    the values lie is curved; whitening its curvature narrows the recovered spread by 10-16 %. A parameter that varies
+    less than the floor comes back wider than it is; ``description`` tells how many directions were found.
 
     See Also
     --------
@@ -331,7 +333,7 @@ def fit_density(
     check_choice("kind", kind, KINDS)
     check_choice("marginal", marginal, ("best", *FAMILIES))
     check_choice("criterion", criterion, CRITERIA)
-    names, levels, value = _values(backbones, observables)
+    names, levels, value = population_values(backbones, observables)
     if kind == "joint":
         if marginal not in ("best", "kde", "normal"):
             raise InputError(
@@ -340,48 +342,6 @@ def fit_density(
             )
         return _fit_joint(backbones, names, levels, value, marginal == "normal", subtract_measurement)
     return _fit_product(names, levels, value, marginal, criterion)
-
-
-def _values(
-    backbones: xr.Dataset, observables: str | Iterable[str] | None
-) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
-    """Return observables, levels and values (n, o, l) of a dataset, or raise `InputError`."""
-    if not isinstance(backbones, xr.Dataset) or "value" not in backbones:
-        raise InputError(
-            f"`backbones` must be an xarray.Dataset with a variable `value`, got {type(backbones).__name__}. "
-            "Make one with `backbones_at_levels`."
-        )
-    dims = ("specimen", "observable", "level")
-    found = tuple(str(name) for name in backbones["value"].dims)
-    if set(found) != set(dims) or not {"observable", "level"} <= set(backbones.coords):
-        raise InputError(
-            f"`backbones` must have the dims {', '.join(dims)} with coordinates observable and level, got the dims "
-            f"{', '.join(found)} and the coordinates {', '.join(map(str, backbones.coords)) or '(none)'}. "
-            "Make it with `backbones_at_levels`."
-        )
-    available = tuple(str(name) for name in backbones["observable"].values)
-    names = check_observables(available if observables is None else observables)
-    for name in names:
-        check_choice("observables", name, available)
-    levels = check_levels(backbones["level"].values, "backbones.level")
-    value = backbones["value"].sel(observable=list(names)).transpose(*dims).values.astype(np.float64)
-    if np.isinf(value).any():
-        specimen, observable, level = np.argwhere(np.isinf(value))[0]
-        raise InputError(
-            f"`backbones` must hold finite values or NaN, got {value[specimen, observable, level]} for "
-            f"{names[observable]} of specimen {specimen} at level {levels[level]:g}. Drop that specimen."
-        )
-    return names, levels, value
-
-
-def _check_spread(sample: FloatArray, observable: str, level: float) -> None:
-    """Raise `InputError` where values do not vary beyond rounding (observables without unit may have a true zero)."""
-    size = max(float(np.abs(sample).max()), 1.0 if OBSERVABLE_UNITS[observable] == "1" else 0.0)
-    if float(np.ptp(sample)) <= 1e-9 * size:
-        raise InputError(
-            f"`backbones` must vary between specimens, got {observable} from {sample.min():.9g} to {sample.max():.9g} "
-            f"at level {level:g}. Leave {observable} out of `observables`, or that level out."
-        )
 
 
 def _row(observable: str, level: float, n_specimens: int, **rest: Any) -> dict[str, Any]:
@@ -404,7 +364,7 @@ def _fit_product(
                 f"`backbones` must hold at least {_MINIMUM[marginal]} specimens at every level for marginal="
                 f"{marginal!r}, got {sample.size} that reach level {level:g} in {observable}. Drop that level{advice}."
             )
-        _check_spread(sample, observable, level)
+        check_spread(sample, observable, level)
         families = [marginal]
         if marginal == "best":
             families = [name for name in ("uniform", "normal", "gev") if sample.size >= _MINIMUM[name]]
@@ -458,9 +418,9 @@ def _fit_joint(
     cells = [(names[o], float(levels[k])) for o, k in np.ndindex(len(names), levels.size)]
     flat = value[complete].reshape(n, d)
     for column, cell in zip(flat.T, cells, strict=True):
-        _check_spread(column, *cell)
+        check_spread(column, *cell)
     flat = flat[np.lexsort(flat.T[::-1])]  # the order of specimens changes no bit
-    measurement = _measurement_covariance(backbones, names, complete)
+    measurement = measurement_covariance(backbones, names, complete)
     directions = principal_directions(flat, measurement, subtract_measurement)
     # Every kernel direction needs a few specimens of its own; population directions beyond those stay normal.
     r = 0 if is_normal else min(directions.n_population, (n - 1) // 3)
@@ -491,27 +451,3 @@ def _fit_joint(
     )
     codes = np.array([JOINT, d, r, len(centres)])
     return Density("joint", levels, names, codes, table, description, rows)
-
-
-def _measurement_covariance(backbones: xr.Dataset, names: tuple[str, ...], complete: NDArray[np.bool_]) -> FloatArray:
-    """Return the mean covariance (d, d) of the measurement errors: a block over the levels for every observable."""
-    o, n_levels = len(names), backbones.sizes["level"]
-    dims = ("specimen", "observable", "level", "level_other")
-    if "covariance" in backbones:
-        source = backbones["covariance"].sel(observable=list(names)).transpose(*dims)
-        blocks = source.values[complete].astype(np.float64)
-    elif "standard_error" in backbones:
-        source = backbones["standard_error"].sel(observable=list(names)).transpose(*dims[:3])
-        blocks = source.values[complete].astype(np.float64)[..., None] ** 2 * np.eye(n_levels)
-    else:
-        return np.zeros((o * n_levels, o * n_levels))
-    if not np.isfinite(blocks).all():
-        raise InputError(
-            "`backbones` must hold a finite standard_error and covariance wherever it holds a value, got NaN or inf. "
-            "Extract the backbones again, or drop those variables."
-        )
-    result = np.zeros((o, n_levels, o, n_levels))
-    for i in range(o):
-        block = blocks[:, i].mean(axis=0)
-        result[i, :, i, :] = 0.5 * (block + block.T)
-    return result.reshape(o * n_levels, o * n_levels)

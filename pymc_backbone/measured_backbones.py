@@ -247,7 +247,7 @@ def _fold(curve: _Curve) -> str:
     branches = []
     for part in (up, down):
         steps = np.diff(amplitude[part])
-        if not ((steps > 0.0).all() or (steps < 0.0).all()):
+        if not ((steps >= 0.0).all() or (steps <= 0.0).all()):
             return ""
         order = np.argsort(amplitude[part])
         branches.append((amplitude[part][order], frequency[part][order]))

@@ -30,6 +30,7 @@ OBSERVABLE_NAMES = {
     "offset": "Mid-line / amplitude",
 }
 MOST_PANELS = 24
+MOST_PARAMETERS = 12
 
 
 def plot_records(records: Sequence[Any], *, most: int = MOST_PANELS) -> Figure:
@@ -360,7 +361,7 @@ def _for_arviz(
     from arviz_base.labels import MapLabeller
 
     dataset = posterior["posterior"].to_dataset()
-    dataset = dataset if names is None else dataset[list(names)]
+    dataset = _first_scalars(dataset if names is None else dataset[list(names)])
     if most is not None:
         dataset = dataset.isel(draw=slice(None, None, max(1, dataset.sizes["chain"] * dataset.sizes["draw"] // most)))
     labels: dict[Hashable, Hashable] = {}
@@ -369,6 +370,13 @@ def _for_arviz(
         dataset[name] = variable * scale
     arguments = {"labeller": MapLabeller(var_name_map=labels), "backend": "matplotlib"}
     return xr.DataTree.from_dict({"posterior": dataset}), arguments
+
+
+def _first_scalars(dataset: xr.Dataset) -> xr.Dataset:
+    """Keep at most `MOST_PARAMETERS` scalars: of parameters over many specimens, those of the first specimens."""
+    per_variable = max(1, MOST_PARAMETERS // max(1, len(dataset.data_vars)))
+    other = [dim for dim in dataset.dims if dim not in ("chain", "draw")]
+    return dataset.isel({dim: slice(0, per_variable) for dim in other})
 
 
 def _scalars(draws: xr.DataTree) -> int:

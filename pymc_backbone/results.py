@@ -5,7 +5,7 @@ file                      what it holds
 ========================  ====================================================================================
 ``result.json``           everything in numbers and words; see `RESULT_KEYS`
 ``summary.csv``           a row for each parameter: mean, sd, 95 % HDI, R-hat, effective draws
-``backbones.csv``         measured backbones: specimen, observable, level, value, standard error
+``backbones.csv``         measured backbones with standard errors: a row for each specimen and level
 ``backbones.nc``          the same with the covariance over the levels (NetCDF)
 ``posterior.nc``          all draws and the sampler's statistics (NetCDF; ``xarray.open_datatree``)
 ``figures/*.png``         records, backbones, densities, chains, posteriors, measured against simulated
@@ -30,7 +30,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from ._checks import InputError
+from ._checks import OBSERVABLE_UNITS, InputError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -61,6 +61,7 @@ RESULT_KEYS = {
     "specimens": "names",
     "parameters": "name: mean, sd, hdi_low, hdi_high, unit, r_hat, ess_bulk, ess_tail, prior_low, prior_high",
     "fixed": "name: value of the parameters that were not inferred",
+    "comparison": "for each observable and level: mean and sd over the specimens, measured and simulated",
     "findings": "sentences on what is wrong with the posterior; empty if nothing was found",
     "notes": "what was assumed or done while reading and conditioning the records",
     "failures": "number of simulations that gave no backbone; null if not counted",
@@ -183,10 +184,19 @@ def read_result(folder: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def backbone_table(backbones: xr.Dataset) -> pd.DataFrame:
-    """List measured backbones: one row for each specimen, observable and level that was reached."""
-    frame = backbones[["value", "standard_error"]].to_dataframe().reset_index()
-    columns = ["specimen", "observable", "level", "value", "standard_error"]
-    return frame[columns].dropna(subset=["value"]).reset_index(drop=True)
+    """List backbones as `read_backbones` reads them: a row for each specimen and level that was reached."""
+    unit = backbones.attrs.get("amplitude_unit", "m")
+    frame = backbones["value"].to_series().unstack("observable")
+    errors = backbones["standard_error"].to_series().unstack("observable")
+    columns: dict[str, pd.Series] = {}
+    for name in map(str, backbones["observable"].values):
+        bracket = f" [{OBSERVABLE_UNITS[name]}]" if OBSERVABLE_UNITS[name] != "1" else ""
+        columns[f"{name}{bracket}"] = frame[name]
+        columns[f"{name}_error{bracket}"] = errors[name]
+    table = pd.DataFrame(columns).dropna(how="all")
+    order = [str(name) for name in backbones["specimen"].values]
+    table = table.reindex(order, level="specimen").reset_index()
+    return table.rename(columns={"level": f"amplitude [{unit}]"})
 
 
 def _files_of_earlier_run(folder: Path) -> list[str]:

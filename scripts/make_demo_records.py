@@ -82,7 +82,7 @@ def main() -> None:
         measured = displacement + offset + noise * rng.standard_normal(samples)
         measured = np.clip(np.round(measured / step) * step, -FULL_SCALE, FULL_SCALE - step)
         name = f"specimen_{number:02d}"
-        lines = ["time,displacement", *(f"{t:.3f},{x:.7f}" for t, x in zip(time, measured, strict=True))]
+        lines = ["time [s],displacement [m]", *(f"{t:.3f},{x:.7f}" for t, x in zip(time, measured, strict=True))]
         (folder / f"{name}.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
         specimens.append(
             {"specimen": name}

@@ -1,0 +1,424 @@
+"""From records to an output folder in one call: what the command line and the demo do.
+
+`extract` turns records into backbones; `update` goes on to the posterior of an oscillator's parameters. Both say what
+they do as they go, and return what they write to ``result.json``.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+
+from ._checks import FloatArray, InputError, check_choice, check_levels
+from ._describe import compare, describe_measured, describe_result
+from .results import prepare_output, write_results
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from .oscillator import Oscillator
+
+Say = Callable[[str], None]
+Levels = int | Sequence[float] | None
+PREDICTIVE_DRAWS = 400
+DEFAULT_OBSERVABLES = ("frequency", "damping")
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Measured backbones, and the records they came from (none if they were read as tables)."""
+
+    backbones: xr.Dataset
+    records: list[Any] = field(default_factory=list)
+
+    @property
+    def notes(self) -> list[str]:
+        """What was assumed or done."""
+        return [str(note) for note in self.backbones.attrs.get("notes", [])]
+
+    @property
+    def amplitude_unit(self) -> str:
+        """Unit of the levels: m or rad."""
+        return str(self.backbones.attrs.get("amplitude_unit", "m"))
+
+
+def measure(
+    path: str | os.PathLike[str],
+    *,
+    is_table: bool = False,
+    band: tuple[float, float] | None = None,
+    start: float | None = None,
+    levels: Levels = None,
+    observables: Sequence[str] | None = None,
+) -> Measured:
+    """Read records, or tables of backbones, and return backbones at levels.
+
+    Parameters
+    ----------
+    path : path-like
+        File or folder.
+    is_table : bool, optional
+        Whether it holds backbone tables instead of time histories.
+    band : (float, float), optional
+        Frequency band to keep [Hz].
+    start : float, optional
+        Time of release [s]; found by default.
+    levels : int or sequence of float, optional
+        Number of levels, or the amplitudes [m or rad].
+    observables : sequence of str, optional
+        By default frequency and damping, or for tables all they hold.
+
+    Returns
+    -------
+    Measured
+    """
+    if is_table:
+        return _measure_tables(path, band, start, levels, observables)
+    from .backbone import backbones_at_levels, default_levels
+    from .conditioning import condition
+    from .cycles import extract_cycles
+    from .records import read_records
+
+    records = read_records(path)
+    conditioned = [condition(record, band=band, start=start) for record in records]
+    cycles = [extract_cycles(record) for record in conditioned]
+    units = sorted({_amplitude_unit(record) for record in records})
+    if len(units) > 1:
+        raise InputError(f"The records must all be displacements or all be angles, got both {' and '.join(units)}.")
+    chosen = default_levels(cycles, levels) if isinstance(levels, int) else levels
+    backbones = backbones_at_levels(cycles, chosen, observables or DEFAULT_OBSERVABLES, amplitude_unit=units[0])
+    return Measured(backbones, records)
+
+
+def extract(
+    path: str | os.PathLike[str],
+    *,
+    output: str | os.PathLike[str],
+    overwrite: bool = False,
+    say: Say = print,
+    **measurement: Any,
+) -> dict[str, Any]:
+    """Extract backbones and write them with figures to an output folder.
+
+    Parameters
+    ----------
+    path : path-like
+        File or folder of records.
+    output : path-like
+        Output folder.
+    overwrite : bool, optional
+        Whether the folder may hold something already.
+    say : callable, optional
+        Called with each line of progress; ``print`` by default.
+    **measurement
+        ``band``, ``start``, ``levels``, ``observables``, as in `measure`.
+
+    Returns
+    -------
+    dict
+        What ``result.json`` holds.
+    """
+    begin = time.perf_counter()
+    folder = prepare_output(output, overwrite)
+    measured = measure(path, **measurement)
+    say(describe_measured(measured.backbones))
+    result: dict[str, Any] = {
+        "version": _version(),
+        "command": "extract",
+        "settings": {"records": str(path), **measurement},
+        **_measured_entries(measured),
+    }
+    from . import plots
+
+    figures = {"backbones": plots.plot_backbones(measured.backbones)}
+    if measured.records:
+        figures["records"] = plots.plot_records(measured.records)
+    result["seconds"] = {"total": round(time.perf_counter() - begin, 2)}
+    write_results(folder, result, backbones=measured.backbones, figures=figures)
+    say(f"\nBackbones and figures are in {folder}.")
+    return result
+
+
+def update(
+    path: str | os.PathLike[str],
+    *,
+    mass: float,
+    effects: Sequence[str] = (),
+    priors: Mapping[str, tuple[float, float]] | None = None,
+    fixed: Mapping[str, float] | None = None,
+    is_table: bool = False,
+    band: tuple[float, float] | None = None,
+    start: float | None = None,
+    levels: Levels = None,
+    observables: Sequence[str] | None = None,
+    likelihood: str = "auto",
+    density: str = "product",
+    marginal: str = "best",
+    draws: int = 2000,
+    tune: int = 1000,
+    chains: int = 4,
+    step: str = "metropolis",
+    random_seed: int | None = None,
+    output: str | os.PathLike[str] | None = None,
+    overwrite: bool = False,
+    command: str = "update",
+    true_values: Mapping[str, FloatArray] | None = None,
+    say: Say = print,
+) -> dict[str, Any]:
+    """Infer the parameters of an oscillator from records, and write everything to an output folder.
+
+    Parameters
+    ----------
+    path : path-like
+        File or folder of records, or of backbone tables if ``is_table``.
+    mass : float
+        Mass [kg], or inertia [kg m^2] for a rotation.
+    effects : sequence of str, optional
+        Effects beside linear stiffness and viscous damping.
+    priors : mapping of str to (float, float), optional
+        Bounds of Uniform priors that replace the default ones.
+    fixed : mapping of str to float, optional
+        Parameters that are not inferred.
+    is_table, band, start, levels, observables
+        As in `measure`.
+    likelihood : {"auto", "population", "specimen", "pooled"}, optional
+        As in `build_model`; "auto" takes "population" from 8 specimens that reach every level, else "specimen".
+    density, marginal : str, optional
+        As in `fit_density`; for the population likelihood.
+    draws, tune, chains, step, random_seed
+        As in `sample`. Without a seed one is drawn, and written to the result.
+    output : path-like, optional
+        Output folder; without one nothing is written.
+    overwrite : bool, optional
+        Whether the folder may hold something already.
+    command : str, optional
+        Written to the result.
+    true_values : mapping of str to array of float, optional
+        Known parameters of the specimens, drawn in the figure of the posterior.
+    say : callable, optional
+        Called with each line of progress; ``print`` by default.
+
+    Returns
+    -------
+    dict
+        What ``result.json`` holds; its keys are `results.RESULT_KEYS`.
+    """
+    begin = time.perf_counter()
+    settings = {
+        name: value for name, value in locals().items() if name not in ("say", "true_values", "begin", "command")
+    }
+    folder = None if output is None else prepare_output(output, overwrite)
+    from .oscillator import Oscillator
+
+    oscillator = Oscillator(mass, effects)
+    _check_names(oscillator, priors or {}, fixed or {})
+    measured = measure(path, is_table=is_table, band=band, start=start, levels=levels, observables=observables)
+    say(describe_measured(measured.backbones))
+    read = time.perf_counter()
+
+    from .density import fit_density
+    from .diagnostics import findings, summarise
+    from .model import build_model
+    from .sampling import sample
+
+    seed = int(np.random.SeedSequence().generate_state(1)[0]) if random_seed is None else random_seed
+    kind = _likelihood(likelihood, measured.backbones)
+    fitted = fit_density(measured.backbones, kind=density, marginal=marginal) if kind == "population" else None
+    bounds = _bounds(oscillator, measured.backbones, priors or {}, fixed or {})
+    model = build_model(
+        oscillator,
+        measured.backbones if fitted is None else fitted,
+        bounds=bounds,
+        fixed=dict(fixed or {}),
+        likelihood=kind,
+    )
+    say(
+        f"\n{oscillator.equation}\n\nSampling {chains} chains of {tune} + {draws} draws ({step}, {kind} likelihood) ..."
+    )
+    posterior = sample(model, draws=draws, tune=tune, chains=chains, step=step, random_seed=seed)
+    sampled = time.perf_counter()
+
+    names = [name for name in bounds if name in posterior["posterior"]]
+    table = summarise(posterior, names)
+    failures = _failures(posterior)
+    predictive = _predictive(oscillator, posterior, fixed or {}, measured.backbones, seed)
+    result: dict[str, Any] = {
+        "version": _version(),
+        "command": command,
+        "settings": {**settings, "likelihood": kind, "random_seed": seed},
+        "seed": seed,
+        "equation": oscillator.equation,
+        "mass": oscillator.mass,
+        "effects": [effect.name for effect in oscillator.effects],
+        "density": None if fitted is None else fitted.description,
+        **_measured_entries(measured),
+        "parameters": _parameters(table, oscillator, bounds),
+        "fixed": dict(fixed or {}),
+        "comparison": compare(measured.backbones, predictive),
+        "findings": findings(posterior, bounds, units=oscillator.units, failures=failures),
+        "failures": failures,
+    }
+    say("\n" + describe_result(result))
+    if folder is not None:
+        figures = _figures(measured, fitted, predictive, posterior, bounds, oscillator.units, true_values)
+        result["seconds"] = _seconds(begin, read, sampled)
+        write_results(folder, result, backbones=measured.backbones, summary=table, posterior=posterior, figures=figures)
+        say(f"\nAll numbers, draws and figures are in {folder}; begin with {folder / 'figures' / 'predictive.png'}.")
+    result.setdefault("seconds", _seconds(begin, read, sampled))
+    return result
+
+
+def _measure_tables(
+    path: str | os.PathLike[str],
+    band: tuple[float, float] | None,
+    start: float | None,
+    levels: Levels,
+    observables: Sequence[str] | None,
+) -> Measured:
+    from .measured_backbones import read_backbones
+
+    for option, value in (("--band", band), ("--start", start)):
+        if value is not None:
+            raise InputError(f"{option} is for time histories; drop it, or drop --backbones.")
+    if isinstance(levels, int):
+        reached = np.asarray(read_backbones(path)["level"])
+        backbones = read_backbones(path, levels=np.geomspace(reached[0], reached[-1], levels))
+    else:
+        backbones = read_backbones(path, levels=None if levels is None else check_levels(levels))
+    if observables is not None:
+        held = [str(name) for name in backbones["observable"].values]
+        for name in observables:
+            check_choice("observables", name, held)
+        backbones = backbones.sel(observable=list(observables))
+    return Measured(backbones)
+
+
+def _amplitude_unit(record: Any) -> str:
+    return "rad" if str(record.unit).startswith("rad") else "m"
+
+
+def _check_names(oscillator: Oscillator, priors: Mapping[str, tuple[float, float]], fixed: Mapping[str, float]) -> None:
+    known = oscillator.parameter_names
+    for option, names in (("--prior", priors), ("--fix", fixed)):
+        for name in names:
+            check_choice(option, name, known)
+    both = sorted(set(priors) & set(fixed))
+    if both:
+        raise InputError(f"{both[0]} has both a prior and a fixed value; keep one.")
+    if set(fixed) == set(known):
+        raise InputError("Every parameter is fixed; leave at least one to infer.")
+
+
+def _bounds(
+    oscillator: Oscillator,
+    backbones: xr.Dataset,
+    priors: Mapping[str, tuple[float, float]],
+    fixed: Mapping[str, float],
+) -> dict[str, tuple[float, float]]:
+    frequency = np.asarray(backbones["value"].sel(observable="frequency"))
+    scale = 2.0 * np.pi * float(np.nanmedian(frequency))
+    default = oscillator.default_bounds(float(np.asarray(backbones["level"])[-1]), scale)
+    return {name: priors.get(name, limits) for name, limits in default.items() if name not in fixed}
+
+
+def _likelihood(likelihood: str, backbones: xr.Dataset) -> str:
+    if likelihood != "auto":
+        return likelihood
+    complete = np.isfinite(np.asarray(backbones["value"])).all(axis=(1, 2)).sum()
+    return "population" if complete >= 8 else "specimen"
+
+
+def _failures(posterior: xr.DataTree) -> int | None:
+    count = posterior.attrs.get("failures")
+    return None if count is None else int(count)
+
+
+def _predictive(
+    oscillator: Oscillator, posterior: xr.DataTree, fixed: Mapping[str, float], backbones: xr.Dataset, seed: int
+) -> xr.Dataset:
+    from .backbone import simulated_backbones
+
+    draws = posterior["posterior"].to_dataset()
+    columns = []
+    for name in oscillator.parameter_names:
+        columns.append(np.full(1, fixed[name]) if name in fixed else np.asarray(draws[name], dtype=float).ravel())
+    size = max(column.size for column in columns)
+    chosen = np.random.default_rng(seed).choice(size, size=min(PREDICTIVE_DRAWS, size), replace=False)
+    parameters = np.column_stack([np.broadcast_to(column, (size,))[chosen] for column in columns])
+    names = [str(name) for name in backbones["observable"].values]
+    return simulated_backbones(oscillator, parameters, np.asarray(backbones["level"]), names)
+
+
+def _parameters(
+    table: pd.DataFrame, oscillator: Oscillator, bounds: Mapping[str, tuple[float, float]]
+) -> dict[str, dict[str, Any]]:
+    entries = {}
+    for label, row in table.iterrows():
+        name = str(label).partition("[")[0]
+        low, high = bounds[name]
+        kept = ("mean", "sd", "hdi_low", "hdi_high", "r_hat", "ess_bulk", "ess_tail")
+        entries[str(label)] = {
+            **{key: float(row[key]) for key in kept},
+            "unit": oscillator.units[name],
+            "prior_low": float(low),
+            "prior_high": float(high),
+        }
+    return entries
+
+
+def _measured_entries(measured: Measured) -> dict[str, Any]:
+    backbones = measured.backbones
+    return {
+        "observables": [str(name) for name in backbones["observable"].values],
+        "levels": np.asarray(backbones["level"], dtype=float),
+        "amplitude_unit": measured.amplitude_unit,
+        "specimens": [str(name) for name in backbones["specimen"].values],
+        "notes": measured.notes,
+    }
+
+
+def _figures(
+    measured: Measured,
+    density: Any,
+    predictive: xr.Dataset,
+    posterior: xr.DataTree,
+    bounds: Mapping[str, tuple[float, float]],
+    units: Mapping[str, str],
+    true_values: Mapping[str, FloatArray] | None,
+) -> dict[str, Any]:
+    from . import plots
+
+    names = list(bounds)
+    figures = {
+        "backbones": plots.plot_backbones(measured.backbones),
+        "densities": plots.plot_densities(measured.backbones, density, simulated=predictive),
+        "predictive": plots.plot_predictive(measured.backbones, predictive),
+        "prior_posterior": plots.plot_prior_posterior(posterior, bounds, units=units, true_values=true_values),
+        "trace": plots.plot_trace(posterior, names, units=units),
+        "rank": plots.plot_rank(posterior, names, units=units),
+    }
+    if len(names) > 1:
+        figures["pair"] = plots.plot_pair(posterior, names, units=units)
+    if measured.records:
+        figures["records"] = plots.plot_records(measured.records)
+    return figures
+
+
+def _seconds(begin: float, read: float, sampled: float) -> dict[str, float]:
+    return {
+        "reading": round(read - begin, 2),
+        "sampling": round(sampled - read, 2),
+        "total": round(time.perf_counter() - begin, 2),
+    }
+
+
+def _version() -> str:
+    from . import __version__
+
+    return str(__version__)

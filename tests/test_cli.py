@@ -1,0 +1,224 @@
+"""The command line: what a user can get wrong ends in one sentence and exit code 2, never in a traceback."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from pymc_backbone import cli, run
+from pymc_backbone._checks import InputError
+from pymc_backbone.effects import LIBRARY
+
+ROOT = Path(__file__).resolve().parents[1]
+MASS = ["--mass", "1"]
+
+
+def run_cli(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+    code = cli.main(list(arguments))
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def is_one_sentence(text: str) -> bool:
+    return text.startswith("pymc-backbone: ") and text.endswith(".\n") and text.count("\n") == 1
+
+
+@pytest.fixture
+def calls(monkeypatch: pytest.MonkeyPatch) -> dict[str, dict]:
+    """Keep what the command line hands on, instead of running it."""
+    kept: dict[str, dict] = {}
+    for name in ("extract", "update"):
+        monkeypatch.setattr(
+            run, name, lambda path, name=name, **settings: kept.update({name: {"path": path, **settings}})
+        )
+    return kept
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["updat"], "'update'"),
+        (["update"], "RECORDS, --mass"),
+        (["update", "x"], "--mass"),
+        (["update", "x", "--mass", "heavy"], "'heavy'"),
+        (["update", "x", *MASS, "--levels", "two"], "0.002,0.005,0.01"),
+        (["update", "x", *MASS, "--levels", "-1,2"], "-1,2"),
+        (["update", "x", *MASS, "--levels", "0"], "at least 1"),
+        (["update", "x", *MASS, "--band", "160:90"], "low end first"),
+        (["update", "x", *MASS, "--band", "90"], "LO:HI"),
+        (["update", "x", *MASS, "--prior", "k"], "NAME=LOW:HIGH"),
+        (["update", "x", *MASS, "--prior", "k=1:nan"], "k=1:nan"),
+        (["update", "x", *MASS, "--prior", "k=1:2", "--prior", "k=1:3"], "k twice"),
+        (["update", "x", *MASS, "--fix", "k=soft"], "NAME=VALUE"),
+        (["update", "x", *MASS, "--draws", "0"], "at least 1"),
+        (["update", "x", *MASS, "--draws", "1.5"], "whole number"),
+        (["update", "x", *MASS, "--step", "gibbs"], "demetropolisz"),
+        (["update", "x", *MASS, "--observables", "frequency,colour"], "colour"),
+        (["update", "x", *MASS, "--observables", ","], "at least one"),
+        (["update", "x", *MASS, "--colour"], "--colour"),
+        (["extract", "x"], "--out"),
+        (["effects", "cubic_stifness"], "Did you mean 'cubic_stiffness'?"),
+    ],
+)
+def test_bad_options_are_one_sentence(capsys, arguments, words):
+    code, out, error = run_cli(capsys, *arguments)
+    assert code == 2 and out == ""
+    assert is_one_sentence(error) and words in error
+
+
+@pytest.mark.parametrize("command", [[], ["extract"], ["update"], ["effects"], ["demo"]])
+def test_help_explains_each_command(capsys, command):
+    with pytest.raises(SystemExit) as stop:
+        cli.main([*command, "--help"])
+    assert stop.value.code == 0
+    text = capsys.readouterr().out
+    assert text.startswith(" ".join(["usage: pymc-backbone", *command]))
+    assert max(map(len, text.splitlines())) <= 120
+
+
+def test_no_command_prints_the_help(capsys):
+    code, out, error = run_cli(capsys)
+    assert code == 0 and error == "" and "First steps" in out
+
+
+def test_version(capsys):
+    import pymc_backbone
+
+    assert run_cli(capsys, "--version") == (0, f"pymc-backbone {pymc_backbone.__version__}\n", "")
+
+
+def test_effects_lists_the_library_with_forces_and_units(capsys):
+    code, out, _ = run_cli(capsys, "effects")
+    assert code == 0
+    for name, effect in LIBRARY.items():
+        assert f"\n{name}\n" in out
+        for parameter in effect.parameters:
+            assert f"{parameter.name} [{parameter.unit}]" in out
+
+
+@pytest.mark.parametrize("name", sorted(LIBRARY))
+def test_effects_explains_each(capsys, name):
+    code, out, _ = run_cli(capsys, "effects", name)
+    assert code == 0 and out.startswith(f"{name}\n")
+    for parameter in LIBRARY[name].parameters:
+        assert parameter.summary in out
+
+
+def test_update_hands_on_every_option(capsys, calls, tmp_path):
+    code, _, error = run_cli(
+        capsys, "update", "records", "--mass", "1.5", "--effect", "cubic_stiffness", "--effect", "freeplay,iwan",
+        "--prior", "cubic_stiffness=-1e6:1e7", "--fix", "viscous_damping=0.8", "--observables", "offset,frequency",
+        "--likelihood", "population", "--density", "joint", "--marginal", "kde", "--levels", "0.01,0.002", "--band", "5:20",
+        "--start", "0.25", "--draws", "10", "--tune", "0", "--chains", "2", "--step", "nutpie", "--seed", "7",
+        "--out", str(tmp_path), "--overwrite",
+    )  # fmt: skip
+    assert (code, error) == (0, "")
+    assert calls["update"] == {
+        "path": Path("records"), "mass": 1.5, "effects": ["cubic_stiffness", "freeplay", "iwan"],
+        "priors": {"cubic_stiffness": (-1e6, 1e7)}, "fixed": {"viscous_damping": 0.8}, "is_table": False,
+        "band": (5.0, 20.0), "start": 0.25, "levels": (0.002, 0.01), "observables": ("frequency", "offset"),
+        "likelihood": "population", "density": "joint", "marginal": "kde", "draws": 10, "tune": 0, "chains": 2,
+        "step": "nutpie", "random_seed": 7, "output": tmp_path, "overwrite": True, "say": cli._say,
+    }  # fmt: skip
+
+
+def test_defaults_of_update_are_those_of_the_function(capsys, calls):
+    """The command line must not have defaults of its own that differ from `run.update`."""
+    import inspect
+
+    assert run_cli(capsys, "update", "records", *MASS)[0] == 0
+    signature = inspect.signature(UPDATE)
+    for name, value in calls["update"].items():
+        default = signature.parameters[name].default
+        if default is not inspect.Parameter.empty and name != "say":
+            assert value == default or (not value and not default), name
+
+
+UPDATE = run.update
+
+
+def test_extract_hands_on_every_option(capsys, calls):
+    code, _, _ = run_cli(capsys, "extract", "r.csv", "--levels", "8", "--observables", "frequency", "--out", "o")
+    assert code == 0
+    assert calls["extract"] == {
+        "path": Path("r.csv"), "output": Path("o"), "overwrite": False, "band": None, "start": None, "levels": 8,
+        "observables": ("frequency",), "say": cli._say,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "words"),
+    [
+        (InputError("The records are\nempty."), 2, "The records are empty."),
+        (KeyboardInterrupt(), 130, "Interrupted"),
+        (RuntimeError("boom"), 1, "fault of the program"),
+    ],
+)
+def test_errors_become_one_sentence(capsys, monkeypatch, error, code, words):
+    def fail(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr(run, "extract", fail)
+    monkeypatch.delenv(cli.TRACEBACK_VARIABLE, raising=False)
+    got, _, text = run_cli(capsys, "extract", "x", "--out", "o")
+    assert got == code and is_one_sentence(text) and words in text
+
+
+def test_traceback_can_be_asked_for(capsys, monkeypatch):
+    def fail(*_: object, **__: object) -> None:
+        raise RuntimeError("boom")
+
+    monkeypatch.setattr(run, "extract", fail)
+    monkeypatch.setenv(cli.TRACEBACK_VARIABLE, "1")
+    with pytest.raises(RuntimeError, match="boom"):
+        cli.main(["extract", "x", "--out", "o"])
+
+
+def start(*arguments: str, **options: object) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "pymc_backbone", *arguments]
+    return subprocess.Popen(
+        command,
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        **options,  # type: ignore[call-overload]
+    )
+
+
+@pytest.mark.parametrize("what", ["missing", "empty", "file"])
+def test_unusable_records_in_a_real_process(tmp_path, what):
+    path = tmp_path / what
+    if what == "empty":
+        path.mkdir()
+    elif what == "file":
+        path.write_text("this is no table of numbers\n")
+    process = start("extract", str(path), "--out", str(tmp_path / "out"))
+    out, error = process.communicate(timeout=120)
+    assert process.returncode == 2
+    assert out == "" and is_one_sentence(error)
+    assert not (tmp_path / "out" / "result.json").exists()
+
+
+def test_output_in_use_in_a_real_process(tmp_path):
+    (tmp_path / "thesis.tex").write_text("years of work")
+    process = start("extract", str(tmp_path), "--out", str(tmp_path))
+    out, error = process.communicate(timeout=120)
+    assert process.returncode == 2 and out == ""
+    assert is_one_sentence(error) and "--overwrite" in error
+
+
+@pytest.mark.skipif(os.name != "posix", reason="pipes and signals as on POSIX")
+def test_a_reader_that_stops_early_is_no_error():
+    process = start("effects")
+    assert process.stdout is not None and process.stderr is not None
+    process.stdout.close()
+    error = process.stderr.read()
+    process.stderr.close()
+    assert process.wait(timeout=60) == 0 and error == ""
