@@ -34,7 +34,7 @@ _COMPILED_MODULES = frozenset(
 )
 
 
-class _DigestCache(FunctionCache):
+class DigestCache(FunctionCache):
     """numba's disk cache with the digest of all compiled sources in its key."""
 
     def _index_key(self, sig: Any, codegen: Any) -> Any:
@@ -44,5 +44,5 @@ class _DigestCache(FunctionCache):
 def cached(function: Callable[..., Any]) -> Any:
     """Compile ``function`` with numba and keep the machine code on disk, keyed on all compiled sources."""
     dispatcher = numba.njit(function)
-    dispatcher._cache = _DigestCache(dispatcher.py_func)
+    dispatcher._cache = DigestCache(dispatcher.py_func)
     return dispatcher

@@ -22,7 +22,8 @@ def compare(measured: xr.Dataset, simulated: xr.Dataset) -> list[dict[str, Any]]
     Returns
     -------
     list of dict
-        ``observable``, ``unit``, ``level``, then mean and sd of both, in the observable's unit.
+        ``observable``, ``unit``, ``level``, then mean and sd of both, and the median standard error of the measured
+        values, in the observable's unit. The measured sd holds the standard error too, the simulated one does not.
     """
     rows = []
     for observable in measured["observable"].values:
@@ -37,18 +38,28 @@ def compare(measured: xr.Dataset, simulated: xr.Dataset) -> list[dict[str, Any]]
                 here = values[:, k][np.isfinite(values[:, k])]
                 row[f"{name}_mean"] = float(here.mean()) if here.size else float("nan")
                 row[f"{name}_sd"] = float(here.std(ddof=1)) if here.size > 1 else float("nan")
+            error = np.asarray(measured["standard_error"].sel(observable=observable))[:, k]
+            error = error[np.isfinite(error)]
+            row["measured_standard_error"] = float(np.median(error)) if error.size else float("nan")
             rows.append(row)
     return rows
+
+
+def describe_batch(backbones: xr.Dataset) -> str:
+    """Say in one line how many specimens, levels and observables there are."""
+    levels = np.asarray(backbones["level"], dtype=float)
+    unit = str(backbones.attrs.get("amplitude_unit", "m"))
+    count = backbones.sizes["specimen"]
+    return (
+        f"{count} {'specimen' if count == 1 else 'specimens'}, {levels.size} levels from {levels[0]:.4g} to "
+        f"{levels[-1]:.4g} {unit}, observables {', '.join(map(str, backbones['observable'].values))}."
+    )
 
 
 def describe_measured(backbones: xr.Dataset) -> str:
     """Say what was measured: numbers of specimens and levels, and mean and scatter at three levels."""
     unit = str(backbones.attrs.get("amplitude_unit", "m"))
     levels = np.asarray(backbones["level"], dtype=float)
-    lines = [
-        f"{backbones.sizes['specimen']} specimens, {levels.size} levels from {levels[0]:.4g} to {levels[-1]:.4g} "
-        f"{unit}, observables {', '.join(map(str, backbones['observable'].values))}."
-    ]
     rows = [(f"level [{unit}]", "observable", "mean", "scatter (sd)", "standard error", "specimens")]
     for observable in backbones["observable"].values:
         for k in _three(levels.size):
@@ -65,7 +76,7 @@ def describe_measured(backbones: xr.Dataset) -> str:
                     str(int(here.sum())),
                 )
             )
-    return "\n".join([*lines, "", aligned(rows)])
+    return f"{describe_batch(backbones)}\n\n{aligned(rows)}"
 
 
 def describe_result(result: Mapping[str, Any]) -> str:
@@ -83,12 +94,23 @@ def describe_result(result: Mapping[str, Any]) -> str:
                 f"{entry['ess_bulk']:.0f}",
             )
         )
-    spread = [(f"level [{result['amplitude_unit']}]", "observable", "measured mean", "sd", "simulated mean", "sd")]
+    spread = [
+        (
+            f"level [{result['amplitude_unit']}]",
+            "observable",
+            "measured mean",
+            "sd",
+            "standard error",
+            "simulated mean",
+            "sd",
+        )
+    ]
+    columns = ("measured_mean", "measured_sd", "measured_standard_error", "simulated_mean", "simulated_sd")
     for observable in result["observables"]:
         entries = [row for row in result["comparison"] if row["observable"] == observable]
         for k in _three(len(entries)):
             row = entries[k]
-            numbers = [short(row[key]) for key in ("measured_mean", "measured_sd", "simulated_mean", "simulated_sd")]
+            numbers = [short(row[key]) for key in columns]
             spread.append((f"{row['level']:.4g}", _with_unit(observable), *numbers))
     found = result["findings"] or ["Nothing wrong was found: the chains agree, and no parameter leans on its prior."]
     return "\n".join([aligned(rows), "", aligned(spread), "", "Findings:", *(f"- {sentence}" for sentence in found)])

@@ -7,19 +7,21 @@ all models and kept on disk. Effects written by a user are reached through one c
 from __future__ import annotations
 
 from collections import namedtuple
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numba
 import numpy as np
 from numba import float64, int64, types
-from numba.extending import overload
+from numba.core import cgutils
+from numba.core.typing import signature
+from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from .effects import BASE_EFFECTS, LIBRARY, Effect
 
 FORCE, GRADIENT, REGIME, RATE, RATE_GRADIENT = range(5)
-NO_USER_EFFECT = 0  # stands in `Layout.user` where there are library effects only
+NO_USER_EFFECT = 0  # the address where there are library effects only
 USER = 1_000_000  # codes from here on are effects written by the user
 NO_STATE, MEMORY, OWN_EQUATION = range(3)
 _STEP = 6e-6  # central differences: (machine epsilon)^(1/3)
@@ -33,26 +35,29 @@ Layout.__doc__ = (
 )
 CODE, P_FIRST, P_LAST, Z_FIRST, Z_LAST, KIND = range(6)  # columns of `Layout.table`
 
-_SIGNATURE = float64(
+USER_SIGNATURE = float64(
     int64, int64, float64, float64, float64, float64[::1], float64[::1], float64[::1], float64[::1]
 )
+USER_TYPE = types.FunctionType(USER_SIGNATURE)
 
 
 # No function on the hot path allocates; without reference counting it is six times as fast.
 plain = numba.njit(_nrt=False)
 
 
-def call_user(user, kind, code, x, v, direction, z, p, scales, out):  # type: ignore[no-untyped-def]
-    """Call the user's effects; compiled away where ``user`` is `NO_USER_EFFECT`."""
+@intrinsic
+def function_at(typing_context: Any, address: Any) -> Any:
+    """Return the function of the user-effect signature at ``address``: 0 where there are library effects only."""
 
+    def generate(context: Any, builder: Any, sig: Any, arguments: Any) -> Any:
+        function = cgutils.create_struct_proxy(USER_TYPE)(context, builder)
+        pointer = context.get_value_type(types.voidptr)
+        function.c_addr = builder.inttoptr(arguments[0], pointer)
+        function.py_addr = cgutils.get_null_value(pointer)
+        function.jit_addr = cgutils.get_null_value(pointer)
+        return function._getvalue()
 
-@overload(call_user, inline="always")
-def _call_user(user, kind, code, x, v, direction, z, p, scales, out):  # type: ignore[no-untyped-def]
-    if isinstance(user, types.FunctionType):
-        return lambda user, kind, code, x, v, direction, z, p, scales, out: user(
-            kind, code, x, v, direction, z, p, scales, out
-        )
-    return lambda user, kind, code, x, v, direction, z, p, scales, out: 0.0
+    return signature(USER_TYPE, types.int64), generate
 
 
 @plain
@@ -207,8 +212,10 @@ def _link_user(index: int, effect: Effect, rest: Any) -> Any:
 _USER_FUNCTIONS: dict[tuple[Any, ...], Any] = {}
 
 
-def compose_user_effects(effects: Sequence[Effect]) -> Callable[..., float]:
-    """Return one compiled function pointer that reaches all effects in ``effects``; compiled once per process."""
+def compose_user_effects(effects: Sequence[Effect]) -> int:
+    """Return the address of one compiled function that reaches all ``effects``; compiled once per process."""
+    if not effects:
+        return NO_USER_EFFECT
     key = tuple((id(e.force), id(e.gradient), id(e.regime), id(e.state_rate), id(e.state_rate_gradient)) for e in effects)
     if key not in _USER_FUNCTIONS:
         chain: Any = _no_more_effects
@@ -219,8 +226,8 @@ def compose_user_effects(effects: Sequence[Effect]) -> Callable[..., float]:
             return chain(kind, code, x, v, direction, z, p, scales, out)
 
         # The effects are kept with the pointer: their ids are the key, so they must not be collected.
-        _USER_FUNCTIONS[key] = (numba.cfunc(_SIGNATURE)(call), tuple(effects))
-    return _USER_FUNCTIONS[key][0]  # type: ignore[no-any-return]
+        _USER_FUNCTIONS[key] = (numba.cfunc(USER_SIGNATURE)(call), tuple(effects))
+    return int(_USER_FUNCTIONS[key][0].address)
 
 
 def describe_effects(effects: Sequence[Effect]) -> tuple[NDArray[np.int64], int, int, int, bool, tuple[Effect, ...]]:
@@ -254,7 +261,7 @@ def effect_force(layout, i, x, v, direction, z, p):
     zi = z[layout.table[i, Z_FIRST] : layout.table[i, Z_LAST]]
     if code < USER:
         return library_force(code, x, v, direction, zi, pi)
-    return call_user(layout.user, FORCE, code, x, v, direction, zi, pi, layout.scales, pi)
+    return layout.user(FORCE, code, x, v, direction, zi, pi, layout.scales, pi)
 
 
 @plain
@@ -266,8 +273,8 @@ def effect_gradient(layout, i, x, v, direction, z, p, out):
     if code < USER:
         library_gradient(code, x, v, direction, zi, pi, out)
         return library_force(code, x, v, direction, zi, pi)
-    call_user(layout.user, GRADIENT, code, x, v, direction, zi, pi, layout.scales, out)
-    return call_user(layout.user, FORCE, code, x, v, direction, zi, pi, layout.scales, pi)
+    layout.user(GRADIENT, code, x, v, direction, zi, pi, layout.scales, out)
+    return layout.user(FORCE, code, x, v, direction, zi, pi, layout.scales, pi)
 
 
 @plain
@@ -325,7 +332,7 @@ def smooth_branch(layout, x, v, direction, z, p):
         if code < USER:
             label = 7 * label + library_regime(code, x, v, direction, zi, pi)
         else:
-            label = 7 * label + int(call_user(layout.user, REGIME, code, x, v, direction, zi, pi, layout.scales, pi))
+            label = 7 * label + int(layout.user(REGIME, code, x, v, direction, zi, pi, layout.scales, pi))
     return label
 
 
@@ -343,7 +350,7 @@ def state_rates(layout, x, v, direction, z, p, out):
         if code < USER:
             library_rate(code, x, v, direction, z[first:last], pi, out[first:last])
         else:
-            call_user(layout.user, RATE, code, x, v, direction, z[first:last], pi, layout.scales, out[first:last])
+            layout.user(RATE, code, x, v, direction, z[first:last], pi, layout.scales, out[first:last])
 
 
 @plain
@@ -356,4 +363,4 @@ def state_rate_gradients(layout, i, x, v, direction, z, p, out):
         n, width = last - first, 2 + pi.size + last - first
         library_rate_gradient(code, x, v, direction, z[first:last], pi, out[: n * width].reshape((n, width)))
     else:
-        call_user(layout.user, RATE_GRADIENT, code, x, v, direction, z[first:last], pi, layout.scales, out)
+        layout.user(RATE_GRADIENT, code, x, v, direction, z[first:last], pi, layout.scales, out)

@@ -13,13 +13,13 @@ from ._compiled import cached
 from ._forces import (
     KIND,
     MEMORY,
-    NO_USER_EFFECT,
     OWN_EQUATION,
     P_FIRST,
     P_LAST,
     Z_FIRST,
     Z_LAST,
     Layout,
+    function_at,
     state_rate_gradients,
     state_rates,
 )
@@ -165,7 +165,7 @@ def backbone_by_cycles(
     The starting peak of a cycle is found by Newton's method on its amplitude. The derivative along the starting
     amplitude, which the integrator carries anyway, predicts the next start and takes a cycle onto its level.
     """
-    layout = Layout(table, stiffness, damping, n_states, mass, has_regime, np.ones(2), user)
+    layout = Layout(table, stiffness, damping, n_states, mass, has_regime, np.ones(2), function_at(user))
     n = p.size
     mode = SENSITIVITY if sensitivities else VALUE
     columns = n + 1 if sensitivities else 1
@@ -352,7 +352,7 @@ def backbone_by_decay(
     p, levels, release, virgin, sensitivities, tolerance, maximum, values, jacobian, status,
 ):  # fmt: skip
     """Write the backbone at ``levels`` from the whole decay, by local cubics in log amplitude between its cycles."""
-    layout = Layout(table, stiffness, damping, n_states, mass, has_regime, np.ones(2), user)
+    layout = Layout(table, stiffness, damping, n_states, mass, has_regime, np.ones(2), function_at(user))
     n = p.size
     if release <= 0.0:
         release = 1.25 * levels[-1]
@@ -465,7 +465,7 @@ def decay(
     sample_times, displacement, sample_slopes,
 ):  # fmt: skip
     """Run `whole_decay`, writing displacement and sensitivities at the sample times on the way."""
-    layout = Layout(table, stiffness, damping, n_states, mass, has_regime, np.ones(2), user)
+    layout = Layout(table, stiffness, damping, n_states, mass, has_regime, np.ones(2), function_at(user))
     mode = OWN_STATES if _own_states(layout) else (SENSITIVITY if sensitivities else VALUE)
     samples = Samples(sample_times, displacement, sample_slopes, np.zeros(1, np.int64))
     return whole_decay(

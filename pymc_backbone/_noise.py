@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.fft import rfft, rfftfreq
 
 from ._checks import FloatArray
-from ._tracking import Track
+from ._tracking import Track, local_basis
 
 _SEGMENT_CYCLES = 6.0
 _MAXIMUM_SEGMENTS = 24
@@ -17,6 +18,8 @@ _FINE_BINS = 12
 _USABLE = 0.4
 _GRID = 4096
 _MAXIMUM_LAG_CYCLES = 3.0
+_NEGLIGIBLE = 0.01
+_WHITE_BAND = (0.5, 4.0)
 
 
 @dataclass(frozen=True)
@@ -54,13 +57,14 @@ def quantum(values: FloatArray) -> float:
     return step if np.median(off[ratio < 20.0]) < 0.05 else 0.0
 
 
-def noise_spectrum(values: FloatArray, sampling_rate: float, track: Track) -> NoiseSpectrum:
+def noise_spectrum(values: FloatArray, sampling_rate: float, track: Track, step: float = 0.0) -> NoiseSpectrum:
     """Estimate the noise spectrum of a decay from what its own harmonics leave.
 
     In segments of six cycles the harmonics, with amplitudes that vary as the tracked amplitude times a
     low-order polynomial, are fitted and subtracted; the periodogram of what is left, divided by
     the share of white noise that the fit leaves at each frequency, is the noise. The median over segments keeps
-    out glitches, the median over each bin keeps out narrow lines (a second mode, mains hum).
+    out glitches, the median over each bin keeps out narrow lines (a second mode, mains hum). The noise is at
+    least that of rounding to the ``step`` of the converter (variance step^2 / 12).
     """
     segments = _segments(values.size, sampling_rate, track)
     frequency = track.frequency
@@ -72,7 +76,7 @@ def noise_spectrum(values: FloatArray, sampling_rate: float, track: Track) -> No
         time = np.arange(first, last) / sampling_rate
         estimates[row], degrees[row] = _segment(values[first:last], time, sampling_rate, track, edges)
     density = _pooled(estimates, degrees)
-    floor = quantum(values) ** 2 / 12.0 / nyquist
+    floor = step**2 / 12.0 / nyquist
     return NoiseSpectrum(edges, np.maximum(_whitened(density, degrees), floor))
 
 
@@ -99,25 +103,6 @@ def _bin_edges(frequency: float, nyquist: float) -> FloatArray:
     return np.array(edges)
 
 
-def _basis(time: FloatArray, track: Track, harmonics: int) -> FloatArray:
-    """Return an orthonormal basis of what a decay may look like within one segment."""
-    u = 2.0 * (time - time[0]) / (time[-1] - time[0]) - 1.0
-    # the track follows the noise around the fundamental; polynomials follow only as much of it as the fit itself
-    phase = _smoothed(u, track.phase_at(time))
-    amplitude = np.exp(_smoothed(u, np.log(np.maximum(track.amplitude_at(time), np.finfo(float).tiny))))
-    amplitude = amplitude / amplitude.max()
-    columns = [np.ones(time.size), u]
-    for order in range(1, harmonics + 1):
-        for power in range(4 if order == 1 else 3 if order <= 3 else 2):
-            shape = amplitude * u**power
-            columns += [shape * np.cos(order * phase), shape * np.sin(order * phase)]
-    return np.linalg.qr(np.array(columns).T)[0]
-
-
-def _smoothed(u: FloatArray, values: FloatArray) -> FloatArray:
-    return np.polynomial.chebyshev.chebval(u, np.polynomial.chebyshev.chebfit(u, values, min(3, u.size - 1)))
-
-
 def _segment(
     values: FloatArray, time: FloatArray, sampling_rate: float, track: Track, edges: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -125,9 +110,9 @@ def _segment(
     n = values.size
     cycles = n * track.frequency / sampling_rate
     harmonics = int(np.clip(0.5 * sampling_rate / track.frequency - 0.5, 1, _MAXIMUM_HARMONICS))
-    while harmonics > 1 and 6 + 4 * harmonics + 2 * min(harmonics, 3) > 0.65 * n:
+    while harmonics > 1 and 6 + 4 * harmonics > 0.65 * n:
         harmonics -= 1
-    basis = _basis(time, track, harmonics)
+    basis = np.linalg.qr(local_basis(time, track, harmonics, (2, 4, 2)))[0]
     residual = values - basis @ (basis.T @ values)
     power = np.abs(rfft(residual)) ** 2
     share = 1.0 - np.sum(np.abs(rfft(basis, axis=0)) ** 2, axis=1) / n
@@ -176,3 +161,43 @@ def _whitened(density: FloatArray, degrees: FloatArray) -> FloatArray:
     if np.all(np.abs(scatter) < 4.0) and np.mean(scatter**2) < 1.0 + 3.0 * np.sqrt(2.0 / used.sum()):
         return np.full(density.size, mean)
     return density
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of a conditioned displacement.
+
+    Attributes
+    ----------
+    standard_deviation : float
+        Of the white noise with the same mean spectral density between half and four times the mode's frequency, where
+        turning points take their information from.
+    autocovariance : (m,) array
+        At lags 0, 1, ... samples; at least two values, zero beyond the last.
+    """
+
+    standard_deviation: float
+    autocovariance: FloatArray
+
+
+def noise_of(
+    spectrum: NoiseSpectrum, response: Callable[[FloatArray], FloatArray], frequency: float, sampling_rate: float
+) -> Noise:
+    """Return the noise after a linear operation with amplitude response ``response(frequency)``."""
+    nyquist = 0.5 * sampling_rate
+    grid = (np.arange(_GRID) + 0.5) * nyquist / _GRID
+    density = spectrum.at(grid) * response(grid) ** 2
+    low, high = (bound * frequency for bound in _WHITE_BAND)
+    used = (grid >= low) & (grid <= min(high, nyquist))
+    deviation = float(np.sqrt(density[used].mean() * nyquist))
+    power = density * nyquist / _GRID
+    if np.ptp(density) <= 1e-9 * density.max():
+        return Noise(deviation, np.array([power.sum(), 0.0]))
+    lags = np.arange(int(np.ceil(_MAXIMUM_LAG_CYCLES * sampling_rate / frequency)) + 1)
+    autocovariance = np.cos(2.0 * np.pi * np.outer(lags / sampling_rate, grid)) @ power
+    # a smooth end keeps the sequence (nearly) positive definite
+    tail = np.clip(3.0 * (1.0 - lags / lags[-1]), 0.0, 1.0)
+    autocovariance *= 0.5 - 0.5 * np.cos(np.pi * tail)
+    large = np.flatnonzero(np.abs(autocovariance) > _NEGLIGIBLE * autocovariance[0])
+    last = int(large[-1]) if large.size else 0
+    return Noise(deviation, np.append(autocovariance[: last + 1], 0.0))

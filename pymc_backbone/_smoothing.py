@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.interpolate import BSpline
-from scipy.linalg import cholesky_banded, eigh, qr, solve_banded
+from scipy.linalg import cholesky_banded, eigh, solve_banded
 
 from pymc_backbone._checks import FloatArray
 
-MAXIMUM_BASIS = 44
-"""More basis functions change no level value of the library's effects by a tenth of its standard error."""
+KNOTS = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, 42), np.ones(3)])
+"""Cubic knots; more change no level value of the library's effects by a tenth of its standard error."""
 
 SMOOTHNESS_GRID = np.logspace(-1.0, 9.0, 31)
 """Prior variance of the curve's bending over the noise variance, in the direction the record determines best."""
@@ -20,6 +21,8 @@ SMOOTHNESS_GRID = np.logspace(-1.0, 9.0, 31)
 KINKS: tuple[float, ...] = tuple(np.linspace(0.0, 1.0, 9))
 """Places (in the range of the abscissa) where the curve may bend much more than elsewhere."""
 KINK_WIDTH = 0.07
+UNDERSMOOTHING = 1.0
+KAPPA = 1.0
 KINK_EASE = 1e4
 
 
@@ -32,30 +35,22 @@ class Curve:
     scatter: float
 
 
-def _spline_basis(sites: FloatArray, n_basis: int) -> FloatArray:
-    """Return clamped cubic knots whose density follows the ``sites`` (sorted, in [0, 1])."""
-    inner = np.interp(np.linspace(0.0, 1.0, n_basis - 2), np.linspace(0.0, 1.0, sites.size), sites)
-    # half follow the data and half are even, so that a gap between cycles is not left without freedom
-    inner = 0.5 * inner + 0.5 * np.linspace(0.0, 1.0, n_basis - 2)
-    return np.concatenate([np.zeros(3), inner, np.ones(3)])
+@lru_cache(maxsize=64)
+def _bending_roots(order: int, kink: float | None) -> FloatArray:
+    """Return spline coefficients (basis, basis) of the prior: ``order`` columns that cost nothing, then columns of unit prior variance.
 
-
-def _bending_roots(knots: FloatArray, order: int, kink: float | None = None) -> tuple[FloatArray, FloatArray]:
-    """Return the null space of the ``order``-th derivative penalty and a square root of its pseudo-inverse.
-
-    With a ``kink`` (in [0, 1]) bending costs `KINK_EASE` times less there.
+    With a ``kink`` (in [0, 1]) bending costs less there by `KINK_EASE`.
     """
     nodes, weights = np.polynomial.legendre.leggauss(3)
-    breaks = np.unique(knots)
+    breaks = np.unique(KNOTS)
     half = np.diff(breaks) / 2.0
     points = ((breaks[:-1] + half)[:, None] + half[:, None] * nodes).ravel()
     scale = np.sqrt((half[:, None] * weights).ravel())
     if kink is not None:
         scale = scale / np.sqrt(1.0 + KINK_EASE * np.exp(-0.5 * ((points - kink) / KINK_WIDTH) ** 2))
-    n_basis = knots.size - 4
-    bending = BSpline(knots, np.eye(n_basis), 3).derivative(order)(points) * scale[:, None]
+    bending = BSpline(KNOTS, np.eye(KNOTS.size - 4), 3).derivative(order)(points) * scale[:, None]
     values, vectors = eigh(bending.T @ bending)
-    return vectors[:, :order], vectors[:, order:] / np.sqrt(np.maximum(values[order:], 1e-14 * values[-1]))
+    return np.hstack([vectors[:, :order], vectors[:, order:] / np.sqrt(np.maximum(values[order:], 1e-14 * values[-1]))])
 
 
 def _whiten(bands: FloatArray, columns: FloatArray) -> FloatArray:
@@ -121,12 +116,15 @@ def smooth(
     n = values.size
     bands = regularised_bands(bands)
     collected = []
-    for place, target in zip(places, targets, strict=True):
-        for order in orders:
-            if n > order + 1:
-                collected.append(_smooth_on(place, values, bands, target, order, scatter_prior))
-        for kink in KINKS if kinks else ():
-            collected.append(_smooth_on(place, values, bands, target, 2, scatter_prior, kink))
+    for number, (place, target) in enumerate(zip(places, targets, strict=True)):
+        low, high = float(place.min()), float(place.max())
+        design = _design((place - low) / (high - low))
+        white = _whiten(bands, np.column_stack([values, design]))
+        at = _design((target - low) / (high - low))
+        models: list[tuple[int, float | None]] = [(order, None) for order in orders if n > order + 1]
+        if kinks and number == 0 and n > 5:
+            models += [(2, kink) for kink in KINKS]
+        collected += [_smooth_as(white, at, order, kink, scatter_prior) for order, kink in models]
     if not collected:
         raise ValueError("smoothing needs at least four values")
     logs = np.concatenate([item[0] for item in collected])
@@ -146,17 +144,17 @@ def smooth(
     return Curve(value, covariance, scatter)
 
 
-def _smooth_on(place, values, bands, target, order, scatter_prior, kink=None):  # type: ignore[no-untyped-def]
-    n = values.size
-    low, high = float(place.min()), float(place.max())
-    unit = np.clip((place - low) / (high - low), 0.0, 1.0)
-    goal = np.clip((target - low) / (high - low), 0.0, 1.0)
-    n_basis = int(min(max(2 * n, 8), MAXIMUM_BASIS))
-    knots = _spline_basis(np.sort(unit), n_basis)
-    null, bent = _bending_roots(knots, order, kink)
-    spline = BSpline(knots, np.hstack([null, bent]), 3)
-    white = _whiten(bands, np.column_stack([values, spline(unit)]))
-    y, free, rough = white[:, 0], white[:, 1 : 1 + order], white[:, 1 + order :]
+def _design(unit: FloatArray) -> FloatArray:
+    """Return the spline basis (n, basis) at ``unit``, dense."""
+    return BSpline.design_matrix(np.clip(unit, 0.0, 1.0), KNOTS, 3).toarray()
+
+
+def _smooth_as(white, at, order, kink, scatter_prior):  # type: ignore[no-untyped-def]
+    roots = _bending_roots(order, kink)
+    n, n_basis = white.shape[0], white.shape[1] - 1
+    y, design = white[:, 0], white[:, 1:] @ roots
+    at = at @ roots
+    free, rough = design[:, :order], design[:, order:]
     q_free, r_free = np.linalg.qr(free)
     rough_part = q_free.T @ rough
     rough = rough - q_free @ rough_part
@@ -175,7 +173,6 @@ def _smooth_on(place, values, bands, target, order, scatter_prior, kink=None):  
     d = np.sqrt(d2)
     gamma = (v.T @ (rough.T @ y)) / d
     rest = max(float(y @ y - gamma @ gamma), 0.0)
-    at = spline(goal)
     solve_free = np.linalg.solve(r_free.T, at[:, :order].T).T
     bend_at = at[:, order:] - solve_free @ rough_part
     basis = bend_at @ v
@@ -186,9 +183,11 @@ def _smooth_on(place, values, bands, target, order, scatter_prior, kink=None):  
     dof = n - order
     scatters = np.maximum((scatter_prior + chi2) / (scatter_prior + dof), 1.0)
     logs = -0.5 * np.log(ratio).sum(axis=1) - 0.5 * chi2 / scatters - 0.5 * dof * np.log(scatters)
+    tau = tau * UNDERSMOOTHING
+    ratio = 1.0 + tau[:, None] * d2
     coefficients = tau[:, None] * d / ratio * gamma
     means = solve_free @ y_part + coefficients @ basis.T
-    variances = tau[:, None] / ratio
+    variances = KAPPA * tau[:, None] / ratio + (1.0 - KAPPA) * (tau[:, None] * d / ratio) ** 2
     # directions of bending the record says nothing about keep their prior variance
     blind = bend_at - basis @ v.T
     fixed = solve_free @ solve_free.T

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.fft import next_fast_len, rfft, rfftfreq
 from scipy.interpolate import make_interp_spline
-from scipy.ndimage import median_filter
 from scipy.signal import fftconvolve
 
 from ._checks import FloatArray
 
 _PASSES = 5
-_EDGE_CYCLES = 1.5
+_EDGE_CYCLES = 3.0
 
 
 @dataclass(frozen=True)
@@ -49,12 +48,16 @@ class Track:
         n = max(int(np.searchsorted(self.time, time, side="right")), 4)
         return Track(self.time[:n], self.phase[:n], self.amplitude[:n], self.mean[:n], self.per_cycle)
 
+    def shifted(self, origin: float) -> Track:
+        """Return the same track with time counted from ``origin``."""
+        return Track(self.time - origin, self.phase, self.amplitude, self.mean, self.per_cycle)
+
     def phase_at(self, time: FloatArray) -> FloatArray:
-        """Return the phase at any time, extrapolated at constant frequency."""
+        """Return the phase at any time, extrapolated with linearly changing frequency."""
         return _extended(time, self.time, self.phase, self._edge)
 
     def amplitude_at(self, time: FloatArray) -> FloatArray:
-        """Return the amplitude at any time, extrapolated at constant decrement."""
+        """Return the amplitude at any time, extrapolated with linearly changing decrement."""
         floor = 1e-12 * float(np.max(self.amplitude)) + np.finfo(float).tiny
         return np.exp(_extended(time, self.time, np.log(np.maximum(self.amplitude, floor)), self._edge))
 
@@ -68,13 +71,14 @@ class Track:
 
 
 def _extended(at: FloatArray, x: FloatArray, y: FloatArray, edge: int) -> FloatArray:
-    """Interpolate linearly; beyond the ends follow the line through the ``edge`` outermost points."""
+    """Interpolate linearly; beyond the ends follow the parabola through the ``edge`` outermost points."""
     values = np.interp(at, x, y)
     for outside, part, anchor in ((at < x[0], slice(None, edge), 0), (at > x[-1], slice(-edge, None), -1)):
         if outside.any():
-            u = x[part] - x[anchor]
-            slope = float(np.polyfit(u, y[part] - y[anchor], 1)[0]) if u.size > 1 else 0.0
-            values[outside] = y[anchor] + slope * (at[outside] - x[anchor])
+            u = (x[part] - x[anchor]) / (x[part][-1] - x[part][0])
+            curve = np.polyfit(u, y[part] - y[anchor], min(2, u.size - 1))
+            curve[-1] = 0.0
+            values[outside] = y[anchor] + np.polyval(curve, (at[outside] - x[anchor]) / (x[part][-1] - x[part][0]))
     return values
 
 
@@ -161,3 +165,40 @@ def _monotone(time: FloatArray, phase: FloatArray, frequency: float) -> tuple[Fl
     bad = np.flatnonzero((rate < 0.3) | (rate > 3.0))
     n = int(bad[0]) + 1 if bad.size else time.size
     return time[:n], phase[:n]
+
+
+def local_basis(time: FloatArray, path: Track, harmonics: int, powers: tuple[int, int, int]) -> FloatArray:
+    """Return what a decay may look like over a few cycles, as columns.
+
+    Parameters
+    ----------
+    time : (n,) array
+        Seconds, a few cycles.
+    path : Track
+        The decay.
+    harmonics : int
+        Highest harmonic.
+    powers : (int, int, int)
+        Number of polynomial terms of the mid-line, of the fundamental and of each further harmonic.
+
+    Returns
+    -------
+    (n, m) array
+        Mid-line polynomials first, then cosine and sine of each harmonic, whose amplitudes are the tracked amplitude times
+        polynomials in time.
+    """
+    u = 2.0 * (time - time[0]) / (time[-1] - time[0]) - 1.0
+    # the track follows the noise around the fundamental; cubics follow only as much of it as the fit itself
+    phase = _cubic(u, path.phase_at(time))
+    log_amplitude = _cubic(u, np.log(np.maximum(path.amplitude_at(time), np.finfo(float).tiny)))
+    amplitude = np.exp(log_amplitude - log_amplitude.max())
+    columns = [u**power for power in range(powers[0])]
+    for order in range(1, harmonics + 1):
+        for power in range(powers[1] if order == 1 else powers[2]):
+            shape = amplitude * u**power
+            columns += [shape * np.cos(order * phase), shape * np.sin(order * phase)]
+    return np.array(columns).T
+
+
+def _cubic(u: FloatArray, values: FloatArray) -> FloatArray:
+    return np.polynomial.chebyshev.chebval(u, np.polynomial.chebyshev.chebfit(u, values, min(3, u.size - 1)))

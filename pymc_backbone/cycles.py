@@ -25,7 +25,7 @@ OVERLAP = 2.0 * REACH / np.pi
 """How often a sample is seen: by the window of a peak and of a trough."""
 POWERS = 6
 """The template's coefficients are polynomials in amplitude with this many terms: friction, linear, quadratic, cubic, ... forces."""
-SELECTION = 4.0
+SELECTION = 10.0
 """A template term enters when it lowers chi-square by more than this (every sample is seen twice)."""
 FLOOR = 8.0
 """Cycles whose amplitude is below this many standard errors are dropped."""

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _kernels
 from ._checks import FloatArray, InputError, check_finite_array, check_levels, check_positive
-from ._forces import KIND, NO_USER_EFFECT, OWN_EQUATION, compose_user_effects, describe_effects
+from ._forces import KIND, OWN_EQUATION, compose_user_effects, describe_effects
 from ._halfcycle import COMPLETED, NO_RETURN, OUT_OF_REACH, RUNAWAY, STUCK
 from .oscillator import Oscillator
 
@@ -139,7 +139,7 @@ class Simulator:
     def __init__(self, oscillator: Oscillator) -> None:
         self.oscillator = oscillator
         table, stiffness, damping, n_states, has_regime, users = describe_effects(oscillator.effects)
-        user = compose_user_effects(users) if users else NO_USER_EFFECT
+        user = compose_user_effects(users)
         self.description = (user, table, stiffness, damping, n_states, float(oscillator.mass), has_regime)
         self.needs_decay = n_states > 0
         self.has_own_equation = bool(np.any(table[:, KIND] == OWN_EQUATION))

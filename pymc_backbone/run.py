@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 
 from ._checks import FloatArray, InputError, check_choice, check_levels
-from ._describe import compare, describe_measured, describe_result
+from ._describe import compare, describe_batch, describe_measured, describe_result
 from .results import prepare_output, write_results
 
 if TYPE_CHECKING:
@@ -80,12 +80,13 @@ def measure(
     """
     if is_table:
         return _measure_tables(path, band, start, levels, observables)
+    from .records import read_records
+
+    records = read_records(path)  # before the compiled modules are loaded: errors in the files come at once
     from .backbone import backbones_at_levels, default_levels
     from .conditioning import condition
     from .cycles import extract_cycles
-    from .records import read_records
 
-    records = read_records(path)
     conditioned = [condition(record, band=band, start=start) for record in records]
     cycles = [extract_cycles(record) for record in conditioned]
     units = sorted({_amplitude_unit(record) for record in records})
@@ -219,7 +220,7 @@ def update(
     oscillator = Oscillator(mass, effects)
     _check_names(oscillator, priors or {}, fixed or {})
     measured = measure(path, is_table=is_table, band=band, start=start, levels=levels, observables=observables)
-    say(describe_measured(measured.backbones))
+    say(describe_batch(measured.backbones))
     read = time.perf_counter()
 
     from .density import fit_density

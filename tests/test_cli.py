@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import os
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -26,7 +24,7 @@ def run_cli(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, s
 
 
 def is_one_sentence(text: str) -> bool:
-    return text.startswith("pymc-backbone: ") and text.endswith(".\n") and text.count("\n") == 1
+    return text.startswith("pymc-backbone: ") and text[-2:] in (".\n", "?\n") and text.count("\n") == 1
 
 
 @pytest.fixture
@@ -48,12 +46,12 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> dict[str, dict]:
         (["update", "x"], "--mass"),
         (["update", "x", "--mass", "heavy"], "'heavy'"),
         (["update", "x", *MASS, "--levels", "two"], "0.002,0.005,0.01"),
-        (["update", "x", *MASS, "--levels", "-1,2"], "-1,2"),
+        (["update", "x", *MASS, "--levels=-1,2"], "-1,2"),
         (["update", "x", *MASS, "--levels", "0"], "at least 1"),
         (["update", "x", *MASS, "--band", "160:90"], "low end first"),
         (["update", "x", *MASS, "--band", "90"], "LO:HI"),
         (["update", "x", *MASS, "--prior", "k"], "NAME=LOW:HIGH"),
-        (["update", "x", *MASS, "--prior", "k=1:nan"], "k=1:nan"),
+        (["update", "x", *MASS, "--prior", "k=1:nan"], "1:nan"),
         (["update", "x", *MASS, "--prior", "k=1:2", "--prior", "k=1:3"], "k twice"),
         (["update", "x", *MASS, "--fix", "k=soft"], "NAME=VALUE"),
         (["update", "x", *MASS, "--draws", "0"], "at least 1"),
@@ -114,9 +112,9 @@ def test_update_hands_on_every_option(capsys, calls, tmp_path):
     code, _, error = run_cli(
         capsys, "update", "records", "--mass", "1.5", "--effect", "cubic_stiffness", "--effect", "freeplay,iwan",
         "--prior", "cubic_stiffness=-1e6:1e7", "--fix", "viscous_damping=0.8", "--observables", "offset,frequency",
-        "--likelihood", "population", "--density", "joint", "--marginal", "kde", "--levels", "0.01,0.002", "--band", "5:20",
-        "--start", "0.25", "--draws", "10", "--tune", "0", "--chains", "2", "--step", "nutpie", "--seed", "7",
-        "--out", str(tmp_path), "--overwrite",
+        "--likelihood", "population", "--density", "joint", "--marginal", "kde", "--levels", "0.01,0.002",
+        "--band", "5:20", "--start", "0.25", "--draws", "10", "--tune", "0", "--chains", "2", "--step", "nutpie",
+        "--seed", "7", "--out", str(tmp_path), "--overwrite",
     )  # fmt: skip
     assert (code, error) == (0, "")
     assert calls["update"] == {

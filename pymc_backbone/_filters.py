@@ -1,0 +1,121 @@
+"""Band-pass and integration of decays, without phase shift and without silent end effects."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+from scipy.signal import firwin, kaiserord, oaconvolve
+
+from ._checks import FloatArray
+from ._tracking import Track, local_basis
+
+_ATTENUATION = 70.0
+"""Stop-band attenuation [dB] of the band-pass; its pass-band ripple is then 3e-4."""
+_TRANSITION = 0.9
+_EDGE_FIT = 5.0
+_EDGE_KEPT = 3.5
+
+
+@dataclass(frozen=True)
+class BandPass:
+    """A linear-phase band-pass.
+
+    Attributes
+    ----------
+    taps : (2 h + 1,) array
+        Impulse response, symmetric.
+    low, high : float
+        Half-amplitude edges [Hz].
+    sampling_rate : float
+        Samples per second [Hz].
+    """
+
+    taps: FloatArray
+    low: float
+    high: float
+    sampling_rate: float
+
+    @property
+    def half(self) -> int:
+        """Samples lost at each end."""
+        return (self.taps.size - 1) // 2
+
+    def apply(self, values: FloatArray) -> FloatArray:
+        """Return the filtered values that depend on no sample beyond the ends: ``half`` fewer at each end."""
+        return oaconvolve(values, self.taps, mode="valid")
+
+    def gain(self, frequency: FloatArray | float, decay_rate: float = 0.0) -> FloatArray:
+        """Return the gain for ``exp(-decay_rate t) cos(2 pi frequency t)``, real for real frequencies."""
+        lag = np.arange(-self.half, self.half + 1) / self.sampling_rate
+        s = -decay_rate + 2j * np.pi * np.atleast_1d(np.asarray(frequency, dtype=np.float64))
+        return np.exp(-s[:, None] * lag) @ self.taps
+
+
+def design_band_pass(low: float, high: float, frequency: float, sampling_rate: float) -> BandPass:
+    """Design the shortest Kaiser-windowed band-pass that passes ``frequency`` untouched.
+
+    The transition at each edge is as wide as the distance from the mode to the nearer edge allows.
+    """
+    width = 2.0 * _TRANSITION * min(frequency - low, high - frequency)
+    width = min(width, 2.0 * low)
+    count, beta = kaiserord(_ATTENUATION, width / (0.5 * sampling_rate))
+    count += 1 - count % 2
+    taps = firwin(count, [low, high], window=("kaiser", beta), pass_zero=False, fs=sampling_rate, scale=False)
+    return BandPass(np.asarray(taps, dtype=np.float64), low, high, sampling_rate)
+
+
+def integrate(values: FloatArray, sampling_rate: float, path: Track) -> FloatArray:
+    """Integrate a decay once over time and remove the mid-line, which integration cannot determine.
+
+    Notes
+    -----
+    The running integral of a quintic spline is exact to 2e-6 at ten samples per cycle. Sensor offset and noise make it
+    drift; the drift is the mean over three running cycles at uniform phase, which contains nothing of the
+    oscillation or its harmonics, and is subtracted. Within the outermost cycles at each end, where no such mean exists, it
+    comes from a least-squares fit of a parabola and the harmonics to the first (last) five cycles.
+    """
+    time = np.arange(values.size) / sampling_rate
+    running = make_interp_spline(time, values, k=5).antiderivative()(time)
+    return running - _drift(running - running.mean(), time, path) - running.mean()
+
+
+def _drift(running: FloatArray, time: FloatArray, path: Track) -> FloatArray:
+    """Return the mid-line of a decay at every sample."""
+    per_cycle = path.per_cycle
+    step = 2.0 * np.pi / per_cycle
+    at = path.phase_at(time) / (2.0 * np.pi)
+    begin, end = float(at[0]), float(at[-1])
+    if end - begin < _EDGE_FIT + 2.0:
+        return _parabola(running, time, path)
+    grid = step * np.arange(np.ceil(2.0 * np.pi * begin / step), np.floor(2.0 * np.pi * end / step) + 1.0)
+    samples = make_interp_spline(time, running, k=5)(np.clip(path.time_at(grid), time[0], time[-1]))
+    box = np.ones(per_cycle + 1) / per_cycle
+    box[[0, -1]] *= 0.5
+    kernel = np.convolve(np.convolve(box, box), box)
+    middle = oaconvolve(samples, kernel, mode="valid")
+    half = (kernel.size - 1) // 2
+    drift = np.interp(at, grid[half : half + middle.size] / (2.0 * np.pi), middle)
+    for window, distance in ((at < begin + _EDGE_FIT, at - begin), (at > end - _EDGE_FIT, end - at)):
+        edge = _parabola(running[window], time[window], path)
+        weight = np.clip(_EDGE_KEPT - distance[window], 0.0, 1.0)
+        drift[window] = weight * edge + (1.0 - weight) * drift[window]
+    return drift
+
+
+def _parabola(values: FloatArray, time: FloatArray, path: Track) -> FloatArray:
+    """Return the mid-line of a few cycles as a parabola fitted together with the harmonics."""
+    per_cycle = 1.0 / (path.frequency * float(time[1] - time[0]))
+    harmonics = int(np.clip(0.5 * per_cycle - 0.5, 1, 7))
+    while harmonics > 1 and 7 + 4 * harmonics > 0.65 * values.size:
+        harmonics -= 1
+    basis = local_basis(time, path, harmonics, (3, 4, 2))
+    scale = np.linalg.norm(basis, axis=0)
+    solution = np.linalg.lstsq(basis / scale, values, rcond=1e-10)[0] / scale
+    return basis[:, :3] @ solution[:3]
+
+
+def integration_response(order: FloatArray) -> FloatArray:
+    """Return the share of amplitude that `integrate` keeps at a given order (frequency over that of the mode)."""
+    return 1.0 - np.sinc(order) ** 3

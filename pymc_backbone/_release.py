@@ -1,0 +1,159 @@
+"""Where a free decay begins and ends within a record."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
+from scipy.signal import fftconvolve
+
+from ._checks import FloatArray
+from ._tracking import Track
+
+_LEVEL = 0.97
+_QUIET = 0.5
+_WINDOW = 0.65
+
+
+@dataclass(frozen=True)
+class Release:
+    """Where the free decay begins.
+
+    Attributes
+    ----------
+    index : int
+        First sample of free motion.
+    kind : str
+        ``"start"`` (the record begins in free motion), ``"rest"`` (held or at rest before) or
+        ``"forced"`` (driven before).
+    """
+
+    index: int
+    kind: str
+
+
+def envelope(values: FloatArray, sampling_rate: float, frequency: float) -> FloatArray:
+    """Return the amplitude of the fundamental over windows of two cycles, as long as the record.
+
+    Within one cycle of the ends it is held at its value there.
+    """
+    half = min(max(int(round(sampling_rate / frequency)), 2), (values.size - 1) // 2)
+    kernel = np.concatenate([np.arange(1, half + 1), np.arange(half - 1, 0, -1)]) / float(half) ** 2
+    carrier = np.exp(-2j * np.pi * frequency / sampling_rate * np.arange(values.size))
+    inner = 2.0 * np.abs(fftconvolve(values * carrier, kernel, mode="valid"))
+    return np.pad(inner, (half - 1, values.size - inner.size - half + 1), mode="edge")
+
+
+def leading_rest(values: FloatArray) -> int:
+    """Return how many samples pass before the record first leaves its starting value by a quarter of its largest excursion."""
+    begin = values[: max(values.size // 50, 3)]
+    excursion = np.abs(values - np.median(begin))
+    return int(np.argmax(excursion > 0.25 * excursion.max()))
+
+
+def find_release(values: FloatArray, sampling_rate: float, frequency: float) -> Release:
+    """Find where the free decay begins: after the hold, the impact, or the end of the forcing.
+
+    Notes
+    -----
+    Before a release or an impact the record hardly moves: over 0.65 of a cycle before it, it spans less than half
+    the later amplitude, where a free oscillation spans at least its amplitude (1.45 times it, and 1.0 at ten samples
+    per cycle). That places the release to a
+    fraction of a cycle. Forcing is seen in the envelope: it has grown to its maximum, or stayed level there,
+    for more than a cycle and a half; the decay then begins one and a half cycles after the bend.
+    """
+    period = sampling_rate / frequency
+    level = envelope(values, sampling_rate, frequency)
+    top = int(np.argmax(level))
+    first, last = _plateau(level, top)
+    highest = float(level[top])
+    quiet = _last_quiet(values, period, highest, int(first + period))
+    if quiet is not None and quiet > first - 3.0 * period:
+        return Release(quiet, "rest")
+    is_level = _is_level(level, first, last, period)
+    has_grown = first > 1.6 * period and float(level[:first].min()) < 0.85 * highest
+    if is_level or has_grown:
+        bend = _bend(level, first, last) if is_level else top
+        return Release(min(int(bend + 1.5 * period), values.size - 1), "forced")
+    return Release(0, "start")
+
+
+def _plateau(level: FloatArray, top: int) -> tuple[int, int]:
+    """Return the first and the last sample near the maximum, without leaving its neighbourhood."""
+    low = np.flatnonzero(level < 0.7 * level[top])
+    left = int(low[low < top].max(initial=-1)) + 1
+    right = int(low[low > top].min(initial=level.size)) - 1
+    near = np.flatnonzero(level[left : right + 1] >= _LEVEL * level[top]) + left
+    return int(near[0]), int(near[-1])
+
+
+def _is_level(level: FloatArray, first: int, last: int, period: float) -> bool:
+    """Return whether the envelope stays level between two samples and falls clearly faster after them."""
+    if last - first < 3.0 * period:
+        return False
+    lower = np.flatnonzero(level[last:] < 0.9 * level[last])
+    if not lower.size:
+        return False
+    after = np.log(level[last] / level[last + lower[0]]) / lower[0]
+    n = last - first
+    inside = (
+        np.log(level[first : first + n // 4 + 1]).mean() - np.log(level[last - n // 2 : last - n // 4 + 1]).mean()
+    ) / (0.5 * n)
+    return bool(inside < 0.25 * after)
+
+
+def _bend(level: FloatArray, first: int, last: int) -> int:
+    """Return where the line through the falling part of a log envelope meets its plateau."""
+    plateau = float(np.median(level[first : last + 1]))
+    falling = np.flatnonzero(level[last:] < 0.9 * plateau)
+    lower = np.flatnonzero(level[last:] < 0.7 * plateau)
+    if not falling.size or not lower.size or lower[0] - falling[0] < 3:
+        return last
+    at = np.arange(last + falling[0], last + lower[0])
+    slope, intercept = np.polyfit(at, np.log(level[at] / plateau), 1)
+    return int(np.clip(-intercept / slope, first, last + falling[0]))
+
+
+def _last_quiet(values: FloatArray, period: float, highest: float, until: int) -> int | None:
+    """Return the last sample up to which the record hardly moves, looking back from ``until``; None if it always moves."""
+    window = max(int(round(_WINDOW * period)), 3)
+    smooth = uniform_filter1d(values, max(int(period / 16.0), 1))
+    # a window that ends at each sample
+    shift = (window - 1) // 2
+    span = maximum_filter1d(smooth, window, origin=shift) - minimum_filter1d(smooth, window, origin=shift)
+    span = span[: max(until, 0)]
+    span[: window - 1] = np.inf
+    still = np.flatnonzero(span < _QUIET * highest)
+    return int(still[-1]) if still.size else None
+
+
+def first_turning_point(track: Track, after: float) -> float:
+    """Return the time of the first turning point of the fundamental at or after a time."""
+    phase = float(track.phase_at(np.array([after]))[0])
+    return float(track.time_at(np.array([np.pi * np.ceil(phase / np.pi)]))[0])
+
+
+def end_of_motion(track: Track, floor: float) -> float:
+    """Return the last time at which the amplitude is above a floor, without returning from below it."""
+    below = np.flatnonzero(track.amplitude < floor)
+    # one grid point below the floor may be chance; half a cycle is not
+    run = max(track.per_cycle // 2, 1)
+    for index in below:
+        if np.all(track.amplitude[index : index + run] < floor):
+            return float(track.time[index])
+    return float(track.time[-1])
+
+
+def regrowth(track: Track, noise: float) -> tuple[float, float, float] | None:
+    """Return time, low and high of the first clear growth of the amplitude (a second impact, beating), or None."""
+    step = max(track.per_cycle // 2, 1)
+    amplitude, time = track.amplitude[::step], track.time[::step]
+    lowest = np.minimum.accumulate(amplitude)
+    grown = amplitude > 1.25 * lowest + 8.0 * noise
+    grown &= amplitude > 0.05 * amplitude[0]
+    if not grown.any():
+        return None
+    at = int(np.argmax(grown))
+    low = int(np.argmin(amplitude[: at + 1]))
+    return float(time[low]), float(amplitude[low]), float(amplitude[low:].max())

@@ -1,0 +1,100 @@
+"""Time stamps to a uniform grid: rounding, jitter, missing samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from ._checks import FloatArray, InputError
+
+_SNAP = 0.05
+"""Largest deviation of a time stamp from the uniform grid, in samples, that is put down to the clock."""
+_LARGEST_GAP = 1.0 / 6.0
+"""Longest pause between samples, in cycles, across which a spline may carry the motion."""
+
+
+@dataclass(frozen=True)
+class UniformSamples:
+    """A record on a uniform grid.
+
+    Attributes
+    ----------
+    start : float
+        Time of the first sample [s].
+    sampling_rate : float
+        Samples per second [Hz].
+    values : (n,) array
+        Samples.
+    gaps : (k, 2) array
+        Begin and length [s] of the pauses longer than one and a half samples.
+    notes : tuple of str
+        What was done.
+    """
+
+    start: float
+    sampling_rate: float
+    values: FloatArray
+    gaps: FloatArray
+    notes: tuple[str, ...]
+
+    def check_gaps(self, frequency: float, until: float, name: str) -> None:
+        """Raise `InputError` at the first gap before ``until`` that is too long for the motion."""
+        for begin, length in self.gaps:
+            if length * frequency > _LARGEST_GAP and begin < until:
+                raise InputError(
+                    f"{name}: samples are missing between {begin:.6g} and {begin + length:.6g} s, {length * frequency:.2g} cycles "
+                    f"of the {frequency:.4g} Hz motion; use the part before or after (stop={begin:.6g} or "
+                    f"start={begin + length:.6g})."
+                )
+
+
+def to_uniform(time: FloatArray, values: FloatArray) -> UniformSamples:
+    """Return samples on the uniform grid that fits their time stamps, resampled only where they do not lie on it.
+
+    Stamps within 5 % of a sample of the grid, or as far from it as rounding to printed digits
+    explains, are put on it. Others are true jitter: the samples are interpolated by a cubic spline.
+    Missing samples are interpolated too.
+    """
+    steps = np.diff(time)
+    typical = float(np.median(steps))
+    counts = np.maximum(np.round(steps / typical), 1.0)
+    index = np.concatenate([[0.0], np.cumsum(counts)])
+    interval, start = (float(value) for value in np.polyfit(index, time, 1))
+    deviation = time - (start + interval * index)
+    worst = float(np.max(np.abs(deviation))) / interval
+    wide = steps > 1.5 * typical
+    gaps = np.column_stack([time[:-1][wide], steps[wide]])
+    notes: list[str] = []
+    is_on_grid = worst < _SNAP or _is_rounding(steps, deviation)
+    if is_on_grid:
+        if worst > 0.01:
+            notes.append(
+                f"time stamps deviate by up to {worst:.0%} of a sample from {1.0 / interval:.6g} Hz and were put there"
+            )
+        if not wide.any():
+            return UniformSamples(start, 1.0 / interval, values, gaps, tuple(notes))
+        stamps = start + interval * index
+    else:
+        interval, start = float(time[-1] - time[0]) / float(index[-1]), float(time[0])
+        stamps = time
+        notes.append(
+            f"time stamps jitter by up to {worst:.0%} of a sample: resampled at {1.0 / interval:.6g} Hz by a cubic spline"
+        )
+    if wide.any():
+        missing = int(np.sum(counts[wide] - 1.0))
+        notes.append(f"{missing} missing sample(s) in {int(wide.sum())} gap(s) were interpolated by a cubic spline")
+    grid = start + interval * np.arange(int(round((stamps[-1] - start) / interval)) + 1)
+    resampled = CubicSpline(stamps, values)(np.clip(grid, stamps[0], stamps[-1]))
+    return UniformSamples(start, 1.0 / interval, resampled, gaps, tuple(notes))
+
+
+def _is_rounding(steps: FloatArray, deviation: FloatArray) -> bool:
+    """Return whether stamps deviate from the grid only because they were printed with few digits."""
+    typical = float(np.median(steps))
+    distinct = np.unique(np.round(steps / typical, 6))
+    if distinct.size < 2 or distinct.size > 4:
+        return False
+    quantum = float(np.min(np.diff(distinct))) * typical
+    return bool(np.max(np.abs(deviation)) <= 0.6 * quantum)

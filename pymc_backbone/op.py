@@ -1,0 +1,446 @@
+"""PyTensor Ops: the log-likelihood of a simulated backbone, and the simulated backbone itself.
+
+Both have two outputs, the value and its derivative with respect to the parameters, so that a gradient reuses the
+simulation that gave the value. Where nobody asks for the derivative, a rewrite puts the variant without it, which
+costs less and remembers the last two parameter vectors: PyMC's Metropolis evaluates every point twice.
+"""
+
+from __future__ import annotations
+
+import functools
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+from typing import Any
+
+import numba
+import numpy as np
+import pytensor
+import pytensor.tensor as pt
+from numpy.typing import ArrayLike
+from pytensor.gradient import disconnected_type
+from pytensor.graph.basic import Apply, Variable
+from pytensor.graph.op import Op
+from pytensor.graph.rewriting.basic import node_rewriter
+from pytensor.link.numba.dispatch.basic import generate_fallback_impl, register_funcify_and_cache_key
+from pytensor.tensor.blockwise import Blockwise
+from pytensor.tensor.rewriting.basic import register_canonicalize
+from pytensor.tensor.variable import TensorConstant
+
+from . import _native
+from ._checks import OBSERVABLES, FloatArray, InputError, check_levels, check_observables, check_positive
+from ._compiled import compiled_sources_digest
+from .decay import Simulator
+from .oscillator import Oscillator
+
+MEMORY_HEAD = _native.FIRST_SLOT
+
+
+@dataclass(frozen=True)
+class OscillatorResponse:
+    """The backbone of an oscillator at fixed levels, as an Op sees it: plain, hashable, picklable data.
+
+    Parameters
+    ----------
+    oscillator : Oscillator
+        Mass and effects.
+    levels : tuple of float
+        Amplitudes [m or rad].
+    observables : tuple of str
+        Which of frequency, damping, offset.
+    release_amplitude : float, default 0.0
+        Release of the whole decay [m or rad]; 0 lets the simulator choose.
+    virgin : bool, default True
+        Whether hysteretic states start loaded from rest.
+    """
+
+    oscillator: Oscillator
+    levels: tuple[float, ...]
+    observables: tuple[str, ...]
+    release_amplitude: float = 0.0
+    virgin: bool = True
+
+    has_gradient = True
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the parameters, in order."""
+        return self.oscillator.parameter_names
+
+    @property
+    def rows(self) -> tuple[int, ...]:
+        """Which rows of the simulator's table are wanted."""
+        return tuple(OBSERVABLES.index(name) for name in self.observables)
+
+    @property
+    def key(self) -> str:
+        """Digest of everything the numbers depend on: the description, every compiled source, user effects."""
+        text = repr(
+            (self.oscillator.mass, self.levels, self.observables, self.release_amplitude, self.virgin,
+             [effect.name for effect in self.oscillator.effects])
+        )  # fmt: skip
+        parts = (text, self.oscillator.source_digest(), compiled_sources_digest(), pytensor.__version__)
+        return sha256("\0".join(parts).encode()).hexdigest()
+
+    def evaluate(self, theta: FloatArray, wanted: bool) -> tuple[FloatArray, FloatArray, bool]:
+        """Return values (o, l), derivatives (o, l, p) (empty if not wanted) and whether every level completed."""
+        simulator = _simulator(self.oscillator)
+        levels = np.array(self.levels)
+        values = np.empty((3, levels.size))
+        jacobian = np.empty((3, levels.size, theta.size) if wanted else (0, 0, 0))
+        status = np.zeros(levels.size, dtype=np.int64)
+        simulator.backbone(theta, levels, self.release_amplitude, self.virgin, values, jacobian, status)
+        rows = list(self.rows)
+        return values[rows], jacobian[rows] if wanted else jacobian, not status.any()
+
+
+@functools.lru_cache(maxsize=64)
+def _simulator(oscillator: Oscillator) -> Simulator:
+    return Simulator(oscillator)
+
+
+@dataclass(frozen=True)
+class CallableResponse:
+    """Any function that returns a backbone, standing in for an oscillator; no gradient.
+
+    Parameters
+    ----------
+    function : callable
+        ``function(parameters, levels) -> values``: a dict from parameter name to float, the levels (l,) and the
+        values (o, l) with one row per observable; NaN, or any exception, counts as a failed simulation. Must be
+        importable (defined at the top of a module) where several processes sample.
+    parameter_names : tuple of str
+        Names of the parameters, in order.
+    levels : tuple of float
+        Amplitudes [m or rad].
+    observables : tuple of str
+        Which of frequency, damping, offset the rows are.
+    """
+
+    function: Callable[[dict[str, float], FloatArray], ArrayLike]
+    parameter_names: tuple[str, ...]
+    levels: tuple[float, ...]
+    observables: tuple[str, ...]
+
+    has_gradient = False
+
+    def evaluate(self, theta: FloatArray, wanted: bool) -> tuple[FloatArray, FloatArray, bool]:
+        """Return values (o, l), an empty array, and whether the function returned finite values."""
+        shape = (len(self.observables), len(self.levels))
+        try:
+            values = np.asarray(
+                self.function(dict(zip(self.parameter_names, theta.tolist(), strict=True)), np.array(self.levels)),
+                dtype=np.float64,
+            )
+        except (ArithmeticError, ValueError, RuntimeError, np.linalg.LinAlgError):
+            return np.full(shape, np.nan), np.empty((0, 0, 0)), False
+        if values.shape != shape:
+            raise InputError(
+                f"the backbone function must return an array of shape {shape} (observables, levels), "
+                f"got {values.shape}."
+            )
+        return values, np.empty((0, 0, 0)), bool(np.isfinite(values).all())
+
+
+Response = OscillatorResponse | CallableResponse
+
+
+def make_response(
+    source: Oscillator | Callable[[dict[str, float], FloatArray], ArrayLike],
+    levels: ArrayLike,
+    observables: str | Sequence[str] = ("frequency", "damping"),
+    *,
+    parameter_names: Sequence[str] | None = None,
+    release_amplitude: float | None = None,
+    virgin: bool = True,
+) -> Response:
+    """Describe an oscillator, or any function that returns a backbone, as an Op sees it.
+
+    Parameters
+    ----------
+    source : Oscillator or callable
+        What is simulated; see `CallableResponse` for what a function must return.
+    levels : array_like, shape (l,)
+        Amplitudes [m or rad].
+    observables : sequence of str
+        Any of frequency, damping, offset.
+    parameter_names : sequence of str, optional
+        For a function: the names of its parameters, in order.
+    release_amplitude : float, optional
+        For an oscillator: run the whole decay from here [m or rad].
+    virgin : bool, default True
+        For an oscillator: whether hysteretic states start loaded from rest.
+
+    Returns
+    -------
+    OscillatorResponse or CallableResponse
+
+    Raises
+    ------
+    InputError
+        Levels or observables that cannot be used, or a function without parameter names.
+    """
+    checked = tuple(check_levels(levels).tolist())
+    names = check_observables(observables)
+    if isinstance(source, Oscillator):
+        release = 0.0 if release_amplitude is None else check_positive("release_amplitude", release_amplitude)
+        return OscillatorResponse(source, checked, names, release, virgin)
+    if not callable(source):
+        raise InputError(f"the model must be an Oscillator or a function, got {type(source).__name__}.")
+    if not parameter_names:
+        raise InputError("a backbone function needs `parameter_names`: the names of its parameters, in order.")
+    return CallableResponse(source, tuple(parameter_names), checked, names)
+
+
+class _BackboneOp(Op):
+    """What both Ops share: the response, whether the derivative is computed, equality by both."""
+
+    __props__ = ("response", "with_gradient")
+
+    def __init__(self, response: Response, with_gradient: bool | None = None) -> None:
+        self.response = response
+        self.with_gradient = response.has_gradient if with_gradient is None else with_gradient
+        if isinstance(response, OscillatorResponse):
+            _native.define_symbols()
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        # A fresh process has to know the native functions before it loads compiled code that calls them.
+        self.__dict__.update(state)
+        if isinstance(self.response, OscillatorResponse):
+            _native.define_symbols()
+
+    def without_gradient(self) -> _BackboneOp:
+        """Return the variant that computes the value only."""
+        return type(self)(self.response, with_gradient=False)
+
+
+class BackboneLogLikelihood(_BackboneOp):
+    """Log density of a simulated backbone.
+
+    Inputs are the parameter vector ``theta`` (p,), the plain data of a density (``codes``, ``table``; see
+    `Density`) and ``memory``, scratch that counts evaluations and failures and remembers the last two values
+    (`make_memory`; may be empty). Outputs are the log density, -inf where a level cannot be simulated or lies outside
+    the density's support, never NaN, and its gradient (p,), zero there.
+
+    Parameters
+    ----------
+    response : OscillatorResponse or CallableResponse
+        What is simulated.
+    with_gradient : bool, optional
+        Whether the second output is computed; default: whether the response can.
+
+    Notes
+    -----
+    ``memory`` is written in place. It changes how fast the value is found, never which value, so the Op is pure in
+    every respect that PyTensor's rewrites rely on.
+    """
+
+    gufunc_signature = "(p),(c),(t),(m)->(),(g)"
+
+    def make_node(self, theta: Any, codes: Any, table: Any, memory: Any) -> Apply:
+        """Check the inputs and make the node."""
+        inputs = [
+            pt.as_tensor_variable(theta, dtype="float64"),
+            pt.as_tensor_variable(codes, dtype="int64"),
+            pt.as_tensor_variable(table, dtype="float64"),
+            pt.as_tensor_variable(memory, dtype="float64"),
+        ]
+        for name, variable in zip(("theta", "codes", "table", "memory"), inputs, strict=True):
+            if variable.ndim != 1:
+                raise TypeError(f"`{name}` must be a vector, got {variable.ndim} dimensions.")
+        if isinstance(inputs[3], TensorConstant) and inputs[3].data.size:
+            # Compiled code holds constants in read-only memory, and `memory` is written.
+            raise TypeError("`memory` must be a shared variable, or an empty constant for none.")
+        return Apply(self, inputs, [pt.dscalar(), pt.dvector()])
+
+    def infer_shape(self, node: Apply, input_shapes: list[Any]) -> list[Any]:
+        """Return the shapes of value and gradient."""
+        return [(), (input_shapes[0][0] if self.with_gradient else 0,)]
+
+    def perform(self, node: Apply, inputs: Sequence[Any], output_storage: Any) -> None:
+        """Evaluate in Python: the reference for the compiled path, and the path of functions."""
+        theta, codes, table, memory = inputs
+        gradient = np.zeros(theta.size if self.with_gradient else 0)
+        value = self._evaluate(np.ascontiguousarray(theta, dtype=np.float64), codes, table, memory, gradient)
+        output_storage[0][0] = np.asarray(value)
+        output_storage[1][0] = gradient
+
+    def _evaluate(
+        self, theta: FloatArray, codes: Any, table: FloatArray, memory: FloatArray, gradient: FloatArray
+    ) -> float:
+        if not self.with_gradient:
+            found = _native.remembered(memory, theta)
+            if found >= 0:
+                return float(memory[found])
+        values, jacobian, completed = self.response.evaluate(theta, self.with_gradient)
+        value = -np.inf
+        if completed:
+            slope = np.empty(values.size)
+            value = _native.log_density(codes, table, np.ascontiguousarray(values).ravel(), slope)
+            if self.with_gradient:
+                total = np.tensordot(slope.reshape(values.shape), jacobian, axes=2)
+                gradient[:] = np.where(np.isfinite(total), total, 0.0)
+        elif memory.size > _native.FAILURES:
+            memory[_native.FAILURES] += 1.0
+        if not self.with_gradient:
+            _native.remember(memory, theta, value)
+        return value
+
+    def connection_pattern(self, node: Apply) -> list[list[bool]]:
+        """Only the parameters carry a derivative, and only to the value."""
+        return [[True, False], [False, False], [False, False], [False, False]]
+
+    def pullback(self, inputs: Sequence[Variable], outputs: Sequence[Variable], cotangents: Sequence[Variable]) -> list[Variable]:  # noqa: E501
+        """Return the cotangent of the parameters: the node's own second output, times that of the value."""
+        if not self.response.has_gradient:
+            raise NotImplementedError(
+                "a backbone function has no gradient: sample with a step that needs none, for example pm.Metropolis()."
+            )
+        gradient = outputs[1] if self.with_gradient else BackboneLogLikelihood(self.response)(*inputs)[1]
+        return [cotangents[0] * gradient, disconnected_type(), disconnected_type(), disconnected_type()]
+
+
+class SimulatedBackbone(_BackboneOp):
+    """The simulated backbone: parameters (p,) in, values (o, l) and their derivatives (o, l, p) out.
+
+    Values are NaN where a level cannot be simulated, the derivatives zero there.
+
+    Parameters
+    ----------
+    response : OscillatorResponse or CallableResponse
+        What is simulated.
+    with_gradient : bool, optional
+        Whether the second output is computed; default: whether the response can.
+    """
+
+    gufunc_signature = "(p)->(o,l),(u,w,q)"
+
+    def make_node(self, theta: Any) -> Apply:
+        """Check the input and make the node."""
+        theta = pt.as_tensor_variable(theta, dtype="float64")
+        if theta.ndim != 1:
+            raise TypeError(f"`theta` must be a vector, got {theta.ndim} dimensions.")
+        shape = (len(self.response.observables), len(self.response.levels))
+        return Apply(self, [theta], [pt.tensor("backbone", shape=shape, dtype="float64"), pt.dtensor3()])
+
+    def infer_shape(self, node: Apply, input_shapes: list[Any]) -> list[Any]:
+        """Return the shapes of values and derivatives."""
+        shape = (len(self.response.observables), len(self.response.levels))
+        return [shape, (*shape, input_shapes[0][0]) if self.with_gradient else (0, 0, 0)]
+
+    def perform(self, node: Apply, inputs: Sequence[Any], output_storage: Any) -> None:
+        """Evaluate in Python."""
+        theta = np.ascontiguousarray(inputs[0], dtype=np.float64)
+        values, jacobian, completed = self.response.evaluate(theta, self.with_gradient)
+        output_storage[0][0] = values
+        output_storage[1][0] = np.nan_to_num(jacobian, nan=0.0, posinf=0.0, neginf=0.0)
+
+    def connection_pattern(self, node: Apply) -> list[list[bool]]:
+        """Only the values carry a derivative."""
+        return [[True, False]]
+
+    def pullback(self, inputs: Sequence[Variable], outputs: Sequence[Variable], cotangents: Sequence[Variable]) -> list[Variable]:  # noqa: E501
+        """Return the cotangent of the parameters through the node's own second output."""
+        if not self.response.has_gradient:
+            raise NotImplementedError(
+                "a backbone function has no gradient: sample with a step that needs none, for example pm.Metropolis()."
+            )
+        jacobian = outputs[1] if self.with_gradient else SimulatedBackbone(self.response)(*inputs)[1]
+        return [pt.tensordot(cotangents[0], jacobian, axes=[[0, 1], [0, 1]])]
+
+
+@register_canonicalize
+@node_rewriter([BackboneLogLikelihood, SimulatedBackbone, Blockwise])
+def drop_unused_gradient(fgraph: Any, node: Apply) -> dict[Variable, Variable] | None:
+    """Replace an Op by its variant without gradient where nobody uses the gradient."""
+    core = node.op.core_op if isinstance(node.op, Blockwise) else node.op
+    if not isinstance(core, _BackboneOp) or not core.with_gradient or fgraph.clients[node.outputs[1]]:
+        return None
+    plain = core.without_gradient()
+    operator = Blockwise(plain, signature=node.op.signature) if isinstance(node.op, Blockwise) else plain
+    return {node.outputs[0]: operator(*node.inputs, return_list=True)[0]}
+
+
+def make_memory(n_parameters: int) -> FloatArray:
+    """Return fresh scratch for `BackboneLogLikelihood`: counts at zero, nothing remembered."""
+    memory = np.full(MEMORY_HEAD + 2 * (n_parameters + 1), np.nan)
+    memory[:MEMORY_HEAD] = 0.0
+    return memory
+
+
+@register_funcify_and_cache_key(BackboneLogLikelihood)
+def _funcify_log_likelihood(op: BackboneLogLikelihood, node: Apply, **kwargs: Any) -> tuple[Any, str | None]:
+    if not isinstance(op.response, OscillatorResponse):
+        return _fallback(op, node), None
+    response = op.response
+    description = _describe(response)
+    integers, floats, user = description.integers, description.floats, description.user
+    call, wanted = _native.call_log_likelihood, int(op.with_gradient)
+
+    @numba.njit
+    def log_likelihood(theta, codes, table, memory):  # type: ignore[no-untyped-def]
+        point = np.ascontiguousarray(theta)
+        density_codes = np.ascontiguousarray(codes)
+        density = np.ascontiguousarray(table)
+        gradient = np.zeros(point.size * wanted)
+        value = call(
+            user, integers.ctypes, floats.ctypes, point.ctypes, point.size, density_codes.ctypes, codes.size,
+            density.ctypes, density.size, memory.ctypes, memory.size, gradient.ctypes, wanted,
+        )  # fmt: skip
+        return np.asarray(value), gradient
+
+    return log_likelihood, _cache_key("log_likelihood-2", op, user)
+
+
+@register_funcify_and_cache_key(SimulatedBackbone)
+def _funcify_backbone(op: SimulatedBackbone, node: Apply, **kwargs: Any) -> tuple[Any, str | None]:
+    if not isinstance(op.response, OscillatorResponse):
+        return _fallback(op, node), None
+    response = op.response
+    description = _describe(response)
+    integers, floats, user = description.integers, description.floats, description.user
+    call, wanted = _native.call_backbone, int(op.with_gradient)
+    rows, levels = np.array(response.rows), len(response.levels)
+
+    @numba.njit
+    def backbone(theta):  # type: ignore[no-untyped-def]
+        point = np.ascontiguousarray(theta)
+        n = point.size
+        values = np.empty((3, levels))
+        jacobian = np.empty((3 * wanted, levels * wanted, n * wanted))
+        status = np.zeros(levels, np.int64)
+        call(
+            user, integers.ctypes, floats.ctypes, point.ctypes, n, values.ctypes, jacobian.ctypes, status.ctypes, wanted
+        )
+        chosen = np.empty((rows.size, levels))
+        slopes = np.zeros((rows.size * wanted, levels * wanted, n * wanted))
+        for i in range(rows.size):
+            for k in range(levels):
+                chosen[i, k] = values[rows[i], k]
+                if wanted and status[k] == 0:
+                    for j in range(n):
+                        slopes[i, k, j] = jacobian[rows[i], k, j]
+        return chosen, slopes
+
+    return backbone, _cache_key("backbone-2", op, user)
+
+
+def _describe(response: OscillatorResponse) -> _native.Description:
+    return _native.Description(
+        _simulator(response.oscillator), np.array(response.levels), response.rows, response.release_amplitude,
+        response.virgin,
+    )  # fmt: skip
+
+
+def _cache_key(version: str, op: _BackboneOp, user: int) -> str | None:
+    """Return the key under which compiled code is kept; None where it holds the address of a user's force."""
+    assert isinstance(op.response, OscillatorResponse)
+    return None if user else f"pymc_backbone-{version}-{op.with_gradient}-{op.response.key}"
+
+
+def _fallback(op: Op, node: Apply) -> Any:
+    """Return numba's object-mode call of ``perform``: what a Python function needs, so no warning is due."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Numba will use object mode", category=UserWarning)
+        return generate_fallback_impl(op, node)
