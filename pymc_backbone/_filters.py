@@ -52,6 +52,23 @@ class BandPass:
         s = -decay_rate + 2j * np.pi * np.atleast_1d(np.asarray(frequency, dtype=np.float64))
         return np.exp(-s[:, None] * lag) @ self.taps
 
+    def bias(self, path: Track) -> tuple[float, float]:
+        """Return the relative bias of amplitude and of logarithmic decrement that the filter gives a decay.
+
+        An exponential decay ``exp(s t)`` leaves the filter as ``G(s) exp(s t)``: its amplitude is biased by ``|G| - 1``, its
+        decrement and frequency not at all. When frequency or decrement drift, so does G, and what it gains from the first to
+        the last cycle is missing from the decrement.
+        """
+        n = max(min(2 * path.per_cycle, path.time.size // 2), 2)
+        gains = []
+        for part in (slice(None, n), slice(-n, None)):
+            span = float(path.time[part][-1] - path.time[part][0])
+            rate = float(np.log(path.amplitude[part][0] / path.amplitude[part][-1])) / span
+            frequency = float(path.phase[part][-1] - path.phase[part][0]) / (2.0 * np.pi * span)
+            gains.append(float(np.abs(self.gain(frequency, rate)[0])))
+        fall = float(np.log(path.amplitude[0] / path.amplitude[-1]))
+        return max(gains, key=lambda gain: abs(gain - 1.0)) - 1.0, float(np.log(gains[0] / gains[1])) / fall
+
 
 def design_band_pass(low: float, high: float, frequency: float, sampling_rate: float) -> BandPass:
     """Design the shortest Kaiser-windowed band-pass that passes ``frequency`` untouched.

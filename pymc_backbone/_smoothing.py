@@ -83,6 +83,7 @@ def smooth(
     orders: tuple[int, ...] = (2,),
     scatter_prior: float = 12.0,
     kinks: bool = False,
+    undersmoothing: float | None = None,
 ) -> Curve:
     """Smooth ``values`` with noise covariance ``bands``, averaging over smoothness and over abscissas.
 
@@ -124,7 +125,7 @@ def smooth(
         models: list[tuple[int, float | None]] = [(order, None) for order in orders if n > order + 1]
         if kinks and number == 0 and n > 5:
             models += [(2, kink) for kink in KINKS]
-        collected += [_smooth_as(white, at, order, kink, scatter_prior) for order, kink in models]
+        collected += [_smooth_as(white, at, order, kink, scatter_prior, UNDERSMOOTHING if undersmoothing is None else undersmoothing) for order, kink in models]
     if not collected:
         raise ValueError("smoothing needs at least four values")
     logs = np.concatenate([item[0] for item in collected])
@@ -149,7 +150,7 @@ def _design(unit: FloatArray) -> FloatArray:
     return BSpline.design_matrix(np.clip(unit, 0.0, 1.0), KNOTS, 3).toarray()
 
 
-def _smooth_as(white, at, order, kink, scatter_prior):  # type: ignore[no-untyped-def]
+def _smooth_as(white, at, order, kink, scatter_prior, undersmoothing):  # type: ignore[no-untyped-def]
     roots = _bending_roots(order, kink)
     n, n_basis = white.shape[0], white.shape[1] - 1
     y, design = white[:, 0], white[:, 1:] @ roots
@@ -183,7 +184,7 @@ def _smooth_as(white, at, order, kink, scatter_prior):  # type: ignore[no-untype
     dof = n - order
     scatters = np.maximum((scatter_prior + chi2) / (scatter_prior + dof), 1.0)
     logs = -0.5 * np.log(ratio).sum(axis=1) - 0.5 * chi2 / scatters - 0.5 * dof * np.log(scatters)
-    tau = tau * UNDERSMOOTHING
+    tau = tau * undersmoothing
     ratio = 1.0 + tau[:, None] * d2
     coefficients = tau[:, None] * d / ratio * gamma
     means = solve_free @ y_part + coefficients @ basis.T

@@ -11,7 +11,6 @@ from scipy.signal import fftconvolve
 
 from ._checks import FloatArray
 
-_PASSES = 5
 _EDGE_CYCLES = 3.0
 
 
@@ -103,10 +102,13 @@ def dominant_frequency(
     top = np.flatnonzero((weighted[1:-1] > weighted[:-2]) & (weighted[1:-1] >= weighted[2:])) + 1
     low, high = band if band is not None else (3.0 * sampling_rate / n, np.inf)
     top = top[(frequency[top] >= max(low, 2.0 * sampling_rate / n)) & (frequency[top] <= high)]
-    for peak in top[np.argsort(spectrum[top])[::-1]][:200]:
-        around = weighted[max(int(peak / 1.5), 1) : int(peak * 1.5) + 2]
-        if weighted[peak] > 2.0 * np.median(around):
-            return float(frequency[peak])
+    top = top[np.argsort(spectrum[top])[::-1]][:200]
+    # a strong decay whose frequency drifts has a broad peak
+    for prominence in (2.0, 1.3):
+        for peak in top:
+            around = weighted[max(int(peak / 1.5), 1) : int(peak * 1.5) + 2]
+            if weighted[peak] > prominence * np.median(around):
+                return float(frequency[peak])
     return None
 
 
@@ -129,34 +131,34 @@ def _first_phase(values: FloatArray, sampling_rate: float, frequency: float) -> 
 def track(values: FloatArray, sampling_rate: float, frequency: float) -> Track | None:
     """Follow the fundamental of a uniformly sampled decay; None where fewer than three cycles can be followed.
 
-    The record is resampled at uniform phase and demodulated there with two running means over exactly one
-    cycle, which let neither the mid-line nor any harmonic through, however much the frequency drifts.
-    The outermost cycle at each end is lost. Following ends where the phase becomes erratic (noise).
+    A first demodulation at fixed frequency gives the phase. The record is then resampled at uniform phase and
+    demodulated there with two running means over exactly one cycle, which let neither the mid-line nor any
+    harmonic through, however much the frequency drifts. The outermost cycle at each end is lost. Following ends where
+    the phase becomes erratic (noise). More passes would not help: they feed the extrapolation at the ends back.
     """
-    time, phase = _first_phase(values, sampling_rate, frequency)
+    time, phase = _monotone(*_first_phase(values, sampling_rate, frequency), frequency)
+    if phase.size < 4 or phase[-1] - phase[0] < 2.0 * np.pi:
+        return None
     per_cycle = int(np.clip(4 * np.ceil(0.25 * sampling_rate / frequency), 16, 128))
-    spline = make_interp_spline(np.arange(values.size) / sampling_rate, values, k=5)
     end = (values.size - 1) / sampling_rate
+    last = end if time[-1] > end - 2.0 / frequency else time[-1] + 1.0 / frequency
+    rough = Track(time, phase, np.ones(time.size), np.zeros(time.size), max(4, int(sampling_rate / frequency)))
+    step = 2.0 * np.pi / per_cycle
+    bounds = rough.phase_at(np.array([0.0, last]))
+    grid = step * np.arange(np.ceil(bounds[0] / step), np.floor(bounds[1] / step) + 1.0)
+    if grid.size < 3 * per_cycle:
+        return None
+    spline = make_interp_spline(np.arange(values.size) / sampling_rate, values, k=5)
+    samples = spline(np.clip(rough.time_at(grid), 0.0, end))
     kernel = _triangle(per_cycle)
-    result = None
-    for _ in range(_PASSES):
-        time, phase = _monotone(time, phase, frequency)
-        if phase.size < 4 or phase[-1] - phase[0] < 2.0 * np.pi:
-            return result
-        rough = Track(time, phase, np.ones(time.size), np.zeros(time.size), max(4, time.size // 4))
-        last = end if result is None or time[-1] > end - 3.0 / frequency else min(end, time[-1] + 1.0 / frequency)
-        bounds = rough.phase_at(np.array([0.0, last]))
-        step = 2.0 * np.pi / per_cycle
-        grid = step * np.arange(np.ceil(bounds[0] / step), np.floor(bounds[1] / step) + 1.0)
-        if grid.size < 3 * per_cycle:
-            return result
-        samples = spline(np.clip(rough.time_at(grid), 0.0, end))
-        z = 2.0 * fftconvolve(samples * np.exp(-1j * grid), kernel, mode="valid")
-        mean = fftconvolve(samples, kernel, mode="valid")
-        inner = grid[per_cycle - 1 : per_cycle - 1 + z.size]
-        time, phase = rough.time_at(inner), inner + np.unwrap(np.angle(z))
-        result = Track(time, phase, np.abs(z), mean, per_cycle)
-    return result
+    z = 2.0 * fftconvolve(samples * np.exp(-1j * grid), kernel, mode="valid")
+    mean = fftconvolve(samples, kernel, mode="valid")
+    inner = grid[per_cycle - 1 : per_cycle - 1 + z.size]
+    time, phase = _monotone(rough.time_at(inner), inner + np.unwrap(np.angle(z)), frequency)
+    n = time.size
+    if n < 4 or phase[-1] - phase[0] < 2.0 * np.pi:
+        return None
+    return Track(time, phase, np.abs(z[:n]), mean[:n], per_cycle)
 
 
 def _monotone(time: FloatArray, phase: FloatArray, frequency: float) -> tuple[FloatArray, FloatArray]:

@@ -307,4 +307,8 @@ def rough_turning_points(x: FloatArray, step: float, noise: float) -> tuple[Floa
             found, signs = found[: bad[0] + 1], signs[: bad[0] + 1]
         if (x.size - 1 - found[-1]) * step > 0.8 * period:
             found, signs = found[:-1], signs[:-1]
+        # a swing much smaller than the one before it leads from where friction stopped the motion to an extreme of the noise
+        swings = np.abs(np.diff(smoothed[found]))
+        while swings.size > 6 and swings[-1] < 0.3 * swings[-2]:
+            found, signs, swings = found[:-2], signs[:-2], swings[:-2]
     return found.astype(np.float64), signs, period

@@ -377,12 +377,11 @@ class _Conditioning:
         last = min(size, int(np.ceil((end + cycle) * rate)) + 1)
         if band_pass is not None:
             lost = band_pass.half / rate / cycle
-            decay_rate = float(np.log(path.amplitude[0] / path.amplitude[-1])) / float(path.time[-1] - path.time[0])
-            gain = complex(band_pass.gain(path.frequency, decay_rate)[0])
+            amplitude_bias, damping_bias = band_pass.bias(path)
             self.notes.append(
-                f"band-passed {band_pass.low:g} to {band_pass.high:g} Hz without phase shift: {lost:.1f} cycles were lost at each end, "
-                f"amplitudes are biased by {abs(gain) - 1.0:+.1e} and frequency by {_detuning(band_pass, path, decay_rate):+.1e} of "
-                "their values; harmonics outside the band are gone"
+                f"band-passed {band_pass.low:g} to {band_pass.high:g} Hz without phase shift: {lost:.1f} cycles were "
+                f"lost at each end, amplitude is biased by {amplitude_bias:+.0e} and damping by {damping_bias:+.0e} of "
+                "themselves; harmonics outside the band are gone"
             )
         if size - last > cycle * rate:
             self.notes.append(f"the last {(size - last) / rate:.4g} s, after the end of motion, were dropped")
@@ -428,11 +427,3 @@ def _suggested_band(frequency: float, other: float) -> tuple[float, float]:
     else:
         low = max(low, np.sqrt(frequency * other))
     return float(low), float(high)
-
-
-def _detuning(band_pass: BandPass, path: Track, decay_rate: float) -> float:
-    """Return the relative error of frequency that the slope of the gain gives a decay."""
-    step = 1e-3 * path.frequency
-    gains = np.abs(band_pass.gain(np.array([path.frequency - step, path.frequency + step]), decay_rate))
-    slope = float(np.log(gains[1] / gains[0])) / (4.0 * np.pi * step)
-    return slope * decay_rate**2 / path.frequency

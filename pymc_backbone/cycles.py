@@ -23,10 +23,12 @@ REACH = 0.75 * np.pi
 pi lowers the standard errors by 3 % and doubles the bias at 60 dB."""
 OVERLAP = 2.0 * REACH / np.pi
 """How often a sample is seen: by the window of a peak and of a trough."""
-POWERS = 6
+CORNERS = np.array([0.15, 0.3, 0.45, 0.6, 0.75])
+POWERS = 4
 """The template's coefficients are polynomials in amplitude with this many terms: friction, linear, quadratic, cubic, ... forces."""
 SELECTION = 10.0
 """A template term enters when it lowers chi-square by more than this (every sample is seen twice)."""
+UA = 300.0
 FLOOR = 8.0
 """Cycles whose amplitude is below this many standard errors are dropped."""
 
@@ -279,7 +281,7 @@ def _fit_with_template(x, start, step, guess, signs, harmonics, noise, autocovar
     values = np.interp(guess, start + step * np.arange(x.size), x)
     periods, amplitudes = _local_scales(guess, values, signs)
     template = np.zeros((guess.size, n_shape))
-    coefficients = np.zeros(n_shape * POWERS * 2)
+    coefficients = np.zeros(n_shape * (POWERS + CORNERS.size) * 2)
     inverse = np.zeros((coefficients.size, coefficients.size))
     n_pass = 5
     for number in range(n_pass):
@@ -344,7 +346,7 @@ def _template_factor(fit: _Fit, powers: FloatArray, inverse: FloatArray) -> Floa
 def _powers(amplitudes: FloatArray, signs: FloatArray) -> FloatArray:
     """Return the template's regressors: powers of amplitude, and the same times the sign for asymmetric forces."""
     relative = amplitudes / amplitudes.max()
-    even = relative[:, None] ** np.arange(POWERS)
+    even = np.hstack([relative[:, None] ** np.arange(POWERS), np.maximum(relative[:, None] - CORNERS, 0.0)])
     return np.hstack([even, even * signs[:, None]])
 
 
@@ -461,7 +463,7 @@ def _amplitude_from_damping(amplitude, amplitude_bands, damping, damping_bands, 
             scaled[b, : end - b] /= current[: end - b] * current[b:]
         # E[ln A] falls short of ln E[A]
         residual = np.log(np.maximum(amplitude[:end], 0.1 * current)) + 0.5 * scaled[0] - base
-        rest = smooth([index], residual, scaled, [index], orders=(2,))
+        rest = smooth([index], residual, scaled, [index], orders=(2,), undersmoothing=UA, kinks=True)
         current = np.exp(base + rest.value)
         spread = rest.covariance * current[:, None] * current
     return current, spread

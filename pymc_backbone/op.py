@@ -25,7 +25,7 @@ from pytensor.graph.op import Op
 from pytensor.graph.rewriting.basic import node_rewriter
 from pytensor.link.numba.dispatch.basic import generate_fallback_impl, register_funcify_and_cache_key
 from pytensor.tensor.blockwise import Blockwise
-from pytensor.tensor.rewriting.basic import register_canonicalize
+from pytensor.tensor.rewriting.basic import register_specialize
 from pytensor.tensor.variable import TensorConstant
 
 from . import _native
@@ -350,10 +350,14 @@ class SimulatedBackbone(_BackboneOp):
         return [pt.tensordot(cotangents[0], jacobian, axes=[[0, 1], [0, 1]])]
 
 
-@register_canonicalize
+@register_specialize
 @node_rewriter([BackboneLogLikelihood, SimulatedBackbone, Blockwise])
 def drop_unused_gradient(fgraph: Any, node: Apply) -> dict[Variable, Variable] | None:
-    """Replace an Op by its variant without gradient where nobody uses the gradient."""
+    """Replace an Op by its variant without gradient where nobody uses the gradient.
+
+    Registered late (specialize): PyMC canonicalizes a log-density before it differentiates it, and must still find
+    the gradient there.
+    """
     core = node.op.core_op if isinstance(node.op, Blockwise) else node.op
     if not isinstance(core, _BackboneOp) or not core.with_gradient or fgraph.clients[node.outputs[1]]:
         return None

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 Say = Callable[[str], None]
 Levels = int | Sequence[float] | None
 PREDICTIVE_DRAWS = 400
+MOST_WARNINGS = 5
 DEFAULT_OBSERVABLES = ("frequency", "damping")
 
 
@@ -35,6 +36,8 @@ class Measured:
     """Measured backbones, and the records they came from (none if they were read as tables)."""
 
     backbones: xr.Dataset
+    angular_frequency: float
+    """Typical one [rad/s], to scale default priors with."""
     records: list[Any] = field(default_factory=list)
 
     @property
@@ -89,12 +92,14 @@ def measure(
 
     conditioned = [condition(record, band=band, start=start) for record in records]
     cycles = [extract_cycles(record) for record in conditioned]
-    units = sorted({_amplitude_unit(record) for record in records})
+    units = sorted({record.unit for record in conditioned})
     if len(units) > 1:
         raise InputError(f"The records must all be displacements or all be angles, got both {' and '.join(units)}.")
     chosen = default_levels(cycles, levels) if isinstance(levels, int) else levels
     backbones = backbones_at_levels(cycles, chosen, observables or DEFAULT_OBSERVABLES, amplitude_unit=units[0])
-    return Measured(backbones, records)
+    backbones.attrs["notes"] = _notes(cycles, backbones)
+    frequency = float(np.median(np.concatenate([item.frequency for item in cycles])))
+    return Measured(backbones, 2.0 * np.pi * frequency, records)
 
 
 def extract(
@@ -129,6 +134,7 @@ def extract(
     folder = prepare_output(output, overwrite)
     measured = measure(path, **measurement)
     say(describe_measured(measured.backbones))
+    _say_warnings(measured, say)
     result: dict[str, Any] = {
         "version": _version(),
         "command": "extract",
@@ -189,7 +195,8 @@ def update(
     is_table, band, start, levels, observables
         As in `measure`.
     likelihood : {"auto", "population", "specimen", "pooled"}, optional
-        As in `build_model`; "auto" takes "population" from 8 specimens that reach every level, else "specimen".
+        As in `build_model`; "auto" takes "population" from 8 specimens that reach every level, else "specimen",
+        and "pooled" for one.
     density, marginal : str, optional
         As in `fit_density`; for the population likelihood.
     draws, tune, chains, step, random_seed
@@ -221,6 +228,7 @@ def update(
     _check_names(oscillator, priors or {}, fixed or {})
     measured = measure(path, is_table=is_table, band=band, start=start, levels=levels, observables=observables)
     say(describe_batch(measured.backbones))
+    _say_warnings(measured, say)
     read = time.perf_counter()
 
     from .density import fit_density
@@ -231,7 +239,7 @@ def update(
     seed = int(np.random.SeedSequence().generate_state(1)[0]) if random_seed is None else random_seed
     kind = _likelihood(likelihood, measured.backbones)
     fitted = fit_density(measured.backbones, kind=density, marginal=marginal) if kind == "population" else None
-    bounds = _bounds(oscillator, measured.backbones, priors or {}, fixed or {})
+    bounds = _bounds(oscillator, measured, priors or {}, fixed or {})
     model = build_model(
         oscillator,
         measured.backbones if fitted is None else fitted,
@@ -292,16 +300,31 @@ def _measure_tables(
         backbones = read_backbones(path, levels=np.geomspace(reached[0], reached[-1], levels))
     else:
         backbones = read_backbones(path, levels=None if levels is None else check_levels(levels))
+    frequency = float(np.nanmedian(np.asarray(backbones["value"].sel(observable="frequency"))))
     if observables is not None:
         held = [str(name) for name in backbones["observable"].values]
         for name in observables:
             check_choice("observables", name, held)
         backbones = backbones.sel(observable=list(observables))
-    return Measured(backbones)
+    return Measured(backbones, 2.0 * np.pi * frequency)
 
 
-def _amplitude_unit(record: Any) -> str:
-    return "rad" if str(record.unit).startswith("rad") else "m"
+def _notes(cycles: Sequence[Any], backbones: xr.Dataset) -> list[str]:
+    """Put the specimen that a note is about in front of it."""
+    notes, about_one = [], set()
+    for item in cycles:
+        for note in item.notes:
+            about_one.add(note)
+            notes.append(note if note.startswith(f"{item.specimen}:") else f"{item.specimen}: {note}")
+    return notes + [note for note in backbones.attrs.get("notes", []) if note not in about_one]
+
+
+def _say_warnings(measured: Measured, say: Say) -> None:
+    warnings = [note for note in measured.notes if "warning: " in note]
+    for note in warnings[:MOST_WARNINGS]:
+        say(note)
+    if len(warnings) > MOST_WARNINGS:
+        say(f"... and {len(warnings) - MOST_WARNINGS} more warnings, in the notes of the result.")
 
 
 def _check_names(oscillator: Oscillator, priors: Mapping[str, tuple[float, float]], fixed: Mapping[str, float]) -> None:
@@ -318,21 +341,24 @@ def _check_names(oscillator: Oscillator, priors: Mapping[str, tuple[float, float
 
 def _bounds(
     oscillator: Oscillator,
-    backbones: xr.Dataset,
+    measured: Measured,
     priors: Mapping[str, tuple[float, float]],
     fixed: Mapping[str, float],
 ) -> dict[str, tuple[float, float]]:
-    frequency = np.asarray(backbones["value"].sel(observable="frequency"))
-    scale = 2.0 * np.pi * float(np.nanmedian(frequency))
-    default = oscillator.default_bounds(float(np.asarray(backbones["level"])[-1]), scale)
+    highest = float(np.asarray(measured.backbones["level"])[-1])
+    default = oscillator.default_bounds(highest, measured.angular_frequency)
     return {name: priors.get(name, limits) for name, limits in default.items() if name not in fixed}
 
 
 def _likelihood(likelihood: str, backbones: xr.Dataset) -> str:
+    from .model import POPULATION_SIZE
+
     if likelihood != "auto":
         return likelihood
     complete = np.isfinite(np.asarray(backbones["value"])).all(axis=(1, 2)).sum()
-    return "population" if complete >= 8 else "specimen"
+    if complete >= POPULATION_SIZE:
+        return "population"
+    return "specimen" if backbones.sizes["specimen"] > 1 else "pooled"
 
 
 def _failures(posterior: xr.DataTree) -> int | None:

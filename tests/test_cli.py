@@ -141,6 +141,15 @@ def test_defaults_of_update_are_those_of_the_function(capsys, calls):
 UPDATE = run.update
 
 
+def test_choices_are_those_of_the_modules():
+    """The command line repeats them, so as not to load PyMC for its help."""
+    from pymc_backbone import density, model
+
+    assert cli.LIKELIHOODS == model.LIKELIHOODS
+    assert cli.DENSITIES == density.KINDS
+    assert cli.MARGINALS[0] == "best" and set(cli.MARGINALS[1:]) == set(density.FAMILIES)
+
+
 def test_extract_hands_on_every_option(capsys, calls):
     code, _, _ = run_cli(capsys, "extract", "r.csv", "--levels", "8", "--observables", "frequency", "--out", "o")
     assert code == 0

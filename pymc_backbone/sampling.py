@@ -1,0 +1,160 @@
+"""Sampling with safe starts, an explicit step, and the failures counted."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import time
+import warnings
+from typing import Any
+
+import numpy as np
+import pymc as pm
+import xarray as xr
+
+from ._checks import InputError, check_choice
+from ._starts import StartFinder
+from .model import is_differentiable, targets_of
+
+STEPS = ("metropolis", "demetropolisz", "slice", "nuts", "nutpie")
+_LOG_EVERY = 15.0  # seconds between lines where there is no terminal
+logger = logging.getLogger("pymc_backbone")
+
+
+def sample(
+    model: pm.Model | None = None,
+    *,
+    draws: int = 2000,
+    tune: int = 1000,
+    chains: int = 4,
+    step: str | Any = "metropolis",
+    random_seed: int | None = None,
+    cores: int = 1,
+    progressbar: bool | None = None,
+    **kwargs: Any,
+) -> xr.DataTree:
+    """Sample the posterior of a model that holds backbone likelihoods.
+
+    Starts are drawn from the prior, finite and dispersed, or the run ends before it begins, with a sentence that
+    names the observable and the level at fault.
+
+    Parameters
+    ----------
+    model : pymc.Model, optional
+        Default: the model of the current context.
+    draws, tune, chains : int
+        Per chain; ``tune`` draws are discarded.
+    step : {"metropolis", "demetropolisz", "slice", "nuts", "nutpie"} or a PyMC step object
+        ``metropolis`` is PyMC's Metropolis, one variable at a time; ``nuts`` and ``nutpie`` need the gradient that
+        oscillators have and functions have not.
+    random_seed : int, optional
+        Seed of starts and draws.
+    cores : int, default 1
+        Processes. A cheap likelihood gains nothing from several; a slow function does.
+    progressbar : bool, optional
+        Default: where there is a terminal; elsewhere a line is logged every 15 seconds.
+    **kwargs
+        Passed on to `pymc.sample` (not with ``nutpie``).
+
+    Returns
+    -------
+    xarray.DataTree
+        Groups ``posterior``, ``sample_stats``, ...; ``attrs`` holds ``evaluations`` and ``failures`` of the
+        population likelihoods in this process, ``step`` and ``seconds``.
+
+    Raises
+    ------
+    InputError
+        No finite start, an unknown step, or a step that needs a gradient the model has not.
+    """
+    model = pm.modelcontext(model)
+    if isinstance(step, str):
+        check_choice("step", step, STEPS)
+        if step in ("nuts", "nutpie") and not is_differentiable(model):
+            raise InputError(f"step {step!r} needs a gradient, and a backbone function has none; use 'metropolis'.")
+    for label, value, least in (("draws", draws, 1), ("tune", tune, 0), ("chains", chains, 1), ("cores", cores, 1)):
+        if int(value) != value or value < least:
+            raise InputError(f"`{label}` must be a whole number of at least {least}, got {value}.")
+    begin = time.perf_counter()
+    seeds = np.random.SeedSequence(random_seed).generate_state(2)
+    starts = StartFinder(model, int(seeds[0])).find(chains)
+    before = _counts(model)
+    shown = sys.stderr.isatty() if progressbar is None else progressbar
+    if step == "nutpie":
+        result = _sample_nutpie(model, draws, tune, chains, int(seeds[1]), starts, shown, cores)
+    else:
+        if not shown and progressbar is None:
+            kwargs.setdefault("callback", _Reporter(chains * (draws + tune)))
+        with model, warnings.catch_warnings():
+            # PyMC warns that several processes under fork may deadlock; one process is the default here.
+            warnings.filterwarnings("ignore", message="We recommend running at least 4 chains", category=UserWarning)
+            result = pm.sample(
+                draws=draws,
+                tune=tune,
+                chains=chains,
+                cores=cores,
+                step=_make_step(step),
+                nuts_sampler="pymc",
+                initvals=starts,
+                random_seed=int(seeds[1]),
+                progressbar=shown,
+                compute_convergence_checks=False,
+                **kwargs,
+            )
+    after = _counts(model)
+    result.attrs.update(
+        evaluations=int(after[0] - before[0]),
+        failures=int(after[1] - before[1]),
+        step=step if isinstance(step, str) else type(step).__name__,
+        seconds=time.perf_counter() - begin,
+    )
+    return result
+
+
+def _make_step(step: str | Any) -> Any:
+    makers = {"metropolis": pm.Metropolis, "demetropolisz": pm.DEMetropolisZ, "slice": pm.Slice, "nuts": pm.NUTS}
+    return makers[step]() if isinstance(step, str) else step
+
+
+def _counts(model: pm.Model) -> tuple[float, float]:
+    """Return evaluations and failures of the population likelihoods so far, in this process."""
+    memories = [target.memory.get_value(borrow=True) for target in targets_of(model) if target.memory is not None]
+    return sum(float(memory[0]) for memory in memories), sum(float(memory[1]) for memory in memories)
+
+
+def _sample_nutpie(
+    model: pm.Model,
+    draws: int,
+    tune: int,
+    chains: int,
+    seed: int,
+    starts: list[dict[str, Any]],
+    shown: bool,
+    cores: int,
+) -> xr.DataTree:
+    """Run nutpie from the first start; it takes one start and disperses the chains itself."""
+    import nutpie
+
+    compiled = nutpie.compile_pymc_model(model, initial_points=starts[0], jitter_rvs=set())
+    result: xr.DataTree = nutpie.sample(
+        compiled, draws=draws, tune=tune, chains=chains, cores=cores, seed=seed, progress_bar=shown, save_warmup=False
+    )
+    return result
+
+
+class _Reporter:
+    """Logs how far a run is, now and then, where no progress bar can be shown."""
+
+    def __init__(self, total: int) -> None:
+        self.total = total
+        self.done = 0
+        self.begin = self.last = time.monotonic()
+
+    def __call__(self, **event: Any) -> None:
+        """Count one draw of one chain; accept whatever PyMC passes."""
+        self.done += 1
+        now = time.monotonic()
+        if now - self.last >= _LOG_EVERY:
+            self.last = now
+            left = (now - self.begin) * (self.total - self.done) / self.done
+            logger.info("%d of %d draws, about %.0f s left", self.done, self.total, left)

@@ -1,0 +1,181 @@
+"""From measured backbones to an output folder, with the sampler replaced by draws whose distribution is known."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from pymc_backbone import demo, run
+from pymc_backbone._checks import InputError
+from pymc_backbone._describe import compare, describe_measured
+from pymc_backbone.backbone import simulated_backbones
+from pymc_backbone.oscillator import Oscillator
+from pymc_backbone.results import RESULT_KEYS, backbone_table, read_result
+
+MEANS = {"linear_stiffness": (7000.0, 140.0), "viscous_damping": (1.7, 0.1), "cubic_stiffness": (6e6, 3.6e5)}
+LEVELS = np.geomspace(0.002, 0.018, 4)
+OSCILLATOR = Oscillator(1.0, "cubic_stiffness")
+
+
+def make_backbones(rng: np.random.Generator, specimens: int) -> xr.Dataset:
+    parameters = np.column_stack([rng.normal(mean, sd, specimens) for mean, sd in MEANS.values()])
+    dataset = simulated_backbones(OSCILLATOR, parameters, LEVELS).assign_coords(
+        specimen=[f"beam_{i + 1}" for i in range(specimens)]
+    )
+    error = np.broadcast_to(np.array([0.002, 0.0002])[:, None], dataset["value"].shape)
+    dataset["standard_error"] = (dataset["value"].dims, error)
+    dataset["covariance"] = (dataset["covariance"].dims, error[..., None] ** 2 * np.eye(LEVELS.size))
+    dataset.attrs["notes"] = ["m was assumed"]
+    return dataset
+
+
+@pytest.fixture
+def sampler(monkeypatch, rng) -> dict:
+    """Replace model and sampler; keep what they were called with."""
+    kept: dict = {}
+
+    def build_model(oscillator, data, **settings):
+        kept["model"] = {"oscillator": oscillator, "data": data, **settings}
+        return "model"
+
+    def sample(model, **settings):
+        kept["sample"] = {"model": model, **settings}
+        shape = (settings["chains"], settings["draws"])
+        dims: tuple[str, ...] = ("chain", "draw")
+        names = [name for name in MEANS if name in kept["model"]["bounds"]]
+        draws = {name: (dims, rng.normal(*MEANS[name], shape)) for name in names}
+        return xr.DataTree.from_dict({"posterior": xr.Dataset(draws)})
+
+    for name, function in (("model", build_model), ("sampling", sample)):
+        module = ModuleType(f"pymc_backbone.{name}")
+        setattr(module, function.__name__, function)
+        module.POPULATION_SIZE = 8  # type: ignore[attr-defined]
+        monkeypatch.setitem(sys.modules, module.__name__, module)
+    return kept
+
+
+def update(monkeypatch, backbones: xr.Dataset, **settings) -> tuple[dict, str]:
+    monkeypatch.setattr(run, "measure", lambda path, **_: run.Measured(backbones, 90.0))
+    lines: list[str] = []
+    chosen = {"mass": 1.0, "effects": ["cubic_stiffness"], "draws": 300, "say": lines.append, **settings}
+    return run.update("records", **chosen), "\n".join(lines)
+
+
+def test_update_writes_what_it_returns(monkeypatch, sampler, rng, tmp_path):
+    result, text = update(monkeypatch, make_backbones(rng, 12), output=tmp_path / "out", random_seed=3)
+    written = read_result(tmp_path / "out")
+    assert set(written) == set(RESULT_KEYS)
+    assert written["parameters"] == json.loads(json.dumps(result["parameters"]))
+    entry = result["parameters"]["viscous_damping"]
+    assert entry["unit"] == "N s/m" and entry["prior_low"] == 0.0
+    # Four standard errors of 1200 draws.
+    assert entry["mean"] == pytest.approx(1.7, abs=4 * 0.1 / np.sqrt(1200))
+    assert result["notes"] == ["m was assumed"] and result["levels"] == pytest.approx(LEVELS)
+    assert str(tmp_path / "out") in text and "viscous_damping" in text
+    figures = {Path(name).stem for name in written["files"] if name.endswith(".png")}
+    assert figures == {"backbones", "densities", "predictive", "prior_posterior", "trace", "rank", "pair"}
+
+
+def test_without_output_nothing_is_written(monkeypatch, sampler, rng, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    result, text = update(monkeypatch, make_backbones(rng, 12))
+    assert list(tmp_path.iterdir()) == []
+    assert result["seconds"]["total"] > 0.0 and "Findings:" in text
+    assert sampler["sample"]["random_seed"] == result["seed"]  # a seed that was drawn is told, to repeat the run
+
+
+def test_settings_reach_model_and_sampler(monkeypatch, sampler, rng):
+    result, _ = update(
+        monkeypatch, make_backbones(rng, 12), priors={"cubic_stiffness": (0.0, 1e7)}, fixed={"viscous_damping": 1.7},
+        chains=2, tune=50, step="slice", random_seed=5,
+    )  # fmt: skip
+    assert list(sampler["model"]["bounds"]) == ["linear_stiffness", "cubic_stiffness"]
+    assert sampler["model"]["bounds"]["cubic_stiffness"] == (0.0, 1e7)
+    assert sampler["model"]["fixed"] == {"viscous_damping": 1.7}
+    wanted = {"model": "model", "draws": 300, "tune": 50, "chains": 2, "step": "slice", "random_seed": 5}
+    assert sampler["sample"] == wanted
+    assert list(result["parameters"]) == ["linear_stiffness", "cubic_stiffness"] and result["fixed"] == {
+        "viscous_damping": 1.7
+    }
+
+
+@pytest.mark.parametrize(("specimens", "kind"), [(12, "population"), (3, "specimen"), (1, "pooled")])
+def test_auto_likelihood_depends_on_the_size_of_the_batch(monkeypatch, sampler, rng, specimens, kind):
+    result, _ = update(monkeypatch, make_backbones(rng, specimens))
+    assert sampler["model"]["likelihood"] == result["settings"]["likelihood"] == kind
+    assert isinstance(sampler["model"]["data"], xr.Dataset) == (kind != "population")
+    assert (result["density"] is None) == (kind != "population")
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"priors": {"cubic": (0, 1)}}, "--prior"),
+        ({"fixed": {"viscous_dampin": 1.0}}, "Did you mean 'viscous_damping'"),
+        ({"fixed": {"viscous_damping": 1.0}, "priors": {"viscous_damping": (0, 1)}}, "both a prior and a fixed value"),
+        ({"fixed": dict.fromkeys(MEANS, 1.0)}, "leave at least one"),
+        ({"mass": -1.0}, "`mass` must be positive"),
+        ({"effects": ["cubic_stifness"]}, "Did you mean 'cubic_stiffness'"),
+    ],
+)
+def test_settings_that_cannot_be_used(monkeypatch, rng, settings, words):
+    with pytest.raises(InputError, match=words):
+        update(monkeypatch, make_backbones(rng, 3), **settings)
+
+
+def test_comparison_has_the_moments_of_both(rng):
+    measured, simulated = make_backbones(rng, 12), make_backbones(rng, 50)
+    rows = compare(measured, simulated)
+    assert len(rows) == 2 * LEVELS.size
+    row = rows[LEVELS.size + 1]
+    assert (row["observable"], row["unit"], row["level"]) == ("damping", "1", pytest.approx(LEVELS[1]))
+    values = measured["value"].sel(observable="damping").values[:, 1]
+    assert row["measured_sd"] == pytest.approx(np.std(values, ddof=1))
+    assert row["measured_standard_error"] == pytest.approx(0.0002)
+    assert row["simulated_mean"] == pytest.approx(simulated["value"].sel(observable="damping").values[:, 1].mean())
+
+
+def test_one_specimen_has_no_scatter(rng):
+    text = describe_measured(make_backbones(rng, 1))
+    assert text.startswith("1 specimen, 4 levels from 0.002 to 0.018 m")
+    assert text.splitlines()[3].split()[4] == "-"
+
+
+def test_tables_are_read_at_as_many_levels_as_asked_for(rng, tmp_path):
+    backbones = make_backbones(rng, 3)
+    backbone_table(backbones).to_csv(tmp_path / "backbones.csv", index=False)
+    measured = run.measure(tmp_path / "backbones.csv", is_table=True, levels=3, observables=["damping"])
+    assert measured.backbones["level"].values == pytest.approx(np.geomspace(0.002, 0.018, 3))
+    assert list(measured.backbones["observable"].values) == ["damping"]
+    for options, words in (({"band": (1.0, 2.0)}, "--band"), ({"observables": ["offset"]}, "offset")):
+        with pytest.raises(InputError, match=words):
+            run.measure(tmp_path / "backbones.csv", is_table=True, **options)
+
+
+def test_demo_data_are_as_documented():
+    mass, truth = demo.true_parameters()
+    names = sorted(path.stem for path in demo.demo_folder().glob("*.csv"))
+    data = json.loads((demo.demo_folder() / demo.TRUTH).read_text())
+    assert mass == 1.0 and list(truth) == list(OSCILLATOR.parameter_names)
+    assert names == [specimen["specimen"] for specimen in data["specimens"]]
+    assert all(values.shape == (24,) for values in truth.values())
+    assert sum(path.stat().st_size for path in demo.demo_folder().iterdir()) < 1.5e6
+
+
+def test_demo_prints_truth_beside_the_result_and_replaces_only_its_own_output(monkeypatch, sampler, rng, tmp_path):
+    monkeypatch.setattr(run, "measure", lambda path, **_: run.Measured(make_backbones(rng, 24), 90.0))
+    for _ in range(2):
+        lines: list[str] = []
+        result = demo.run_demo(tmp_path / "out", say=lines.append, draws=200)
+        assert result["command"] == "demo" and "true mean" in "\n".join(lines)
+        assert lines[-1].strip().startswith("Where to look")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.tex").write_text("years of work")
+    with pytest.raises(InputError, match="--overwrite"):
+        demo.run_demo(tmp_path / "mine", say=lines.append)
