@@ -1,27 +1,66 @@
-"""Stochastic nonlinear model updating from backbone curves, inside PyMC."""
+"""Stochastic nonlinear model updating from backbone curves, inside PyMC.
+
+Names are loaded when they are first used, so that the command line answers at once.
+"""
 
 from __future__ import annotations
 
+import importlib
 from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING, Any
 
-from ._checks import InputError
-from .backbone import backbones_at_levels, simulated_backbones
-from .conditioning import ConditionedRecord, condition
-from .cycles import Cycles, extract_cycles
-from .decay import BackboneResult, DecayResult, Status, WaveformResult, simulate_backbone, simulate_decay, simulate_waveform
-from .density import Density, fit_density
-from .effects import LIBRARY, Effect, Parameter, get_effect
-from .measured_backbones import read_backbones
-from .model import backbone_likelihood, build_model, simulated_backbone
-from .op import BackboneLogLikelihood, SimulatedBackbone
-from .oscillator import Oscillator
-from .records import Record, read_records, write_records
-from .sampling import sample
+if TYPE_CHECKING:
+    from ._checks import InputError
+    from .backbone import backbones_at_levels, simulated_backbones
+    from .conditioning import ConditionedRecord, condition
+    from .cycles import Cycles, extract_cycles
+    from .decay import (
+        BackboneResult,
+        DecayResult,
+        Status,
+        WaveformResult,
+        simulate_backbone,
+        simulate_decay,
+        simulate_waveform,
+    )
+    from .density import Density, fit_density
+    from .effects import LIBRARY, Effect, Parameter, get_effect
+    from .measured_backbones import read_backbones
+    from .model import backbone_likelihood, build_model, simulated_backbone
+    from .op import BackboneLogLikelihood, SimulatedBackbone
+    from .oscillator import Oscillator
+    from .records import Record, read_records, write_records
+    from .sampling import sample
 
 try:
     __version__ = version("pymc-backbone")
 except PackageNotFoundError:  # run from a source tree that was not installed
     __version__ = "0.0.0"
+
+_WHERE = {
+    "_checks": ("InputError",),
+    "backbone": ("backbones_at_levels", "simulated_backbones"),
+    "conditioning": ("ConditionedRecord", "condition"),
+    "cycles": ("Cycles", "extract_cycles"),
+    "decay": (
+        "BackboneResult",
+        "DecayResult",
+        "Status",
+        "WaveformResult",
+        "simulate_backbone",
+        "simulate_decay",
+        "simulate_waveform",
+    ),
+    "density": ("Density", "fit_density"),
+    "effects": ("LIBRARY", "Effect", "Parameter", "get_effect"),
+    "measured_backbones": ("read_backbones",),
+    "model": ("backbone_likelihood", "build_model", "simulated_backbone"),
+    "op": ("BackboneLogLikelihood", "SimulatedBackbone"),
+    "oscillator": ("Oscillator",),
+    "records": ("Record", "read_records", "write_records"),
+    "sampling": ("sample",),
+}
+_MODULE_OF = {name: module for module, names in _WHERE.items() for name in names}
 
 __all__ = [
     "LIBRARY",
@@ -56,3 +95,17 @@ __all__ = [
     "simulated_backbones",
     "write_records",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name from its module when it is first used."""
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(importlib.import_module(f".{_MODULE_OF[name]}", __name__), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """List the public names."""
+    return sorted({*globals(), *__all__})

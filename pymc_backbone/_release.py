@@ -14,6 +14,7 @@ from ._tracking import Track
 _LEVEL = 0.97
 _QUIET = 0.5
 _WINDOW = 0.65
+_PLATEAU_FALL = 0.06
 
 
 @dataclass(frozen=True)
@@ -90,17 +91,15 @@ def _plateau(level: FloatArray, top: int) -> tuple[int, int]:
 
 def _is_level(level: FloatArray, first: int, last: int, period: float) -> bool:
     """Return whether the envelope stays level between two samples and falls clearly faster after them."""
-    if last - first < 3.0 * period:
-        return False
+    n = last - first
     lower = np.flatnonzero(level[last:] < 0.9 * level[last])
-    if not lower.size:
+    if n < 3.0 * period or not lower.size:
         return False
     after = np.log(level[last] / level[last + lower[0]]) / lower[0]
-    n = last - first
-    inside = (
-        np.log(level[first : first + n // 4 + 1]).mean() - np.log(level[last - n // 2 : last - n // 4 + 1]).mean()
-    ) / (0.5 * n)
-    return bool(inside < 0.25 * after)
+    early = np.log(level[first : first + n // 4 + 1]).mean()
+    late = np.log(level[last - n // 2 : last - n // 4 + 1]).mean()
+    # over a plateau worth the name the later decay would have shown; a ripple of the envelope is none
+    return bool(early - late < 0.25 * after * 0.5 * n and after * n > _PLATEAU_FALL)
 
 
 def _bend(level: FloatArray, first: int, last: int) -> int:

@@ -302,13 +302,39 @@ def rough_turning_points(x: FloatArray, step: float, noise: float) -> tuple[Floa
     if found.size > 2:
         gaps = np.diff(found) * step / period
         # the first irregular interval ends the decay: below the noise, extremes come at any distance
-        bad = np.flatnonzero((gaps > 1.1) | (gaps < 0.2))
+        irregular = (gaps > 1.1) | (gaps < 0.2)
+        # before that, the first interval or two may hold a release that is not one
+        head = int(np.argmin(irregular[:3]))
+        found, signs, irregular = found[head:], signs[head:], irregular[head:]
+        bad = np.flatnonzero(irregular)
         if bad.size:
             found, signs = found[: bad[0] + 1], signs[: bad[0] + 1]
         if (x.size - 1 - found[-1]) * step > 0.8 * period:
             found, signs = found[:-1], signs[:-1]
         # a swing much smaller than the one before it leads from where friction stopped the motion to an extreme of the noise
         swings = np.abs(np.diff(smoothed[found]))
-        while swings.size > 6 and swings[-1] < 0.3 * swings[-2]:
-            found, signs, swings = found[:-2], signs[:-2], swings[:-2]
+        stopped = np.flatnonzero(swings[1:] < 0.3 * swings[:-1])
+        if stopped.size:
+            found, signs = found[: stopped[0] + 1], signs[: stopped[0] + 1]
     return found.astype(np.float64), signs, period
+
+
+@njit(cache=True)
+def running_line(values, half):
+    """Return the running local line over 2 half + 1 neighbours, one-sided at the ends."""
+    n = values.size
+    result = np.empty(n)
+    for k in range(n):
+        lo, hi = max(0, k - half), min(n, k + half + 1)
+        count = hi - lo
+        mean = 0.5 * (lo + hi - 1) - k
+        level, slope, spread = 0.0, 0.0, 0.0
+        for i in range(lo, hi):
+            u = i - k - mean
+            level += values[i]
+            slope += u * values[i]
+            spread += u * u
+        result[k] = level / count
+        if count > 2:
+            result[k] -= slope / spread * mean
+    return result

@@ -7,9 +7,11 @@ imported when it is needed, so that help and most errors come at once.
 from __future__ import annotations
 
 import argparse
+import logging
 import os
 import sys
 import textwrap
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn
@@ -91,9 +93,9 @@ damping, noise and a 14-bit converter. Their true parameters are known, and prin
 class _Parser(argparse.ArgumentParser):
     """A parser whose errors are one sentence and exit code 2."""
 
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
+    def __init__(self, **kwargs: Any) -> None:
         kwargs.setdefault("formatter_class", argparse.RawDescriptionHelpFormatter)
-        super().__init__(*args, allow_abbrev=False, **kwargs)
+        super().__init__(**{**kwargs, "allow_abbrev": False})
 
     def error(self, message: str) -> NoReturn:
         raise InputError(f"{message.rstrip('.')}; see `{self.prog} --help`.")
@@ -296,6 +298,7 @@ def _extract(options: argparse.Namespace) -> None:
 def _update(options: argparse.Namespace) -> None:
     from . import run
 
+    _hush_libraries()
     run.update(
         options.records,
         mass=options.mass,
@@ -353,7 +356,19 @@ def _effect_text(effect: Any) -> str:
 def _demo(options: argparse.Namespace) -> None:
     from . import demo
 
+    _hush_libraries()
     demo.run_demo(options.out, overwrite=options.overwrite, say=_say)
+
+
+def _hush_libraries() -> None:
+    """Keep PyMC's own messages from the terminal, whose content the findings give; show this package's progress."""
+    logging.getLogger("pymc").setLevel(logging.CRITICAL)
+    # PyMC averages exp(log acceptance ratio), which overflows where a proposal is far better than the start.
+    warnings.filterwarnings("ignore", message="overflow encountered in exp", category=RuntimeWarning)
+    progress = logging.getLogger(__package__)
+    if not progress.handlers:
+        progress.addHandler(logging.StreamHandler())
+    progress.setLevel(logging.INFO)
 
 
 def _say(text: str) -> None:

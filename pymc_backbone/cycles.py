@@ -28,7 +28,8 @@ POWERS = 4
 """The template's coefficients are polynomials in amplitude with this many terms: friction, linear, quadratic, cubic, ... forces."""
 SELECTION = 10.0
 """A template term enters when it lowers chi-square by more than this (every sample is seen twice)."""
-UA = 300.0
+LOOSENESS = 300.0
+"""Undersmoothing of the amplitude: it is the regressor, where bias costs more than variance."""
 FLOOR = 8.0
 """Cycles whose amplitude is below this many standard errors are dropped."""
 
@@ -240,23 +241,6 @@ def _inflation(fit: _Fit, variance: float) -> FloatArray:
     return np.sqrt(np.where(ratio > limit, ratio, 1.0))
 
 
-def _running(values: FloatArray, half: int) -> FloatArray:
-    """Return the running local line over 2 half + 1 neighbours, one-sided at the ends."""
-    n = values.size
-    index = np.arange(n)
-    result = np.empty(n)
-    for k in range(n):
-        lo, hi = max(0, k - half), min(n, k + half + 1)
-        if hi - lo < 3:
-            result[k] = values[lo:hi].mean()
-            continue
-        u = index[lo:hi] - k
-        mean = u.mean()
-        slope = ((u - mean) * values[lo:hi]).sum() / ((u - mean) ** 2).sum()
-        result[k] = values[lo:hi].mean() - slope * mean
-    return result
-
-
 def _local_scales(fit_times, fit_values, signs):  # type: ignore[no-untyped-def]
     """Return smoothed periods and amplitudes at the turning points."""
     gaps = np.diff(fit_times)
@@ -271,7 +255,7 @@ def _local_scales(fit_times, fit_values, signs):  # type: ignore[no-untyped-def]
     halves[1:-1] = (swings[:-1] + swings[1:]) / 4.0
     halves[0] = swings[0] / 2.0 + 0.25 * (swings[0] - swings[1])
     halves[-1] = max(swings[-1] / 2.0 - 0.25 * (swings[-2] - swings[-1]), 0.25 * swings[-1])
-    return _running(periods, 4), np.maximum(_running(halves, 2), 1e-3 * halves.max())
+    return _turning.running_line(periods, 4), np.maximum(_turning.running_line(halves, 2), 1e-3 * halves.max())
 
 
 def _fit_with_template(x, start, step, guess, signs, harmonics, noise, autocovariance=None):  # type: ignore[no-untyped-def]
@@ -299,7 +283,7 @@ def _fit_with_template(x, start, step, guess, signs, harmonics, noise, autocovar
         if number == 1:
             # what drowned in noise would only disturb the template
             errors = _turning.turning_covariance(fit.influence, fit.first, fit.count, autocovariance, 1)[:, 0, 1, 1]
-            drowned = np.flatnonzero(_running(amplitudes, 4) < 0.5 * FLOOR * np.sqrt(errors))
+            drowned = np.flatnonzero(_turning.running_line(amplitudes, 4) < 0.5 * FLOOR * np.sqrt(errors))
             if drowned.size:
                 keep[max(int(drowned[0]), 7) :] = False
         if not keep.all():
@@ -316,14 +300,16 @@ def _fit_with_template(x, start, step, guess, signs, harmonics, noise, autocovar
             break
         guess = fit.times
         powers = _powers(amplitudes, signs)
-        gram = np.einsum("kp,kq,kij->ipjq", powers, powers, fit.gram, optimize=True)
-        size = n_shape * powers.shape[1]
-        gram = gram.reshape(size, size)
-        right = np.einsum("kp,ki->ip", powers, fit.projection).reshape(size) + gram @ coefficients
+        n_power = powers.shape[1]
+        size = n_shape * n_power
+        pairs = (powers[:, :, None] * powers[:, None, :]).reshape(-1, n_power**2)
+        gram = (pairs.T @ fit.gram.reshape(-1, n_shape**2)).reshape(n_power, n_power, n_shape, n_shape)
+        gram = np.ascontiguousarray(gram.transpose(2, 0, 3, 1)).reshape(size, size)
+        right = (fit.projection.T @ powers).reshape(size) + gram @ coefficients
         freedom = np.maximum(fit.count - 3.0, 0.5).sum()
         variance = max(min(fit.misfit.sum() / freedom, 4.0 * noise**2), 1e-24 * float(np.max(np.abs(x))) ** 2)
         coefficients, inverse = _turning.select_terms(gram, right, variance, SELECTION, 40)
-        template = np.einsum("ip,kp->ki", coefficients.reshape(n_shape, -1), powers)
+        template = powers @ coefficients.reshape(n_shape, -1).T
         old = periods, amplitudes
         periods, amplitudes = _local_scales(fit.times, fit.values, signs)
         if number >= 2:
@@ -387,10 +373,10 @@ def _assemble(fit, signs, turning, factor, noise, specimen, notes):  # type: ign
     # derivatives at smoothed values: weights that follow the noise would bias the level values
     decrement = np.clip(-np.gradient(np.log(smoothed), index), -1.0, 2.0)
     r0, r1 = 2.0 * smoothed * np.exp(decrement / 4.0), 2.0 * smoothed * np.exp(-decrement / 4.0)
-    f = 1.0 / np.clip(_running(period, 4), 0.5 * np.median(period), 2.0 * np.median(period))
+    f = 1.0 / np.clip(_turning.running_line(period, 4), 0.5 * np.median(period), 2.0 * np.median(period))
     gradients[1, :, 0, 0], gradients[1, :, 2, 0] = f**2, -(f**2)
     gradients[2, :, 0, 1], gradients[2, :, 1, 1], gradients[2, :, 2, 1] = 2 / r0, -2 / r0 + 2 / r1, -2 / r1
-    ratio = np.clip(_running(middle / smoothed, 4), -2.0, 2.0)
+    ratio = np.clip(_turning.running_line(middle / smoothed, 4), -2.0, 2.0)
     gradients[3, :, 0, 1] = (0.25 - 0.25 * ratio) / smoothed
     gradients[3, :, 1, 1] = (0.5 + 0.5 * ratio) / smoothed
     gradients[3, :, 2, 1] = (0.25 - 0.25 * ratio) / smoothed
@@ -463,7 +449,7 @@ def _amplitude_from_damping(amplitude, amplitude_bands, damping, damping_bands, 
             scaled[b, : end - b] /= current[: end - b] * current[b:]
         # E[ln A] falls short of ln E[A]
         residual = np.log(np.maximum(amplitude[:end], 0.1 * current)) + 0.5 * scaled[0] - base
-        rest = smooth([index], residual, scaled, [index], orders=(2,), undersmoothing=UA, kinks=True)
+        rest = smooth([index], residual, scaled, [index], orders=(2,), undersmoothing=LOOSENESS, kinks=True)
         current = np.exp(base + rest.value)
         spread = rest.covariance * current[:, None] * current
     return current, spread

@@ -68,6 +68,8 @@ def run_demo(
         "effects": ["cubic_stiffness"],
         "observables": ["frequency", "damping"],
         "density": "joint",
+        "draws": 4000,
+        "tune": 2000,
         "random_seed": SEED,
         **settings,
     }

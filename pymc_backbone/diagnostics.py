@@ -23,6 +23,7 @@ R_HAT_LIMIT = 1.01  # Vehtari et al. 2021
 ESS_LIMIT = 400.0  # Vehtari et al. 2021: 100 for each of four chains
 ACCEPTANCE_RANGE = (0.10, 0.75)  # random walks do well between about 0.2 and 0.5; outside these limits they crawl
 NUTS_ACCEPTANCE_LIMIT = 0.60  # NUTS aims at 0.8 or more
+MANY_FAILURES = 0.05  # of all simulations: from here on a part of the prior is out of reach
 STRIP = 0.02  # of the prior's width: what counts as next to a bound
 LEANING_LIMIT = 0.5  # density next to the bound over the highest density
 UNIDENTIFIED_DISTANCE = 0.08  # Kolmogorov distance between posterior and Uniform prior that still counts as none
@@ -76,7 +77,8 @@ def findings(
     *,
     names: Sequence[str] | None = None,
     units: Mapping[str, str] | None = None,
-    failures: int | Mapping[str, int] | None = None,
+    failures: int | None = None,
+    evaluations: int | None = None,
 ) -> list[str]:
     """Say in sentences what is wrong with a posterior; an empty list means nothing was found.
 
@@ -95,8 +97,9 @@ def findings(
         Variables to look at; by default those in ``bounds``, or all if there are no bounds.
     units : mapping of str to str, optional
         Units to print behind the bounds.
-    failures : int or mapping of str to int, optional
-        Number of simulations that did not give a backbone, or such numbers by reason.
+    failures, evaluations : int, optional
+        Number of simulations that gave no backbone, and of all simulations; by default those that `sample` noted in
+        ``posterior.attrs``.
 
     Returns
     -------
@@ -115,7 +118,10 @@ def findings(
     dataset, names = _posterior_dataset(posterior, names)
     table = summarise(posterior, names)
     units = units or {}
-    failed = _failures(failures, dataset.sizes["chain"] * dataset.sizes["draw"])
+    failed = _failures(
+        posterior.attrs.get("failures") if failures is None else failures,
+        posterior.attrs.get("evaluations") if evaluations is None else evaluations,
+    )
     frozen = _frozen_chains(dataset, names)
     if frozen:  # nothing else can be told from such draws
         return frozen + failed
@@ -263,21 +269,13 @@ def _sampler(posterior: xr.DataTree) -> list[str]:
     return sentences
 
 
-def _failures(failures: int | Mapping[str, int] | None, draws: int) -> list[str]:
+def _failures(failures: int | None, evaluations: int | None) -> list[str]:
     if not failures:
         return []
-    if isinstance(failures, Mapping):
-        count = sum(failures.values())
-        reasons = " (" + ", ".join(f"{number} {reason}" for reason, number in failures.items() if number) + ")"
-    else:
-        count, reasons = failures, ""
-    if count == 0:
-        return []
-    times = "simulation" if count == 1 else "simulations"
-    return [
-        f"{count} {times} gave no backbone while {draws} draws were kept{reasons}: those proposals were refused; if "
-        "the posterior leans on a bound there, narrow the prior or lower the highest level."
-    ]
+    many = bool(evaluations) and failures > MANY_FAILURES * float(evaluations or 0)
+    remedy = "narrow the priors or lower the highest level" if many else "harmless where no parameter leans on a bound"
+    total = f"{failures} of {evaluations} simulations" if evaluations else f"{failures} simulations"
+    return [f"{total} gave no backbone, and those proposals were refused: {remedy}."]
 
 
 def _against_prior(label: str, ordered: FloatArray, bounds: tuple[float, float], ess: float, unit: str) -> list[str]:

@@ -64,7 +64,8 @@ RESULT_KEYS = {
     "comparison": "for each observable and level: mean and sd over the specimens, measured and simulated",
     "findings": "sentences on what is wrong with the posterior; empty if nothing was found",
     "notes": "what was assumed or done while reading and conditioning the records",
-    "failures": "number of simulations that gave no backbone; null if not counted",
+    "failures": "number of simulations that gave no backbone; 0 too where they are not counted (see 'evaluations')",
+    "evaluations": "number of simulations counted: those of the population likelihood; 0 for the others",
     "seconds": "reading, sampling and in total",
     "files": "written by this run, relative to the folder",
 }

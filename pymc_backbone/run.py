@@ -255,7 +255,6 @@ def update(
 
     names = [name for name in bounds if name in posterior["posterior"]]
     table = summarise(posterior, names)
-    failures = _failures(posterior)
     predictive = _predictive(oscillator, posterior, fixed or {}, measured.backbones, seed)
     result: dict[str, Any] = {
         "version": _version(),
@@ -270,8 +269,9 @@ def update(
         "parameters": _parameters(table, oscillator, bounds),
         "fixed": dict(fixed or {}),
         "comparison": compare(measured.backbones, predictive),
-        "findings": findings(posterior, bounds, units=oscillator.units, failures=failures),
-        "failures": failures,
+        "findings": findings(posterior, bounds, units=oscillator.units),
+        "failures": posterior.attrs.get("failures"),
+        "evaluations": posterior.attrs.get("evaluations"),
     }
     say("\n" + describe_result(result))
     if folder is not None:
@@ -359,11 +359,6 @@ def _likelihood(likelihood: str, backbones: xr.Dataset) -> str:
     if complete >= POPULATION_SIZE:
         return "population"
     return "specimen" if backbones.sizes["specimen"] > 1 else "pooled"
-
-
-def _failures(posterior: xr.DataTree) -> int | None:
-    count = posterior.attrs.get("failures")
-    return None if count is None else int(count)
 
 
 def _predictive(

@@ -146,10 +146,23 @@ def test_divergences_are_counted(good):
     assert sentence.startswith("7 of 4000 transitions diverged")
 
 
-@pytest.mark.parametrize(("failures", "words"), [(37, "37 simulations"), ({"stuck": 1, "diverged": 0}, "(1 stuck)")])
-def test_failures_are_counted(good, failures, words):
-    (sentence,) = findings(make_tree(**good), BOUNDS, failures=failures)
-    assert words in sentence and "4000 draws" in sentence
+@pytest.mark.parametrize(
+    ("counts", "words"),
+    [
+        ({"failures": 37}, "37 simulations gave no backbone"),
+        (
+            {"failures": 37, "evaluations": 9000},
+            "37 of 9000 simulations gave no backbone, and those proposals were refused: harmless",
+        ),
+        ({"failures": 900, "evaluations": 9000}, "narrow the priors"),
+    ],
+)
+def test_failures_are_counted(good, counts, words):
+    tree = make_tree(**good)
+    (sentence,) = findings(tree, BOUNDS, **counts)
+    assert words in sentence
+    tree.attrs.update(counts)  # as `sample` leaves them
+    assert findings(tree, BOUNDS) == [sentence]
 
 
 def test_array_parameters_get_a_row_each(rng):

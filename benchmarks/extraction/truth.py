@@ -6,7 +6,7 @@ their force at the last turning point. Natural period about 1 s, mass 1, release
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -27,6 +27,7 @@ class Truth:
     turning_times: np.ndarray
     turning_values: np.ndarray
     cycles: dict[str, np.ndarray]
+    dense: dict[str, np.ndarray] | None = None
 
     def sample(self, time: np.ndarray) -> np.ndarray:
         """Return the displacement at ``time``; constant after the motion has stopped."""
@@ -39,9 +40,10 @@ class Truth:
 
     def at(self, observable: str, levels: np.ndarray) -> np.ndarray:
         """Return the true backbone at amplitude ``levels``, from the noise-free cycles."""
-        order = np.argsort(self.cycles["amplitude"])
-        x = np.log(self.cycles["amplitude"][order])
-        return PchipInterpolator(x, self.cycles[observable][order])(np.log(levels))
+        table = self.cycles if self.dense is None else self.dense
+        order = np.argsort(table["amplitude"])
+        x = np.log(table["amplitude"][order])
+        return PchipInterpolator(x, table[observable][order])(np.log(levels))
 
 
 # name: (force added to k x + c v, viscous damping ratio); a force takes (x, v, direction, memory)
@@ -143,6 +145,22 @@ def make_truth(name: str, *, damping_ratio: float = 0.005, n_cycles: int = 60, r
         "offset": ((p0 + p1) / 2 + q) / 2 / amplitude,
     }
     return Truth(name, tuple(half_cycles), stop[0], stop[1], times, values, cycles)
+
+
+MEMORY = ("bouc_wen", "jenkins", "iwan")
+
+
+def make_dense_truth(name: str, **options) -> Truth:
+    """Add cycles of decays from other releases, so that the backbone between two cycles is known; not for effects with memory."""
+    truth = make_truth(name, **options)
+    if name in MEMORY:
+        return truth
+    ratio = truth.turning_values[2] / truth.turning_values[0]
+    tables = [truth.cycles]
+    for share in (0.2, 0.4, 0.6, 0.8):
+        tables.append(make_truth(name, **options, release=ratio**share).cycles)
+    dense = {key: np.concatenate([table[key] for table in tables]) for key in truth.cycles}
+    return replace(truth, dense=dense)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,624 @@
+"""Conditioning: sampling, release, zero, integration, band-pass, second mode, noise, and what is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+from scipy.interpolate import make_interp_spline
+
+from pymc_backbone._checks import InputError
+from pymc_backbone.conditioning import ConditionedRecord, condition
+from pymc_backbone.records import Record, read_records
+
+Array = NDArray[np.float64]
+FREQUENCY = 10.0
+OMEGA = 2.0 * np.pi * FREQUENCY
+FORCES: dict[str, Callable[[Array, Array], Array]] = {
+    "linear": lambda x, v: 0.0 * x,
+    "hardening": lambda x, v: 0.3 * OMEGA**2 * x**3,
+    "strongly hardening": lambda x, v: 2.0 * OMEGA**2 * x**3,
+    "softening": lambda x, v: -0.4 * OMEGA**2 * x**3,
+    "quadratic stiffness": lambda x, v: 0.25 * OMEGA**2 * x**2,
+    "bilinear": lambda x, v: 0.3 * OMEGA**2 * x * (x > 0.0),
+    "freeplay": lambda x, v: -0.9 * OMEGA**2 * np.clip(x, -0.05, 0.05),
+    "quadratic damping": lambda x, v: 0.03 * v * np.abs(v),
+    "van der Pol": lambda x, v: 0.05 * OMEGA * x**2 * v,
+}
+
+
+@cache
+def _simulated(force: str, damping: float, cycles: float, per_cycle: int, impact: bool) -> tuple[Array, Array]:
+    """Time, and displacement, velocity, acceleration of m = 1, released from x = 1 (or struck at rest) at time 0."""
+    law = FORCES[force]
+
+    def rate(t: float, y: Array) -> list[Array]:
+        return [y[1], -2.0 * damping * OMEGA * y[1] - OMEGA**2 * y[0] - law(y[0], y[1])]
+
+    time = np.arange(int(cycles * per_cycle)) / (FREQUENCY * per_cycle)
+    y0 = [0.0, OMEGA] if impact else [1.0, 0.0]
+    x, v = solve_ivp(rate, (0.0, time[-1]), y0, "DOP853", time, rtol=1e-10, atol=1e-11).y
+    motion = np.array([x, v, rate(0.0, np.array([x, v]))[1]])
+    return time, motion
+
+
+def simulated(
+    force: str = "linear", damping: float = 0.01, cycles: float = 40, per_cycle: int = 50, *, impact: bool = False
+) -> tuple[Array, Array]:
+    time, motion = _simulated(force, damping, cycles, per_cycle, impact)
+    return time.copy(), motion.copy()
+
+
+def friction(stick: float, cycles: float, per_cycle: int, start: float = 1.0) -> tuple[Array, Array]:
+    """Exact displacement under dry friction alone: half cycles of cosines about +-stick, then rest."""
+    time = np.arange(int(cycles * per_cycle)) / (FREQUENCY * per_cycle)
+    x = np.empty(time.size)
+    half = np.floor(time * 2.0 * FREQUENCY).astype(int)
+    level = start
+    for k in range(half.max() + 1):
+        inside = half == k
+        sign = np.sign(level)
+        if abs(level) <= stick:
+            x[half >= k] = level
+            break
+        centre = sign * stick
+        x[inside] = centre + (level - centre) * np.cos(OMEGA * (time[inside] - 0.5 * k / FREQUENCY))
+        level = 2.0 * centre - level
+    return time, x
+
+
+def record(time: Array, values: Array, quantity: str = "displacement", name: str = "s") -> Record:
+    return Record(name, time, values, quantity)
+
+
+def cycle_quantities(time: Array, x: Array, begin: float = 0.0, end: float = np.inf) -> dict[str, Array]:
+    """Cycle quantities by the package's definition from the extremes of a quintic spline (clean records)."""
+    spline = make_interp_spline(time, x, k=5)
+    slope, bend = spline.derivative(), spline.derivative(2)
+    v = slope(time)
+    at = np.flatnonzero(v[:-1] * v[1:] < 0.0)
+    t = time[at] + (time[at + 1] - time[at]) * v[at] / (v[at] - v[at + 1])
+    for _ in range(5):
+        t = t - slope(t) / bend(t)
+    t = t[(t > begin) & (t < end)]
+    values = spline(t)
+    first = int(values[0] < values[1])
+    p0, q, p1 = values[first:-2:2], values[first + 1 : -1 : 2], values[first + 2 :: 2]
+    n = p1.size
+    p0, q, t0, t1 = p0[:n], q[:n], t[first:-2:2][:n], t[first + 2 :: 2]
+    amplitude = (p0 + p1 - 2.0 * q) / 4.0
+    return {
+        "time": 0.5 * (t0 + t1),
+        "amplitude": amplitude,
+        "frequency": 1.0 / (t1 - t0),
+        "damping": 2.0 * np.log((p0 - q) / (p1 - q)),
+        "offset": ((p0 + p1) / 2.0 + q) / 2.0 / amplitude,
+    }
+
+
+def warnings_of(decay: ConditionedRecord) -> list[str]:
+    return [note for note in decay.notes if note.startswith("warning")]
+
+
+def is_uniform(time: Array) -> bool:
+    return bool(np.ptp(np.diff(time)) < 1e-6 * np.diff(time).mean())
+
+
+# ---- what comes out -----------------------------------------------------------------------------
+
+
+def test_clean_displacement_passes_unchanged() -> None:
+    time, (x, _, _) = simulated()
+    decay = condition(record(time + 3.0, x))
+    assert (decay.specimen, decay.unit, decay.quantity, decay.source) == ("s", "m", "displacement", "s")
+    assert decay.offset_is_measured and np.isnan(decay.rest_offset) and np.isnan(decay.second_mode_share)
+    np.testing.assert_allclose(decay.time, time[: decay.time.size] + 3.0, atol=1e-9)
+    np.testing.assert_allclose(decay.displacement, x[: decay.time.size], atol=2e-6)
+    assert decay.frequency == pytest.approx(FREQUENCY * np.sqrt(1 - 0.01**2), rel=1e-4)
+    assert decay.sampling_rate == pytest.approx(500.0)
+    assert decay.amplitude == pytest.approx(1.0, rel=0.01)
+    assert decay.noise_autocovariance.size >= 2
+    assert not decay.displacement.flags.writeable and not decay.time.flags.writeable
+    assert all(isinstance(note, str) and note.isprintable() for note in decay.notes)
+
+
+def test_rotation_keeps_its_unit() -> None:
+    time, (_, v, _) = simulated()
+    decay = condition(Record("s", time, v, "velocity", "rad/s"))
+    assert decay.unit == "rad" and decay.quantity == "velocity"
+
+
+def test_scaling_units_changes_nothing_else(rng: np.random.Generator) -> None:
+    time, (x, _, _) = simulated("hardening")
+    x = x + 1e-3 * rng.normal(size=x.size) + 0.2
+    one, small = condition(record(time, x)), condition(record(1e3 * time, 1e-5 * x))
+    np.testing.assert_allclose(small.displacement, 1e-5 * one.displacement, atol=1e-14)
+    assert small.noise == pytest.approx(1e-5 * one.noise, rel=1e-6)
+    assert small.frequency == pytest.approx(1e-3 * one.frequency, rel=1e-6)
+    assert len(small.notes) == len(one.notes)
+
+
+# ---- sampling -----------------------------------------------------------------------------------
+
+
+def test_rounded_stamps_go_to_the_grid() -> None:
+    time, (x, _, _) = simulated(per_cycle=30)  # 300 Hz, stamps in ms: 3, 7, 10, ...
+    decay = condition(record(np.round(time, 3), x))
+    assert is_uniform(decay.time)
+    assert decay.sampling_rate == pytest.approx(300.0, rel=1e-5)
+    np.testing.assert_allclose(decay.displacement, x[: decay.time.size], atol=1e-5)
+    assert any("of a sample" in note and "put there" in note for note in decay.notes)
+
+
+def test_true_jitter_is_resampled(rng: np.random.Generator) -> None:
+    time, (x, _, _) = simulated(per_cycle=40)
+    jittered = time + rng.uniform(-0.3, 0.3, time.size) / 400.0
+    jittered[0] = 0.0
+    values = make_interp_spline(time, x, k=5)(np.clip(jittered, 0.0, time[-1]))
+    decay = condition(record(jittered, values))
+    assert is_uniform(decay.time) and any("cubic spline" in note for note in decay.notes)
+    truth = make_interp_spline(time, x, k=5)(np.clip(decay.time, 0.0, time[-1]))
+    # ignoring the jitter would cost 0.17 samples (rms) of slope: 0.027; the spline leaves h^4 errors
+    assert np.max(np.abs(decay.displacement - truth)[5:-5]) < 5e-4
+
+
+def test_a_few_missing_samples_are_interpolated_and_many_are_refused() -> None:
+    time, (x, _, _) = simulated(per_cycle=60)
+    keep = np.ones(time.size, bool)
+    keep[[100, 101, 200, 333]] = False
+    decay = condition(record(time[keep], x[keep]))
+    assert is_uniform(decay.time)
+    np.testing.assert_allclose(decay.displacement, x[: decay.time.size], atol=1e-4)
+    assert any("4 missing sample(s) in 3 gap(s)" in note for note in decay.notes)
+    keep[500:530] = False
+    with pytest.raises(InputError, match=r"s: samples are missing between 0\.83166\d* and 0\.88333\d* s.*stop=.*start="):
+        condition(record(time[keep], x[keep]))
+
+
+# ---- release ------------------------------------------------------------------------------------
+
+
+def before(kind: str, quantity: int, per_cycle: int, cycles: float) -> Array:
+    """What the sensor shows before time 0."""
+    n = int(cycles * per_cycle)
+    if kind == "held":
+        return np.full(n, 1.0 if quantity == 0 else 0.0)
+    if kind == "impact":
+        return np.zeros(n)
+    time = np.arange(-n, 0) / (per_cycle * FREQUENCY)
+    drive = [np.cos(OMEGA * time), -OMEGA * np.sin(OMEGA * time), -(OMEGA**2) * np.cos(OMEGA * time)][quantity]
+    return drive * (np.linspace(0.0, 1.0, n) if kind == "growing" else 1.0)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.03])
+@pytest.mark.parametrize("per_cycle", [12, 100])
+@pytest.mark.parametrize("quantity", [0, 1, 2])
+@pytest.mark.parametrize("kind", ["held", "impact", "growing", "plateau"])
+def test_release_is_found(kind: str, quantity: int, per_cycle: int, noise: float, rng: np.random.Generator) -> None:
+    time, motion = simulated("hardening", 0.01, 30, per_cycle, impact=kind == "impact")
+    lead = before(kind, quantity, per_cycle, 20.3)
+    values = np.concatenate([lead, motion[quantity]])
+    values = values + (noise * rng.normal(size=values.size) + 0.4) * np.abs(motion[quantity]).max()
+    stamps = np.arange(values.size) / (per_cycle * FREQUENCY) + 7.0
+    released = stamps[lead.size]
+    decay = condition(record(stamps, values, ["displacement", "velocity", "acceleration"][quantity]))
+    late = (decay.time[0] - released) * FREQUENCY
+    # held or struck: before the first (second) turning point; driven: one to three cycles after the bend
+    low, high = (0.0, 0.8) if kind in ("held", "impact") else (0.0, 3.5)
+    assert low <= late <= high, late
+    word = "at rest" if kind in ("held", "impact") else "driven"
+    assert any("were dropped" in note and word in note for note in decay.notes)
+    assert not warnings_of(decay)
+
+
+def test_held_position_is_dropped_and_first_turning_point_kept() -> None:
+    time, (x, _, _) = simulated(damping=0.02, per_cycle=80)
+    values = np.concatenate([np.full(800, 1.0), x])
+    decay = condition(record(np.arange(values.size) / 800.0, values))
+    first = decay.time[np.argmin(decay.displacement)]
+    assert first == pytest.approx(1.0 + 0.5 / FREQUENCY, abs=2.0 / 800.0)  # half a cycle after the release at 1 s
+    assert first - decay.time[0] == pytest.approx(0.25 / FREQUENCY, abs=0.05 / FREQUENCY)
+
+
+def test_record_that_begins_in_free_motion_keeps_its_first_sample() -> None:
+    for offset in (0, 17, 33):
+        time, (x, _, _) = simulated("hardening")
+        decay = condition(record(time[offset:], x[offset:] + 5.0))
+        assert decay.time[0] == pytest.approx(time[offset], abs=1e-9)
+        assert not any("were dropped" in note and "before" in note for note in decay.notes)
+
+
+def test_start_and_stop_are_obeyed() -> None:
+    time, (x, _, _) = simulated()
+    decay = condition(record(time, x), start=0.5, stop=2.0)
+    assert decay.time[0] == pytest.approx(0.5) and decay.time[-1] == pytest.approx(2.0, abs=0.01)
+    held = np.concatenate([np.full(500, 1.0), x])
+    stamps = np.arange(held.size) / 500.0
+    assert condition(record(stamps, held), start=1.1).time[0] == pytest.approx(1.1)
+    with pytest.raises(InputError, match="3 samples lie between"):
+        condition(record(time, x), start=1.0, stop=1.005)
+    with pytest.raises(InputError, match="start"):
+        condition(record(time, x), start=np.nan)
+
+
+def test_second_impact_ends_the_record_with_a_warning() -> None:
+    time, (x, _, _) = simulated(cycles=25, impact=True)
+    values = np.concatenate([np.zeros(100), x, 0.8 * x])
+    decay = condition(record(np.arange(values.size) / 500.0, values))
+    assert decay.time[-1] < (100 + x.size) / 500.0 + 0.15
+    assert any("grows again" in note for note in warnings_of(decay))
+
+
+# ---- zero ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("cycles", [15, 120])
+@pytest.mark.parametrize("force", ["linear", "hardening", "quadratic stiffness", "bilinear", "quadratic damping"])
+def test_sensor_offset_is_not_physics(force: str, cycles: int, rng: np.random.Generator) -> None:
+    time, (x, _, _) = simulated(force, 0.01, cycles)
+    noise = 2e-3
+    decay = condition(record(time, x + 0.7 + noise * rng.normal(size=x.size)))
+    assert np.isnan(decay.rest_offset)
+    # with a tail the zero is as good as its mean; without (15 cycles fall to 0.4) as good as the extrapolation says
+    assert abs(decay.baseline - 0.7) < 4.0 * decay.baseline_error
+    assert decay.baseline_error < (5e-4 if cycles == 120 else 0.03)
+
+
+def test_quadratic_stiffness_keeps_its_mid_line() -> None:
+    time, (x, _, _) = simulated("quadratic stiffness", 0.01, 100)
+    decay = condition(record(time, x - 2.0))
+    assert decay.baseline == pytest.approx(-2.0, abs=1e-4)
+    measured = cycle_quantities(decay.time, decay.displacement)["offset"]
+    truth = cycle_quantities(time, x)["offset"]
+    assert truth[0] < -0.05
+    np.testing.assert_allclose(measured[:20], truth[:20], atol=3e-4)
+
+
+@pytest.mark.parametrize("sensor", [0.0, 0.3])
+def test_friction_stop_off_centre_is_reported_not_subtracted(sensor: float, rng: np.random.Generator) -> None:
+    time, x = friction(0.03, 30, 60, start=0.96)
+    stopped_at = x[-1]
+    assert abs(stopped_at) > 0.01
+    decay = condition(record(time, x + sensor + 1e-3 * rng.normal(size=x.size)))
+    assert decay.baseline == pytest.approx(sensor, abs=1e-3)
+    assert decay.rest_offset == pytest.approx(stopped_at, abs=1.5e-3)
+    assert any("came to rest" in note for note in decay.notes)
+    # what follows the stop is no motion
+    assert decay.time[-1] < time[np.flatnonzero(x != stopped_at)[-1]] + 3.0 / FREQUENCY
+
+
+# ---- velocity and acceleration ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("per_cycle", [20, 100])
+@pytest.mark.parametrize("quantity", [1, 2])
+@pytest.mark.parametrize(
+    ("force", "damping"),
+    [
+        ("linear", 0.001),
+        ("linear", 0.05),
+        ("hardening", 0.01),
+        ("strongly hardening", 0.01),
+        ("softening", 0.01),
+        ("quadratic stiffness", 0.01),
+        ("quadratic damping", 0.002),
+    ],
+)
+def test_integration_recovers_every_cycle(force: str, damping: float, quantity: int, per_cycle: int) -> None:
+    cycles = 8 if damping > 0.02 else 30
+    time, motion = simulated(force, damping, cycles, per_cycle)
+    time, motion = time[3:], motion[:, 3:]
+    offset = 0.1 * np.abs(motion[quantity]).max()
+    decay = condition(record(time, motion[quantity] + offset, ["", "velocity", "acceleration"][quantity]))
+    assert not decay.offset_is_measured and decay.baseline == 0.0
+    end = decay.time[-1] - 0.3 / FREQUENCY
+    found = cycle_quantities(decay.time, decay.displacement, end=end)
+    truth = cycle_quantities(time, motion[0], end=end)
+    assert found["time"].size == truth["time"].size  # not a cycle is lost
+    np.testing.assert_allclose(found["amplitude"], truth["amplitude"], rtol=1e-3)
+    np.testing.assert_allclose(found["frequency"], truth["frequency"], rtol=3e-4)
+    np.testing.assert_allclose(found["damping"], truth["damping"], atol=2e-3)
+    inner = slice(2, -3)
+    np.testing.assert_allclose(found["amplitude"][inner], truth["amplitude"][inner], rtol=4e-4)
+    np.testing.assert_allclose(found["damping"][inner], truth["damping"][inner], atol=3e-4)
+
+
+@pytest.mark.parametrize("quantity", ["velocity", "acceleration"])
+def test_noise_after_integration_is_what_is_stated(quantity: str, rng: np.random.Generator) -> None:
+    time, motion = simulated("hardening", 0.005, 60, 40)
+    values = motion[1 if quantity == "velocity" else 2]
+    sigma = 0.01 * np.abs(values).max()
+    clean = condition(record(time, values, quantity), start=0.0).displacement
+    lags, found, stated = 21, [], []
+    for _ in range(6):
+        decay = condition(record(time, values + sigma * rng.normal(size=time.size), quantity), start=0.0)
+        n = min(clean.size, decay.displacement.size)
+        noise = (decay.displacement[:n] - clean[:n])[80:-80]
+        found.append([np.mean(noise[: noise.size - lag] * noise[lag:]) for lag in range(lags)])
+        padded = np.pad(decay.noise_autocovariance, (0, lags))[:lags]
+        stated.append(padded)
+    found_mean, stated_mean = np.mean(found, axis=0), np.mean(stated, axis=0)
+    # six records of some 120 independent stretches each determine a variance to 5 %; the spectrum is known to 10 %
+    np.testing.assert_allclose(stated_mean, found_mean, atol=0.3 * found_mean[0])
+    assert stated_mean[0] == pytest.approx(found_mean[0], rel=0.3)
+
+
+# ---- band-pass ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("damping", [0.0005, 0.005, 0.03])
+def test_band_pass_leaves_a_linear_decay_alone(damping: float) -> None:
+    time, (x, _, _) = simulated("linear", damping, 14 if damping > 0.02 else 60)
+    decay = condition(record(time, x + 0.5), band=(6.0, 15.0))
+    truth = cycle_quantities(time, x, decay.time[0], decay.time[-1])
+    found = cycle_quantities(decay.time, decay.displacement)
+    n = min(found["time"].size, truth["time"].size)
+    assert n >= truth["time"].size - 1 and n >= 4
+    np.testing.assert_allclose(found["amplitude"][:n], truth["amplitude"][:n], rtol=1e-3)
+    np.testing.assert_allclose(found["damping"][:n], truth["damping"][:n], atol=1e-5)
+    np.testing.assert_allclose(found["frequency"][:n], truth["frequency"][:n], rtol=1e-5)
+    assert 0.0 < decay.lost_cycles < 6.0
+    assert decay.time[0] == pytest.approx(decay.lost_cycles / decay.frequency, rel=0.01)
+    assert any("cycles were lost at each end" in note and "biased" in note for note in decay.notes)
+    assert decay.band == (6.0, 15.0) and not decay.offset_is_measured
+
+
+def test_band_pass_bias_on_a_nonlinear_decay_is_small() -> None:
+    time, (_, v, _) = simulated("hardening", 0.005, 80)
+    decay = condition(record(time, v, "velocity"), band=(6.0, 16.0))
+    truth = cycle_quantities(time, simulated("hardening", 0.005, 80)[1][0])
+    found = cycle_quantities(decay.time, decay.displacement, end=decay.time[-1] - 0.3 / FREQUENCY)
+    at = found["time"]
+    np.testing.assert_allclose(found["frequency"], np.interp(at, truth["time"], truth["frequency"]), rtol=2e-4)
+    np.testing.assert_allclose(found["damping"], np.interp(at, truth["time"], truth["damping"]), atol=3e-4)
+
+
+@pytest.mark.parametrize("quantity", ["displacement", "velocity", "acceleration"])
+def test_band_pass_separates_two_modes(quantity: str) -> None:
+    time = np.arange(4000) / 500.0
+    s1, s2 = -0.6 + 2j * np.pi * 10.0, -1.0 + 2j * np.pi * 23.0
+    power = ["displacement", "velocity", "acceleration"].index(quantity)
+    values = np.real(s1**power * np.exp(s1 * time) + 0.4 * 1j * s2**power * np.exp(s2 * time))
+    decay = condition(record(time, values, quantity), band=(6.0, 15.0))
+    np.testing.assert_allclose(decay.displacement, np.real(np.exp(s1 * decay.time)), atol=2e-3 * np.exp(-0.6 * decay.time[0]))
+    assert not warnings_of(decay)
+    other = condition(record(time, values, quantity), band=(17.0, 29.0))
+    assert other.frequency == pytest.approx(23.0, rel=1e-3)
+    np.testing.assert_allclose(other.displacement, np.real(0.4j * np.exp(s2 * other.time)), atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("band", "words"),
+    [
+        ((15.0, 6.0), ("0 < low < high", "half the sampling rate")),
+        ((0.0, 15.0), ("0 < low",)),
+        ((6.0, 300.0), ("250 Hz",)),
+        ((40.0, 60.0), ("between 40 and 60", "10 Hz", "choose the band")),
+        ((9.8, 10.2), ("beside the mode", "widen it")),
+        ((6.0,), ("two frequencies",)),
+        ("wide", ("two frequencies",)),
+        (7.0, ("two frequencies",)),
+        ((6.0, np.nan), ("0 < low",)),
+    ],
+)
+def test_bad_bands_are_refused(band: object, words: tuple[str, ...]) -> None:
+    time, (x, _, _) = simulated()
+    with pytest.raises(InputError) as caught:
+        condition(record(time, x), band=band)  # type: ignore[arg-type]
+    for word in words:
+        assert word in str(caught.value), str(caught.value)
+
+
+def test_band_pass_longer_than_the_record_is_refused() -> None:
+    time, (x, _, _) = simulated(cycles=10)
+    with pytest.raises(InputError, match="widen the band|cycles left by the band-pass"):
+        condition(record(time, x), band=(8.8, 11.5))
+
+
+# ---- second mode --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("ratio", [0.85, 1.4, 1.99, 2.5, 6.3])
+def test_second_mode_is_named(ratio: float, rng: np.random.Generator) -> None:
+    time, (x, _, _) = simulated("hardening", 0.005, 60)
+    other = ratio * FREQUENCY
+    values = x + 0.15 * np.exp(-0.002 * 2 * np.pi * other * time) * np.cos(2 * np.pi * other * time + 1.0)
+    decay = condition(record(time, values + 3e-3 * rng.normal(size=time.size)))
+    assert decay.second_mode_frequency == pytest.approx(other, rel=0.02)
+    assert 0.05 < decay.second_mode_share < 0.5
+    (warning,) = [note for note in warnings_of(decay) if "second mode" in note]
+    assert f"{decay.second_mode_frequency:.4g} Hz" in warning and "--band" in warning
+    low, high = (float(edge) for edge in warning.rpartition("--band ")[2].split(":"))
+    assert low < decay.frequency < high and not low < other < high
+
+
+@pytest.mark.parametrize("quantity", [0, 1, 2])
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+@pytest.mark.parametrize("force", sorted(FORCES))
+def test_harmonics_raise_no_false_alarm(force: str, noise: float, quantity: int, rng: np.random.Generator) -> None:
+    time, motion = simulated(force, 0.01, 40, 40)
+    values = motion[quantity] + noise * np.abs(motion[quantity]).max() * rng.normal(size=time.size)
+    decay = condition(record(time, values, ["displacement", "velocity", "acceleration"][quantity]))
+    assert not warnings_of(decay), decay.notes
+
+
+@pytest.mark.parametrize("stick", [0.01, 0.05])
+def test_friction_raises_no_false_alarm(stick: float, rng: np.random.Generator) -> None:
+    time, x = friction(stick, 40, 40)
+    decay = condition(record(time, x + 1e-3 * rng.normal(size=x.size)))
+    assert not warnings_of(decay), decay.notes
+
+
+# ---- noise --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("decibel", [20, 40, 60])
+@pytest.mark.parametrize("per_cycle", [10, 30, 200])
+@pytest.mark.parametrize("force", ["linear", "hardening", "quadratic damping"])
+def test_noise_level_is_honest(force: str, per_cycle: int, decibel: int, rng: np.random.Generator) -> None:
+    time, (x, _, _) = simulated(force, 0.01, 40, per_cycle)
+    sigma = np.sqrt(0.5) * 10.0 ** (-decibel / 20.0)
+    decay = condition(record(time, x + sigma * rng.normal(size=time.size)))
+    # 40 cycles of 10 samples, half of them used up by the harmonics: 7 %
+    assert decay.noise == pytest.approx(sigma, rel=0.2)
+    assert np.sqrt(decay.noise_autocovariance[0]) == pytest.approx(sigma, rel=0.2)
+    assert np.all(np.abs(decay.noise_autocovariance[1:]) < 0.15 * sigma**2)
+
+
+@pytest.mark.parametrize("bits", [10, 12, 16])
+def test_quantisation_counts_as_noise(bits: int) -> None:
+    time, (x, _, _) = simulated("hardening", 0.01, 40, 37)
+    step = 2.2 / 2.0**bits
+    decay = condition(record(time, step * np.round(x / step)))
+    assert step / np.sqrt(12.0) * 0.9 < decay.noise < 1.5 * step / np.sqrt(12.0)
+
+
+def test_coloured_noise_is_seen_as_such(rng: np.random.Generator) -> None:
+    """A first-order low-pass at twice the mode: neighbours correlate, and the level counts where the mode is."""
+    time, (x, _, _) = simulated("linear", 0.004, 150, 50)
+    a = np.exp(-2.0 * np.pi * 20.0 / 500.0)
+    noise = np.zeros(time.size)
+    drive = rng.normal(size=time.size) * 1e-2
+    for i in range(1, time.size):
+        noise[i] = a * noise[i - 1] + drive[i]
+    decay = condition(record(time, x + noise))
+    stated = np.pad(decay.noise_autocovariance, (0, 40))
+    truth = 1e-4 / (1 - a**2) * a ** np.arange(40)
+    assert stated[0] == pytest.approx(truth[0], rel=0.35)  # low orders are bridged, not seen
+    assert stated[5] == pytest.approx(truth[5], abs=0.25 * truth[0])
+    assert decay.noise > 1.5 * np.sqrt(truth[0])  # white noise as strong around the mode would be larger in all
+
+
+# ---- what is refused ----------------------------------------------------------------------------
+
+
+def refuses(time: Array, values: Array, *words: str, quantity: str = "displacement") -> None:
+    with pytest.raises(InputError) as caught:
+        condition(Record("s", time, values, quantity, source="run 7.csv"))
+    message = str(caught.value)
+    assert message.startswith("run 7.csv: ") and message.endswith((".", ")"))
+    for word in words:
+        assert word in message, message
+
+
+def test_constant_record() -> None:
+    time = np.arange(200) / 100.0
+    refuses(time, np.full(200, 3.3), "all samples are 3.3")
+
+
+def test_too_few_samples_per_cycle() -> None:
+    time = np.arange(200) / 60.0
+    refuses(time, np.exp(-0.3 * time) * np.cos(2 * np.pi * 10 * time), "6 samples per cycle", "sample faster than 80 Hz")
+
+
+@pytest.mark.parametrize("per_cycle", [12, 100])
+@pytest.mark.parametrize("side", ["upper", "lower", "both"])
+def test_clipping(side: str, per_cycle: int, rng: np.random.Generator) -> None:
+    time, (x, _, _) = simulated("linear", 0.005, 40, per_cycle)
+    low, high = {"upper": (-2.0, 0.8), "lower": (-0.8, 2.0), "both": (-0.8, 0.8)}[side]
+    noisy = x + 1e-3 * rng.normal(size=x.size)
+    refuses(time, np.clip(noisy, low, high), "clipped at", "start=")
+    with pytest.raises(InputError) as caught:
+        condition(record(time, np.clip(noisy, low, high)))
+    again = float(str(caught.value).rpartition("start=")[2].rstrip("."))
+    assert condition(record(time, np.clip(noisy, low, high)), start=again).amplitude < 0.82
+
+
+@pytest.mark.parametrize("bits", [8, 10])
+def test_a_coarse_converter_is_not_clipping(bits: int) -> None:
+    time, (x, _, _) = simulated("linear", 0.0005, 60, 200)
+    step = 2.0 / 2.0**bits
+    condition(record(time, step * np.round(x / step)))
+
+
+@pytest.mark.parametrize("rate", [0.0, 0.2])
+def test_no_decay(rate: float, rng: np.random.Generator) -> None:
+    time = np.arange(3000) / 500.0
+    refuses(time, np.exp(rate * (time - 6.0)) * np.cos(OMEGA * time) + 1e-3 * rng.normal(size=3000), "cycles")
+
+
+def test_too_few_cycles() -> None:
+    time, (x, _, _) = simulated("linear", 0.01, 3.2, 60)
+    refuses(time, x, "cycles", "expected at least 4")
+
+
+def test_drowned_in_noise(rng: np.random.Generator) -> None:
+    time = np.arange(2000) / 500.0
+    with pytest.raises(InputError):
+        condition(record(time, rng.normal(size=2000)))
+    refuses(time, np.exp(-8.0 * time) * np.cos(OMEGA * time) + 0.5 * rng.normal(size=2000))
+
+
+def test_hopeless_records_end_in_an_input_error(rng: np.random.Generator) -> None:
+    time = np.arange(400) / 100.0
+    shapes = {
+        "ramp": time,
+        "step": (time > 2.0).astype(float),
+        "exponential": np.exp(-time),
+        "spike": np.where(np.arange(400) == 200, 1.0, 0.0),
+        "random walk": np.cumsum(rng.normal(size=400)),
+        "alternating": (-1.0) ** np.arange(400),
+        "huge": 1e300 * np.cos(time),
+        "tiny": 1e-300 * np.cos(time),
+    }
+    for values in shapes.values():
+        for quantity in ("displacement", "velocity", "acceleration"):
+            with pytest.raises(InputError):
+                condition(record(time, values, quantity))
+
+
+# ---- real records -------------------------------------------------------------------------------
+
+
+def test_ship_roll_decays(shared_data: Path) -> None:
+    # damping ratio at 5 degrees as published (EFD, doi 10.17632/2stvkyngj9.1)
+    for run, ratio in zip(read_records(shared_data / "ship_roll_kvlcc2", unit="rad"), (0.00488, 0.0133), strict=True):
+        decay = condition(run)
+        assert decay.time[0] == pytest.approx(run.time[0], abs=1e-3)  # the stored files begin at the release
+        assert decay.frequency == pytest.approx(0.393, abs=0.001) and decay.unit == "rad"
+        assert not warnings_of(decay) and abs(decay.baseline) < 2e-3
+        cycles = cycle_quantities(decay.time[::8], decay.displacement[::8])
+        near = np.abs(cycles["amplitude"] - np.deg2rad(5.0)) < np.deg2rad(1.2)
+        assert cycles["damping"][near].mean() / (2 * np.pi) == pytest.approx(ratio, rel=0.15)
+
+
+@pytest.mark.parametrize("hold", [8.0, 24.0])
+def test_ship_held_before_its_release(shared_data: Path, hold: float, rng: np.random.Generator) -> None:
+    run = read_records(shared_data / "ship_roll_kvlcc2", unit="rad")[0]
+    n = int(hold * 100)
+    values = np.concatenate([run.values[0] + 1e-4 * rng.normal(size=n), run.values])
+    decay = condition(Record("held", np.arange(values.size) / 100.0, values, unit="rad"))
+    plain = condition(run)
+    # released in a trough: the first turning point is the peak half a cycle later, the record begins a quarter before
+    assert decay.time[0] == pytest.approx(hold + 0.6, abs=0.15)
+    assert decay.frequency == pytest.approx(plain.frequency, rel=1e-3)
+    assert decay.baseline == pytest.approx(plain.baseline, abs=3e-4)
+
+
+def test_jointed_beam_warns_of_its_second_mode(shared_data: Path) -> None:
+    for run in read_records(shared_data / "jointed_beam"):
+        decay = condition(run)
+        assert decay.frequency == pytest.approx(122.3, abs=0.2)
+        assert decay.second_mode_frequency == pytest.approx(243.5, abs=0.4)  # the second harmonic is at 244.6 Hz
+        assert decay.second_mode_share > 0.05
+        assert len(warnings_of(decay)) == 1
+        assert decay.time[0] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_jointed_beam_falls_on_one_backbone_after_the_band_pass(shared_data: Path) -> None:
+    frequencies, dampings = [], []
+    for run in read_records(shared_data / "jointed_beam"):
+        decay = condition(run, band=(90.0, 160.0))
+        assert not warnings_of(decay) and decay.lost_cycles < 5.0
+        cycles = cycle_quantities(decay.time, decay.displacement, end=decay.time[-1] - 0.004)
+        speed = cycles["amplitude"] * 2 * np.pi * cycles["frequency"]
+        near = np.abs(speed - 0.2) < 0.03
+        frequencies.append(np.median(cycles["frequency"][near]))
+        dampings.append(np.log(cycles["amplitude"][near][0] / cycles["amplitude"][near][-1]) / (near.sum() - 1))
+    assert np.ptp(frequencies) < 0.05 and 122.2 < np.mean(frequencies) < 122.45
+    assert np.ptp(dampings) < 0.15 * np.mean(dampings) and 0.0004 < np.mean(dampings) / (2 * np.pi) < 0.0010
