@@ -38,6 +38,11 @@ def _softening(x, v, direction, z, p):
     return p[0] * x * abs(x)
 
 
+@numba.njit
+def _side(x, v, direction, z, p):
+    return 1 if x > 0.0 or (x == 0.0 and direction > 0.0) else -1
+
+
 SOFTENING = Effect(
     name="softening",
     summary="a user's own effect, without a gradient",
@@ -45,6 +50,7 @@ SOFTENING = Effect(
     latex="s x |x|",
     parameters=(Parameter("softening", "N/m^2", "s", "strength", lambda m, a, w: (-m * w * w / a, m * w * w / a), -np.inf),),
     force=_softening,
+    regime=_side,
 )
 CASES = {
     "duffing": (Oscillator(1.0, ["cubic_stiffness"]), DUFFING),
