@@ -12,6 +12,8 @@ from ._checks import FloatArray
 from ._tracking import Track, local_basis
 
 _SEGMENT_CYCLES = 6.0
+_BAND_SEGMENT_CYCLES = 20.0
+_PASSED = 0.25
 _MAXIMUM_SEGMENTS = 24
 _MAXIMUM_HARMONICS = 8
 _FINE_BINS = 12
@@ -62,29 +64,52 @@ def noise_spectrum(values: FloatArray, sampling_rate: float, track: Track, step:
 
     In segments of six cycles the harmonics, with amplitudes that vary as the tracked amplitude times a
     low-order polynomial, are fitted and subtracted; the periodogram of what is left, divided by
-    the share of white noise that the fit leaves at each frequency, is the noise. The median over segments keeps
-    out glitches, the median over each bin keeps out narrow lines (a second mode, mains hum). The noise is at
+    the share of white noise that the fit leaves at each frequency, is the noise. The mean over segments leaves out
+    glitches, the median over wide bins keeps out narrow lines (a second mode, mains hum). The noise is at
     least that of rounding to the ``step`` of the converter (variance step^2 / 12).
     """
-    segments = _segments(values.size, sampling_rate, track)
-    frequency = track.frequency
     nyquist = 0.5 * sampling_rate
-    edges = _bin_edges(frequency, nyquist)
+    edges = _bin_edges(track.frequency, nyquist)
+    segments = _segments(values.size, sampling_rate, track, _SEGMENT_CYCLES)
     estimates = np.full((len(segments), edges.size - 1), np.nan)
     degrees = np.zeros(estimates.shape)
     for row, (first, last) in enumerate(segments):
-        time = np.arange(first, last) / sampling_rate
-        estimates[row], degrees[row] = _segment(values[first:last], time, sampling_rate, track, edges)
-    density = _pooled(estimates, degrees)
-    floor = step**2 / 12.0 / nyquist
-    return NoiseSpectrum(edges, np.maximum(_whitened(density, degrees), floor))
+        frequency, density = _periodogram(values[first:last], first, sampling_rate, track)
+        bins = np.searchsorted(edges, frequency, side="right") - 1
+        for k in range(edges.size - 1):
+            inside = density[bins == k]
+            degrees[row, k] = inside.size
+            if inside.size:
+                estimates[row, k] = inside.mean() if inside.size < 8 else np.median(inside) / np.log(2.0)
+    density = _whitened(_pooled(estimates, degrees), degrees)
+    return NoiseSpectrum(edges, np.maximum(density, step**2 / 12.0 / nyquist))
 
 
-def _segments(n: int, sampling_rate: float, track: Track) -> list[tuple[int, int]]:
+def noise_in_band(
+    values: FloatArray, sampling_rate: float, track: Track, gain: Callable[[FloatArray], FloatArray], step: float = 0.0
+) -> NoiseSpectrum:
+    """Estimate the level of the noise that entered a band-pass from what came out of it.
+
+    Long segments leave more of the pass-band beside the mode's own line; the level is taken as constant over the band.
+    """
+    nyquist = 0.5 * sampling_rate
+    levels = []
+    for first, last in _segments(values.size, sampling_rate, track, _BAND_SEGMENT_CYCLES):
+        frequency, density = _periodogram(values[first:last], first, sampling_rate, track)
+        passed = gain(frequency) ** 2
+        inside = passed > _PASSED
+        if inside.any():
+            levels.append(float(np.mean(density[inside] / passed[inside])))
+    column = np.array(levels) if levels else np.zeros(1)
+    level = float(column[column <= 8.0 * np.median(column)].mean())
+    return NoiseSpectrum(np.array([0.0, nyquist]), np.array([max(level, step**2 / 12.0 / nyquist)]))
+
+
+def _segments(n: int, sampling_rate: float, track: Track, cycles: float) -> list[tuple[int, int]]:
     """Return the sample ranges of the segments, at most `_MAXIMUM_SEGMENTS` spread over the track."""
     start = max(0, int(np.ceil(float(track.time[0]) * sampling_rate)))
     stop = min(n, int(float(track.time[-1]) * sampling_rate) + 1)
-    length = min(int(round(_SEGMENT_CYCLES * sampling_rate / track.frequency)), stop - start)
+    length = min(int(round(cycles * sampling_rate / track.frequency)), stop - start)
     count = max(1, (stop - start) // length)
     firsts = start + np.linspace(0, stop - start - length, count).astype(int)
     if count > _MAXIMUM_SEGMENTS:
@@ -103,11 +128,12 @@ def _bin_edges(frequency: float, nyquist: float) -> FloatArray:
     return np.array(edges)
 
 
-def _segment(
-    values: FloatArray, time: FloatArray, sampling_rate: float, track: Track, edges: FloatArray
+def _periodogram(
+    values: FloatArray, first: int, sampling_rate: float, track: Track
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the noise density per bin in one segment, and the number of spectral values behind it."""
+    """Return frequencies and noise densities of one segment that begins at sample ``first``."""
     n = values.size
+    time = np.arange(first, first + n) / sampling_rate
     cycles = n * track.frequency / sampling_rate
     harmonics = int(np.clip(0.5 * sampling_rate / track.frequency - 0.5, 1, _MAXIMUM_HARMONICS))
     while harmonics > 1 and 6 + 4 * harmonics > 0.65 * n:
@@ -116,18 +142,9 @@ def _segment(
     residual = values - basis @ (basis.T @ values)
     power = np.abs(rfft(residual)) ** 2
     share = 1.0 - np.sum(np.abs(rfft(basis, axis=0)) ** 2, axis=1) / n
-    frequency = rfftfreq(n, 1.0 / sampling_rate)
     good = share > (_USABLE if cycles > 3.0 else 0.2)
     good[0] = False
-    bins = np.searchsorted(edges, frequency, side="right") - 1
-    density = 2.0 * power / (n * sampling_rate) / np.where(good, share, 1.0)
-    estimate, count = np.full(edges.size - 1, np.nan), np.zeros(edges.size - 1)
-    for k in range(edges.size - 1):
-        inside = density[good & (bins == k)]
-        count[k] = inside.size
-        if inside.size:
-            estimate[k] = inside.mean() if inside.size < 8 else np.median(inside) / np.log(2.0)
-    return estimate, count
+    return rfftfreq(n, 1.0 / sampling_rate)[good], 2.0 * power[good] / (n * sampling_rate) / share[good]
 
 
 def _pooled(estimates: FloatArray, degrees: FloatArray) -> FloatArray:

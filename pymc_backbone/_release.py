@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 from scipy.signal import fftconvolve
@@ -15,23 +13,6 @@ _LEVEL = 0.97
 _QUIET = 0.5
 _WINDOW = 0.65
 _PLATEAU_FALL = 0.06
-
-
-@dataclass(frozen=True)
-class Release:
-    """Where the free decay begins.
-
-    Attributes
-    ----------
-    index : int
-        First sample of free motion.
-    kind : str
-        ``"start"`` (the record begins in free motion), ``"rest"`` (held or at rest before) or
-        ``"forced"`` (driven before).
-    """
-
-    index: int
-    kind: str
 
 
 def envelope(values: FloatArray, sampling_rate: float, frequency: float) -> FloatArray:
@@ -53,31 +34,37 @@ def leading_rest(values: FloatArray) -> int:
     return int(np.argmax(excursion > 0.25 * excursion.max()))
 
 
-def find_release(values: FloatArray, sampling_rate: float, frequency: float) -> Release:
-    """Find where the free decay begins: after the hold, the impact, or the end of the forcing.
+def end_of_rest(values: FloatArray, sampling_rate: float, frequency: float) -> int | None:
+    """Return the last sample before the release or the impact, or None where the record begins in motion.
 
-    Notes
-    -----
     Before a release or an impact the record hardly moves: over 0.65 of a cycle before it, it spans less than half
     the later amplitude, where a free oscillation spans at least its amplitude (1.45 times it, and 1.0 at ten samples
-    per cycle). That places the release to a
-    fraction of a cycle. Forcing is seen in the envelope: it has grown to its maximum, or stayed level there,
-    for more than a cycle and a half; the decay then begins one and a half cycles after the bend.
+    per cycle). That places the release to a fraction of a cycle.
+    """
+    period = sampling_rate / frequency
+    level = envelope(values, sampling_rate, frequency)
+    top = int(np.argmax(level))
+    first, _ = _plateau(level, top)
+    quiet = _last_quiet(values, period, float(level[top]), int(first + period))
+    return quiet if quiet is not None and quiet > first - 3.0 * period else None
+
+
+def end_of_drive(values: FloatArray, sampling_rate: float, frequency: float) -> int | None:
+    """Return a sample safely after the end of forcing, or None where the record is free from its start.
+
+    Forcing is seen in the envelope: it has grown to its maximum, or stayed level there, for more than a cycle and a half.
+    The decay begins one and a half cycles after the bend, for the envelope is that blunt.
     """
     period = sampling_rate / frequency
     level = envelope(values, sampling_rate, frequency)
     top = int(np.argmax(level))
     first, last = _plateau(level, top)
-    highest = float(level[top])
-    quiet = _last_quiet(values, period, highest, int(first + period))
-    if quiet is not None and quiet > first - 3.0 * period:
-        return Release(quiet, "rest")
     is_level = _is_level(level, first, last, period)
-    has_grown = first > 1.6 * period and float(level[:first].min()) < 0.85 * highest
-    if is_level or has_grown:
-        bend = _bend(level, first, last) if is_level else top
-        return Release(min(int(bend + 1.5 * period), values.size - 1), "forced")
-    return Release(0, "start")
+    has_grown = first > 1.6 * period and float(level[:first].min()) < 0.85 * float(level[top])
+    if not (is_level or has_grown):
+        return None
+    bend = _bend(level, first, last) if is_level else top
+    return min(int(bend + 1.5 * period), values.size - 1)
 
 
 def _plateau(level: FloatArray, top: int) -> tuple[int, int]:
@@ -125,12 +112,6 @@ def _last_quiet(values: FloatArray, period: float, highest: float, until: int) -
     span[: window - 1] = np.inf
     still = np.flatnonzero(span < _QUIET * highest)
     return int(still[-1]) if still.size else None
-
-
-def first_turning_point(track: Track, after: float) -> float:
-    """Return the time of the first turning point of the fundamental at or after a time."""
-    phase = float(track.phase_at(np.array([after]))[0])
-    return float(track.time_at(np.array([np.pi * np.ceil(phase / np.pi)]))[0])
 
 
 def end_of_motion(track: Track, floor: float) -> float:

@@ -122,11 +122,14 @@ def smooth(
         low, high = float(place.min()), float(place.max())
         design = _design((place - low) / (high - low))
         white = _whiten(bands, np.column_stack([values, design]))
+        if n > white.shape[1]:
+            # the triangle carries every inner product the models need
+            white = np.linalg.qr(white, mode="r")
         at = _design((target - low) / (high - low))
         models: list[tuple[int, float | None]] = [(order, None) for order in orders if n > order + 1]
         if kinks and number == 0 and n > 5:
             models += [(2, kink) for kink in KINKS]
-        collected += [_smooth_as(white, at, order, kink, scatter_prior, undersmoothing) for order, kink in models]
+        collected += [_smooth_as(white, at, n, order, kink, scatter_prior, undersmoothing) for order, kink in models]
     if not collected:
         raise ValueError("smoothing needs at least four values")
     logs = np.concatenate([item[0] for item in collected])
@@ -151,9 +154,8 @@ def _design(unit: FloatArray) -> FloatArray:
     return BSpline.design_matrix(np.clip(unit, 0.0, 1.0), KNOTS, 3).toarray()
 
 
-def _smooth_as(white, at, order, kink, scatter_prior, undersmoothing):  # type: ignore[no-untyped-def]
+def _smooth_as(white, at, n, order, kink, scatter_prior, undersmoothing):  # type: ignore[no-untyped-def]
     roots = _bending_roots(order, kink)
-    n, n_basis = white.shape[0], white.shape[1] - 1
     y, design = white[:, 0], white[:, 1:] @ roots
     at = at @ roots
     free, rough = design[:, :order], design[:, order:]
@@ -162,9 +164,8 @@ def _smooth_as(white, at, order, kink, scatter_prior, undersmoothing):  # type: 
     rough = rough - q_free @ rough_part
     y_part = q_free.T @ y
     y = y - q_free @ y_part
-    gram = rough.T @ rough if n > n_basis else None
-    if gram is not None:
-        d2, v = eigh(gram)
+    if rough.shape[0] >= rough.shape[1]:
+        d2, v = eigh(rough.T @ rough)
         keep = d2 > 1e-13 * d2[-1]
         d2, v = d2[keep], v[:, keep]
     else:

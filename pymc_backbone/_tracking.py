@@ -136,6 +136,8 @@ def track(values: FloatArray, sampling_rate: float, frequency: float) -> Track |
     harmonic through, however much the frequency drifts. The outermost cycle at each end is lost. Following ends where
     the phase becomes erratic (noise). More passes would not help: they feed the extrapolation at the ends back.
     """
+    if values.size < 3.0 * sampling_rate / frequency:
+        return None
     time, phase = _monotone(*_first_phase(values, sampling_rate, frequency), frequency)
     if phase.size < 4 or phase[-1] - phase[0] < 2.0 * np.pi:
         return None

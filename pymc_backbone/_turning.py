@@ -7,8 +7,8 @@ from numba import njit
 
 from pymc_backbone._checks import FloatArray
 
-N_FIXED = 4
-"""Shape functions besides the harmonics: detuning, decay, decay squared, friction."""
+N_FIXED = 5
+"""Shape functions besides the harmonics: detuning, decay, decay squared, friction, drift of the decay."""
 
 
 def n_shape_functions(harmonics: int) -> int:
@@ -25,8 +25,9 @@ def shape_functions(angle, harmonics, values, slopes):
     values[2], slopes[2] = angle * angle * c, 2.0 * angle * c - angle * angle * s
     side = 1.0 if angle > 0.0 else -1.0
     values[3], slopes[3] = side * (1.0 - c), side * s
+    values[4], slopes[4] = angle * angle * s, 2.0 * angle * s + angle * angle * c
     ch, sh = c, s
-    j = 4
+    j = N_FIXED
     for h in range(2, harmonics + 1):
         ch, sh = ch * c - sh * s, sh * c + ch * s
         values[j], slopes[j] = 1.0 - ch, h * sh
@@ -128,11 +129,11 @@ def fit_windows(x, start, step, guess, period, amplitude, sign, template, harmon
 @njit(cache=True)
 def n_shape_of(harmonics):
     """Return the number of shape functions (compiled twin of `n_shape_functions`)."""
-    return 4 + 2 * (harmonics - 1)
+    return N_FIXED + 2 * (harmonics - 1)
 
 
 @njit(cache=True)
-def select_terms(normal, right, noise_variance, threshold, maximum):
+def select_terms(normal, right, noise_variance, threshold, maximum, forced):
     """Choose regression terms one by one while the best lowers chi-square by more than ``threshold``.
 
     Returns
@@ -144,7 +145,7 @@ def select_terms(normal, right, noise_variance, threshold, maximum):
     work, r = normal.copy(), right.copy()
     reference = np.diag(normal).copy()
     chosen = np.zeros(n, np.bool_)
-    for _ in range(min(maximum, n)):
+    for number in range(min(maximum, n) + forced.size):
         best, gain = -1, threshold * noise_variance
         for j in range(n):
             if chosen[j] or not (work[j, j] > 1e-7 * reference[j]) or not (reference[j] > 0.0):
@@ -152,6 +153,10 @@ def select_terms(normal, right, noise_variance, threshold, maximum):
             lowered = r[j] * r[j] / work[j, j]
             if lowered > gain:
                 best, gain = j, lowered
+        if number < forced.size:
+            best = forced[number]
+            if not (work[best, best] > 1e-5 * reference[best]):
+                continue
         if best < 0:
             break
         chosen[best] = True

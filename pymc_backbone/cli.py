@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import logging
 import os
+import signal
 import sys
 import textwrap
 import warnings
@@ -24,6 +25,7 @@ LIKELIHOODS = ("auto", "population", "specimen", "pooled")
 DENSITIES = ("product", "joint")
 MARGINALS = ("best", "uniform", "normal", "kde", "gev")
 STEPS = ("metropolis", "demetropolisz", "slice", "nuts", "nutpie")
+INTERRUPTED = "Interrupted; files already written are complete."
 TRACEBACK_VARIABLE = "PYMC_BACKBONE_TRACEBACK"
 
 DESCRIPTION = """\
@@ -90,6 +92,10 @@ damping, noise and a 14-bit converter. Their true parameters are known, and prin
 """
 
 
+class _Interrupted(BaseException):
+    """Ctrl-C, as nothing but this module catches it."""
+
+
 class _Parser(argparse.ArgumentParser):
     """A parser whose errors are one sentence and exit code 2."""
 
@@ -128,6 +134,7 @@ def build_parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit code."""
+    interrupt = _Interrupt()
     try:
         options = build_parser().parse_args(arguments)
         if options.version:
@@ -139,12 +146,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
     except InputError as error:
         return _stop(str(error), 2)
-    except KeyboardInterrupt:
-        return _stop("Interrupted; files already written are complete.", 130)
+    except (_Interrupted, KeyboardInterrupt):
+        return _stop(INTERRUPTED, 130)
     except BrokenPipeError:  # the reader, for example `head`, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except Exception as error:
+        if interrupt.came:
+            return _stop(INTERRUPTED, 130)
         if os.environ.get(TRACEBACK_VARIABLE):
             raise
         return _stop(
@@ -152,7 +161,32 @@ def main(arguments: Sequence[str] | None = None) -> int:
             f"of the program; set {TRACEBACK_VARIABLE}=1 to see where.",
             1,
         )
+    finally:
+        interrupt.restore()
     return 0
+
+
+class _Interrupt:
+    """Ctrl-C ends the run at once, wherever it comes.
+
+    PyMC takes a KeyboardInterrupt as the end of one chain and goes on with the next; compiled code that calls back turns
+    any exception into another one. So the signal raises an exception of its own, and is remembered.
+    """
+
+    def __init__(self) -> None:
+        self.came = False
+        try:
+            self.previous = signal.signal(signal.SIGINT, self._raise)
+        except ValueError:  # not the main thread: signals do not come here
+            self.previous = None
+
+    def _raise(self, *_: Any) -> NoReturn:
+        self.came = True
+        raise _Interrupted
+
+    def restore(self) -> None:
+        if self.previous is not None:
+            signal.signal(signal.SIGINT, self.previous)
 
 
 def _add_extract(commands: Any) -> None:
@@ -363,6 +397,9 @@ def _demo(options: argparse.Namespace) -> None:
 def _hush_libraries() -> None:
     """Keep PyMC's own messages from the terminal, whose content the findings give; show this package's progress."""
     logging.getLogger("pymc").setLevel(logging.CRITICAL)
+    logging.root.addHandler(
+        logging.NullHandler()
+    )  # PyMC, when imported later, sets up its logger if root has no handler
     # PyMC averages exp(log acceptance ratio), which overflows where a proposal is far better than the start.
     warnings.filterwarnings("ignore", message="overflow encountered in exp", category=RuntimeWarning)
     progress = logging.getLogger(__package__)

@@ -267,6 +267,9 @@ def _fit_with_template(x, start, step, guess, signs, harmonics, noise, autocovar
     template = np.zeros((guess.size, n_shape))
     coefficients = np.zeros(n_shape * (POWERS + CORNERS.size) * 2)
     inverse = np.zeros((coefficients.size, coefficients.size))
+    # asymmetry moves the mid-line, so its doubt must be in the errors even where it is too weak to be selected
+    asymmetry = _turning.N_FIXED * 2 * (POWERS + CORNERS.size) + POWERS + CORNERS.size
+    forced = asymmetry + np.array([1, 2])
     n_pass = 5
     for number in range(n_pass):
         fit = _Fit(
@@ -308,7 +311,7 @@ def _fit_with_template(x, start, step, guess, signs, harmonics, noise, autocovar
         right = (fit.projection.T @ powers).reshape(size) + gram @ coefficients
         freedom = np.maximum(fit.count - 3.0, 0.5).sum()
         variance = max(min(fit.misfit.sum() / freedom, 4.0 * noise**2), 1e-24 * float(np.max(np.abs(x))) ** 2)
-        coefficients, inverse = _turning.select_terms(gram, right, variance, SELECTION, 40)
+        coefficients, inverse = _turning.select_terms(gram, right, variance, SELECTION, 40, forced)
         template = powers @ coefficients.reshape(n_shape, -1).T
         old = periods, amplitudes
         periods, amplitudes = _local_scales(fit.times, fit.values, signs)

@@ -401,31 +401,26 @@ def _observed(name: str, response: Response, data: xr.Dataset, theta: Any) -> An
         backbone = op(point)[0] if point.ndim == 1 else pt.vectorize(lambda t: op(t)[0], "(p)->(o,l)")(point)
         return backbone.reshape((size,)) if point.ndim == 1 else backbone.reshape((backbone.shape[0], size))
 
-    def log_probability(value: Any, point: Any, whitener: Any, constant: Any) -> Any:
+    def log_probability(value: Any, point: Any, whitener: Any, constant: Any, spread: Any) -> Any:
         residual = value - simulate(point)
         standardised = (whitener * residual[..., None, :]).sum(axis=-1)
         total = constant - 0.5 * (standardised**2).sum(axis=-1)
         return pt.switch(pt.isnan(total), -np.inf, total)
 
-    def draw(point: Any, whitener: Any, constant: Any, rng: np.random.Generator, size: Any = None) -> Any:
-        simulated = np.array([response.evaluate(np.ascontiguousarray(row), False)[0].ravel()
-                              for row in point.reshape(-1, point.shape[-1])])  # fmt: skip
-        simulated = simulated.reshape(*point.shape[:-1], -1)
-        factor = np.linalg.pinv(whitener)
-        shape = (*(size or np.broadcast_shapes(simulated.shape[:-1], whitener.shape[:-2])), simulated.shape[-1])
-        noise = rng.standard_normal(shape)
-        return simulated + np.einsum("...ij,...j->...i", np.broadcast_to(factor, (*shape, shape[-1])), noise)
+    def draw(point: Any, whitener: Any, constant: Any, spread: Any, size: Any) -> Any:
+        noise = pm.Normal.dist(0.0, 1.0, size=values.shape)
+        return simulate(point) + (spread * noise[:, None, :]).sum(axis=-1)
 
     return pm.CustomDist(
         name,
         theta,
         whitening,
         constants,
+        np.linalg.pinv(whitening),
+        dist=draw,
         logp=log_probability,
-        random=draw,
-        signature="(p),(d,e),()->(d)",
+        signature="(p),(d,e),(),(d,e)->(d)",
         observed=values,
-        dims=None,
     )
 
 

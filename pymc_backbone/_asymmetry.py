@@ -1,0 +1,119 @@
+"""The mid-line that integration loses: restored from the mean velocity where possible, else a word of warning."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+from scipy.signal import fftconvolve
+
+from ._checks import FloatArray
+from ._tracking import Track
+
+_EVIDENCE = 12.0
+_SIGNIFICANT = 5.0
+_MINIMUM_POINTS = 8
+
+
+@dataclass(frozen=True)
+class MidLine:
+    """Mid-line ``linear A + square A^2`` of a displacement of amplitude A.
+
+    Attributes
+    ----------
+    linear, square : float
+        Coefficients.
+    error : float
+        Standard error of the mid-line over amplitude at the first cycle.
+    """
+
+    linear: float
+    square: float
+    error: float
+
+    def at(self, amplitude: FloatArray) -> FloatArray:
+        """Return the mid-line at amplitudes of the displacement."""
+        return self.linear * amplitude + self.square * amplitude**2
+
+
+def displacement_amplitude(path: Track, integrations: int) -> FloatArray:
+    """Return the displacement's amplitude along the track of a velocity or an acceleration, smoothed."""
+    u = np.linspace(-1.0, 1.0, path.time.size)
+    degree = int(np.clip(path.cycles / 4.0, 2, 8))
+    weights = path.amplitude / path.amplitude.max()
+    rate = np.gradient(path.phase, path.time)
+    values = np.log(np.maximum(path.amplitude, 1e-12 * path.amplitude.max())) - integrations * np.log(rate)
+    curve = np.polynomial.chebyshev.chebfit(u, values, degree, w=weights)
+    return np.exp(np.polynomial.chebyshev.chebval(u, curve))
+
+
+def restore_mid_line(path: Track, integrations: int) -> MidLine | None:
+    """Return the mid-line that the mean over each cycle of a velocity (acceleration) implies, where it is significant.
+
+    Notes
+    -----
+    The mean of the velocity over a cycle is the rate of change of the mid-line plus the sensor's offset. An autonomous
+    structure's mid-line is a function of amplitude, here ``a A + b A^2`` (bilinear, quadratic), so the means are
+    regressed on the rates of change of A and A^2. It is accepted when it lowers ``n ln(residual)`` by 12 more than its
+    parameters explain, and each coefficient stands out five standard errors.
+    """
+    n = path.time.size
+    stop = max(n - path.per_cycle, 1)
+    picked = slice(None, stop, path.per_cycle)
+    amplitude = displacement_amplitude(path, integrations)
+    rates = {}
+    for power in (1, 2):
+        shape = amplitude**power
+        for _ in range(integrations):
+            shape = np.gradient(shape, path.time)
+        rates[power] = shape[picked]
+    mean = path.mean[picked]
+    if mean.size < _MINIMUM_POINTS:
+        return None
+    best: MidLine | None = None
+    best_score = mean.size * np.log(max(float(np.var(mean)), np.finfo(float).tiny)) - _EVIDENCE
+    for powers in ((2,), (1,), (1, 2)):
+        basis = np.column_stack([np.ones(mean.size), *(rates[power] for power in powers)])
+        scale = np.linalg.norm(basis, axis=0)
+        solution = np.linalg.lstsq(basis / scale, mean, rcond=None)[0] / scale
+        residual = mean - basis @ solution
+        variance = max(float(residual @ residual) / (mean.size - basis.shape[1]), np.finfo(float).tiny)
+        covariance = np.linalg.pinv((basis / scale).T @ (basis / scale)) / np.outer(scale, scale) * variance
+        score = mean.size * np.log(variance) + len(powers) * np.log(mean.size)
+        strength = np.abs(solution[1:]) / np.sqrt(np.diag(covariance)[1:])
+        if score < best_score and strength.min() > _SIGNIFICANT:
+            best_score = score
+            coefficients = dict(zip(powers, solution[1:], strict=True))
+            gradient = np.array([float(amplitude[0]) ** (power - 1) for power in powers])
+            error = float(np.sqrt(gradient @ covariance[1:, 1:] @ gradient))
+            best = MidLine(float(coefficients.get(1, 0.0)), float(coefficients.get(2, 0.0)), error)
+    return best
+
+
+def second_harmonic(values: FloatArray, sampling_rate: float, path: Track, integrations: int) -> float:
+    """Return the second harmonic of the displacement over its fundamental at the first cycle; 0 where insignificant.
+
+    Only what keeps its phase to the fundamental and grows with the square of amplitude counts.
+    """
+    per_cycle = path.per_cycle
+    step = 2.0 * np.pi / per_cycle
+    first, last = np.ceil(path.phase[0] / step), np.floor(path.phase[-1] / step)
+    grid = step * np.arange(first, last + 1.0)
+    if grid.size < 4 * per_cycle:
+        return 0.0
+    stamps = np.arange(values.size) / sampling_rate
+    samples = make_interp_spline(stamps, values, k=5)(np.clip(path.time_at(grid), 0.0, stamps[-1]))
+    box = np.ones(per_cycle) / per_cycle
+    z = 2.0 * fftconvolve(samples * np.exp(-2j * grid), np.convolve(box, box), mode="valid")
+    amplitude = np.interp(grid[per_cycle - 1 : per_cycle - 1 + z.size], path.phase, path.amplitude)
+    z, amplitude = z[::per_cycle], amplitude[::per_cycle]
+    if z.size < 3:
+        return 0.0
+    weight = amplitude**2
+    coefficient = complex(z @ weight) / float(weight @ weight)
+    residual = np.abs(z - coefficient * weight) ** 2
+    error = np.sqrt(float(residual @ weight**2)) / float(weight @ weight)
+    if abs(coefficient) < _SIGNIFICANT * error:
+        return 0.0
+    return float(abs(coefficient) * path.amplitude[0]) / 2.0**integrations

@@ -1,0 +1,179 @@
+"""Cycles of a free decay: exact cases, errors that mean what they say, ends of records."""
+
+from __future__ import annotations
+
+import zlib
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from pymc_backbone._checks import InputError
+from pymc_backbone.cycles import QUANTITIES, extract_cycles, extract_cycles_from_arrays
+
+FREQUENCY, RATIO = 2.0, 0.01
+
+
+def generator(request: pytest.FixtureRequest) -> np.random.Generator:
+    """Return a generator seeded by the test's name."""
+    return np.random.default_rng(zlib.crc32(request.node.name.encode()))
+
+
+def linear_decay(t: np.ndarray, ratio: float = RATIO) -> np.ndarray:
+    """Return the decay of a linear oscillator released at rest from 1, damped frequency `FREQUENCY`."""
+    w = 2.0 * np.pi * FREQUENCY
+    decay = ratio / np.sqrt(1.0 - ratio**2) * w
+    return np.exp(-decay * t) * (np.cos(w * t) + decay / w * np.sin(w * t))
+
+
+def friction_decay(t: np.ndarray, loss: float) -> np.ndarray:
+    """Return the decay under dry friction alone: every half cycle a cosine about +-loss, until it sticks."""
+    w = 2.0 * np.pi * FREQUENCY
+    half = np.floor(2.0 * FREQUENCY * t).astype(int)
+    stuck = int(np.ceil((1.0 - loss) / (2.0 * loss)))
+    half = np.minimum(half, stuck)
+    sign = np.where(half % 2 == 0, 1.0, -1.0)
+    swing = 1.0 - loss * (2.0 * half + 1.0)
+    moving = sign * loss + swing * np.cos(w * t)
+    final = (-1.0) ** stuck * (1.0 - 2.0 * loss * stuck)
+    return np.where(half < stuck, moving, final)
+
+
+@pytest.mark.parametrize("samples", [10, 37, 200])
+def test_linear_decay_without_noise_is_exact(samples: int) -> None:
+    t = np.arange(0.0, 15.0, 1.0 / (FREQUENCY * samples) * 1.013)
+    cycles = extract_cycles_from_arrays(t, linear_decay(t))
+    # the template holds the decay to second order in the damping ratio: (0.01 * 2.4)^3 / 6 = 2e-6
+    np.testing.assert_allclose(cycles.frequency, FREQUENCY, rtol=2e-6)
+    np.testing.assert_allclose(cycles.damping, 2.0 * np.pi * RATIO / np.sqrt(1.0 - RATIO**2), rtol=5e-4)
+    assert len(cycles) >= 29
+    assert np.all(np.diff(cycles.amplitude) < 0.0)
+
+
+def scores(rng: np.random.Generator, noise: float, draws: int = 30) -> dict[str, np.ndarray]:
+    """Return normalised errors of the cycle quantities of a linear decay over many draws."""
+    t = np.arange(0.0, 12.0, 1.0 / (FREQUENCY * 25) * 1.013)
+    clean = linear_decay(t)
+    damping = 2.0 * np.pi * RATIO / np.sqrt(1.0 - RATIO**2)
+    found: dict[str, list[np.ndarray]] = {"frequency": [], "damping": []}
+    for _ in range(draws):
+        cycles = extract_cycles_from_arrays(t, clean + noise * rng.standard_normal(t.size), noise=noise)
+        found["frequency"].append((cycles.frequency - FREQUENCY) / cycles.frequency_error)
+        found["damping"].append((cycles.damping - damping) / cycles.damping_error)
+    return {name: np.concatenate(values) for name, values in found.items()}
+
+
+@pytest.mark.parametrize("noise", [1e-3, 1e-2, 5e-2])
+def test_cycle_errors_are_honest(noise: float, request: pytest.FixtureRequest) -> None:
+    for name, z in scores(generator(request), noise).items():
+        # 700 correlated values, about 300 independent ones: three standard deviations of the variance are 0.25
+        assert 0.75 < np.mean(z**2) < 1.25, name
+        # neighbours share peaks with opposite signs, so the mean is tighter than 1/sqrt(700)
+        assert abs(np.mean(z)) < 0.12, name
+
+
+def test_noise_below_what_the_fits_leave_is_noticed(request: pytest.FixtureRequest) -> None:
+    t = np.arange(0.0, 12.0, 0.02)
+    noisy = linear_decay(t) + 0.01 * generator(request).standard_normal(t.size)
+    right, wrong = (extract_cycles_from_arrays(t, noisy, noise=noise) for noise in (0.01, 0.003))
+    assert any("times the given noise" in note for note in wrong.notes)
+    np.testing.assert_allclose(np.median(wrong.frequency_error / right.frequency_error), 1.0, atol=0.25)
+
+
+def test_noise_is_estimated_when_not_given(request: pytest.FixtureRequest) -> None:
+    t = np.arange(0.0, 12.0, 0.02)
+    cycles = extract_cycles_from_arrays(t, linear_decay(t) + 0.01 * generator(request).standard_normal(t.size))
+    assert cycles.noise == pytest.approx(0.01, rel=0.12)  # 600 samples: 3 %, four standard deviations
+
+
+def test_coloured_noise_by_its_autocovariance(request: pytest.FixtureRequest) -> None:
+    rng = generator(request)
+    t = np.arange(0.0, 12.0, 0.02)
+    clean = linear_decay(t)
+    kernel = np.array([1.0, 0.8, 0.5]) * 0.006
+    autocovariance = np.correlate(kernel, kernel, mode="full")[2:]
+    z: dict[str, list[np.ndarray]] = {"told": [], "not told": []}
+    for _ in range(25):
+        noisy = clean + np.convolve(rng.standard_normal(t.size + 2), kernel, mode="valid")
+        for name, noise in (("told", autocovariance), ("not told", np.sqrt(autocovariance[0]))):
+            cycles = extract_cycles_from_arrays(t, noisy, noise=noise)
+            z[name].append((cycles.frequency - FREQUENCY) / cycles.frequency_error)
+    assert 0.75 < np.mean(np.concatenate(z["told"]) ** 2) < 1.3
+    assert np.mean(np.concatenate(z["not told"]) ** 2) > 1.5  # the negative control: white noise is a wrong model
+
+
+def test_friction_stop_leaves_no_cycle_at_rest(request: pytest.FixtureRequest) -> None:
+    t = np.arange(0.0, 30.0, 1.0 / 80.0)
+    loss, noise = 0.011, 1e-3
+    noisy = friction_decay(t, loss) + noise * generator(request).standard_normal(t.size)
+    cycles = extract_cycles_from_arrays(t, noisy, noise=noise)
+    exact = 1.0 - 2.0 * loss * (2.0 * np.arange(len(cycles)) + 1.0)
+    assert 18 <= len(cycles) <= 22  # 45 swings fit into 1 / 0.022
+    assert np.all(np.abs(cycles.amplitude - exact) < 5.0 * cycles.amplitude_error)
+    truth = 2.0 * np.log((exact + loss * 1.0) / (exact - loss * 1.0))
+    assert np.all(np.abs(cycles.damping - truth) < 5.0 * cycles.damping_error)
+    np.testing.assert_allclose(cycles.frequency, FREQUENCY, atol=5.0 * cycles.frequency_error.max())
+
+
+def test_asymmetry_and_static_offset_are_kept(request: pytest.FixtureRequest) -> None:
+    t = np.arange(0.0, 12.0, 0.01)
+    x = linear_decay(t)
+    bent = x + 0.1 * x**2 + 0.03
+    noisy = bent + 1e-3 * generator(request).standard_normal(t.size)
+    cycles = extract_cycles_from_arrays(t, noisy, noise=1e-3)
+    clean = extract_cycles_from_arrays(t, bent)
+    np.testing.assert_allclose(cycles.offset, clean.offset, atol=5.0 * cycles.offset_error.max())
+    # at small amplitude only the static offset is left of the mid-line
+    assert cycles.offset[0] == pytest.approx((0.03 + 0.1 * cycles.amplitude[0] ** 2) / cycles.amplitude[0], rel=0.05)
+
+
+def test_a_record_that_begins_in_mid_swing_starts_at_its_first_peak() -> None:
+    t = np.arange(0.18, 12.0, 0.01)
+    cycles = extract_cycles_from_arrays(t, linear_decay(t))
+    assert cycles.turning_times[0] == pytest.approx(0.25, abs=2e-3)
+    assert cycles.turning_signs[0] == -1.0
+    assert cycles.time[0] == pytest.approx(0.75, abs=2e-3)
+
+
+def test_cycles_below_the_noise_are_dropped(request: pytest.FixtureRequest) -> None:
+    t = np.arange(0.0, 40.0, 0.02)
+    noisy = linear_decay(t, 0.02) + 0.02 * generator(request).standard_normal(t.size)
+    cycles = extract_cycles_from_arrays(t, noisy, noise=0.02)
+    assert 12 < len(cycles) < 30
+    assert np.all(cycles.smoothed_amplitude > 6.0 * cycles.amplitude_error)
+
+
+def test_rescaled_time_and_amplitude_change_nothing_else(request: pytest.FixtureRequest) -> None:
+    t = np.arange(0.0, 12.0, 0.02)
+    noisy = linear_decay(t) + 0.01 * generator(request).standard_normal(t.size)
+    one = extract_cycles_from_arrays(t, noisy, noise=0.01)
+    other = extract_cycles_from_arrays(t * 1e-3 + 5.0, noisy * 1e-6, noise=0.01e-6)
+    scale = {"amplitude": 1e-6, "frequency": 1e3, "damping": 1.0, "offset": 1.0}
+    for name in QUANTITIES:
+        for suffix in ("", "_error"):
+            # the smoothing's eigenvalues see rounding: 1e-6
+            np.testing.assert_allclose(
+                getattr(other, name + suffix), getattr(one, name + suffix) * scale[name], rtol=1e-5, atol=1e-7 * scale[name]
+            )
+
+
+def test_record_objects_and_their_noise() -> None:
+    t = np.arange(0.0, 12.0, 0.02)
+    record = SimpleNamespace(specimen="a", time=t, displacement=linear_decay(t), noise=1e-3, notes=("cut at the release",))
+    cycles = extract_cycles(record)
+    assert (cycles.specimen, cycles.noise, cycles.notes) == ("a", 1e-3, ("cut at the release",))
+
+
+@pytest.mark.parametrize(
+    ("time", "displacement", "words"),
+    [
+        (np.arange(100.0) ** 1.1, np.cos(np.arange(100.0)), "uniform"),
+        (np.arange(100.0), np.ones(100), "must move"),
+        (np.arange(100.0), np.cos(np.arange(99.0)), "as long as"),
+        (np.arange(100.0), np.cos(np.arange(100.0) * 0.1), "at least three cycles"),
+        (np.arange(100.0), np.where(np.arange(100) == 3, np.nan, 1.0), "finite"),
+    ],
+)
+def test_unusable_records_say_why(time: np.ndarray, displacement: np.ndarray, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        extract_cycles_from_arrays(time, displacement)
