@@ -23,8 +23,8 @@ def main() -> None:
         }
         pb.backbone_likelihood("backbones", oscillator, density, parameters)
 
-    posterior = pb.sample(model, draws=2000, tune=1000, chains=4, random_seed=1)
-    print(pb.summarise(posterior))
+    posterior = pb.sample(model, draws=4000, tune=2000, chains=4, random_seed=1)
+    print(pb.summarise(posterior).to_string())
     for sentence in pb.findings(posterior):
         print(sentence)
 

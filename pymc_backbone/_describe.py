@@ -94,7 +94,7 @@ def describe_result(result: Mapping[str, Any]) -> str:
                 f"{entry['ess_bulk']:.0f}",
             )
         )
-    spread = [
+    spread: list[tuple[str, ...]] = [
         (
             f"level [{result['amplitude_unit']}]",
             "observable",

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.signal import firwin, kaiserord, oaconvolve
 
-from ._checks import FloatArray
+from ._checks import FloatArray, InputError
 from ._tracking import Track, local_basis
 
 _ATTENUATION = 70.0
 """Stop-band attenuation [dB] of the band-pass; its pass-band ripple is then 3e-4."""
 _TRANSITION = 0.9
+_NARROWEST = 0.1
 _EDGE_FIT = 5.0
 _EDGE_KEPT = 3.5
 
@@ -70,13 +72,35 @@ class BandPass:
         return max(gains, key=lambda gain: abs(gain - 1.0)) - 1.0, float(np.log(gains[0] / gains[1])) / fall
 
 
-def design_band_pass(low: float, high: float, frequency: float, sampling_rate: float) -> BandPass:
-    """Design the shortest Kaiser-windowed band-pass that passes ``frequency`` untouched.
+def check_band(band: Any, sampling_rate: float, name: str) -> tuple[float, float]:
+    """Return a band as two increasing frequencies below half the sampling rate, or raise `InputError`."""
+    try:
+        low, high = (float(edge) for edge in band)
+    except (TypeError, ValueError):
+        raise InputError(f"{name}: `band` must be two frequencies (low, high) in Hz, got {band!r}.") from None
+    limit = 0.5 * sampling_rate
+    if not 0.0 < low < high < limit:
+        raise InputError(
+            f"{name}: `band` must satisfy 0 < low < high < {limit:.4g} Hz (half the sampling rate), got "
+            f"({low:g}, {high:g}); choose edges around the mode."
+        )
+    return low, high
+
+
+def design_band_pass(band: tuple[float, float], frequency: float, sampling_rate: float, name: str) -> BandPass:
+    """Design the shortest Kaiser-windowed band-pass that passes ``frequency`` untouched, or raise `InputError`.
 
     The transition at each edge is as wide as the distance from the mode to the nearer edge allows.
     """
-    width = 2.0 * _TRANSITION * min(frequency - low, high - frequency)
-    width = min(width, 2.0 * low)
+    low, high = band
+    near = min(frequency - low, high - frequency)
+    if near < _NARROWEST * frequency:
+        raise InputError(
+            f"{name}: `band` ({low:g}, {high:g}) Hz leaves {near:.3g} Hz beside the mode at {frequency:.4g} Hz, expected "
+            f"at least {_NARROWEST * frequency:.3g}; widen it, for example to ({0.75 * frequency:.3g}, "
+            f"{1.3 * frequency:.3g})."
+        )
+    width = min(2.0 * _TRANSITION * near, 2.0 * low)
     count, beta = kaiserord(_ATTENUATION, width / (0.5 * sampling_rate))
     count += 1 - count % 2
     taps = firwin(count, [low, high], window=("kaiser", beta), pass_zero=False, fs=sampling_rate, scale=False)

@@ -39,6 +39,11 @@ class NoiseSpectrum:
     edges: FloatArray
     density: FloatArray
 
+    @property
+    def total(self) -> float:
+        """Standard deviation over all frequencies."""
+        return float(np.sqrt(np.sum(self.density * np.diff(self.edges))))
+
     def at(self, frequency: FloatArray) -> FloatArray:
         """Return the density at given frequencies, interpolated between bin centres."""
         centres = 0.5 * (self.edges[1:] + self.edges[:-1])
@@ -128,9 +133,7 @@ def _bin_edges(frequency: float, nyquist: float) -> FloatArray:
     return np.array(edges)
 
 
-def _periodogram(
-    values: FloatArray, first: int, sampling_rate: float, track: Track
-) -> tuple[FloatArray, FloatArray]:
+def _periodogram(values: FloatArray, first: int, sampling_rate: float, track: Track) -> tuple[FloatArray, FloatArray]:
     """Return frequencies and noise densities of one segment that begins at sample ``first``."""
     n = values.size
     time = np.arange(first, first + n) / sampling_rate
@@ -218,3 +221,10 @@ def noise_of(
     large = np.flatnonzero(np.abs(autocovariance) > _NEGLIGIBLE * autocovariance[0])
     last = int(large[-1]) if large.size else 0
     return Noise(deviation, np.append(autocovariance[: last + 1], 0.0))
+
+
+def amplitude_floor(spectrum: NoiseSpectrum, frequency: float, sampling_rate: float) -> float:
+    """Return the amplitude, three standard errors, below which a track drowns in the noise."""
+    variance = float(spectrum.at(np.array([frequency]))[0]) * 0.5 * sampling_rate
+    # two running means over a cycle of n samples: the variance of either quadrature is 4 / (3 n) times the noise's
+    return 3.0 * float(np.sqrt(variance * 4.0 * frequency / (3.0 * sampling_rate)))

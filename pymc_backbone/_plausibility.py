@@ -11,6 +11,7 @@ MINIMUM_PER_CYCLE = 8.0
 MINIMUM_CYCLES = 4.0
 MINIMUM_FALL = 0.02
 _CLIPPED_PEAKS = 3
+_FINE = 1e-5
 
 
 def check_moves(values: FloatArray, name: str) -> None:
@@ -30,14 +31,13 @@ def check_per_cycle(sampling_rate: float, frequency: float, name: str) -> None:
         )
 
 
-def check_clipping(
-    values: FloatArray, time: FloatArray, sampling_rate: float, frequency: float, step: float, name: str
-) -> None:
+def check_clipping(values: FloatArray, time: FloatArray, frequency: float, step: float, name: str) -> None:
     """Raise when the tops of several peaks are cut off at the same value.
 
     Samples at the extreme value that follow each other are natural on a coarse converter: a cosine of
     amplitude A stays within one step of its top for a while. Clipped tops last longer than that.
     """
+    sampling_rate = (time.size - 1) / float(time[-1] - time[0])
     middle, amplitude = 0.5 * float(values.max() + values.min()), 0.5 * float(np.ptp(values))
     for extreme in (float(values.max()), float(values.min())):
         at = np.abs(values - extreme) <= 1e-9 * amplitude
@@ -46,14 +46,17 @@ def check_clipping(
         # the fall of a true cosine from the middle to the end of the run
         fall = amplitude * (1.0 - np.cos(np.minimum(np.pi * frequency * (length - 1) / sampling_rate, np.pi)))
         cut = (length >= 2) & (fall > 3.0 * step) & (fall > 1e-3 * amplitude)
+        if step < _FINE * amplitude and cut.any():
+            # on a fine scale no two peaks are equal by chance, as far as single samples
+            cut |= length >= 1
         # a model held at rest is one long run, not a peak
         cut &= length < 0.6 * sampling_rate / frequency
         if np.count_nonzero(cut) >= _CLIPPED_PEAKS:
-            last = int((first + length)[cut][-1])
+            last = min(int(np.flatnonzero(at)[-1]) + 1, time.size - 1)
             side = "upper" if extreme > middle else "lower"
             raise InputError(
                 f"{name}: {np.count_nonzero(cut)} peaks are clipped at {extreme:.6g} ({side} limit of the sensor or converter), "
-                f"first at {time[first[cut][0]]:.6g} s; widen the range, or use what follows with start={time[min(last, time.size - 1)]:.6g}."
+                f"first at {time[first[cut][0]]:.6g} s; widen the range, or use what follows with start={time[last]:.6g}."
             )
 
 

@@ -15,15 +15,22 @@ _WINDOW = 0.65
 _PLATEAU_FALL = 0.06
 
 
-def envelope(values: FloatArray, sampling_rate: float, frequency: float) -> FloatArray:
+def envelope(values: FloatArray, sampling_rate: float, frequency: float, integrations: int = 0) -> FloatArray:
     """Return the amplitude of the fundamental over windows of two cycles, as long as the record.
 
-    Within one cycle of the ends it is held at its value there.
+    With ``integrations`` it is that of the displacement (up to a constant) behind a velocity or an acceleration: where
+    the frequency rises as the amplitude falls, an acceleration may stay level while the displacement decays. Within one
+    cycle of the ends it is held at its value there.
     """
     half = min(max(int(round(sampling_rate / frequency)), 2), (values.size - 1) // 2)
     kernel = np.concatenate([np.arange(1, half + 1), np.arange(half - 1, 0, -1)]) / float(half) ** 2
     carrier = np.exp(-2j * np.pi * frequency / sampling_rate * np.arange(values.size))
-    inner = 2.0 * np.abs(fftconvolve(values * carrier, kernel, mode="valid"))
+    z = fftconvolve(values * carrier, kernel, mode="valid")
+    inner = 2.0 * np.abs(z)
+    if integrations:
+        turns = np.gradient(np.unwrap(np.angle(z))) * sampling_rate / (2.0 * np.pi * frequency)
+        rate = uniform_filter1d(np.clip(1.0 + turns, 0.6, 1.7), half, mode="nearest")
+        inner = inner / rate**integrations
     return np.pad(inner, (half - 1, values.size - inner.size - half + 1), mode="edge")
 
 
@@ -35,7 +42,7 @@ def leading_rest(values: FloatArray) -> int:
 
 
 def end_of_rest(values: FloatArray, sampling_rate: float, frequency: float) -> int | None:
-    """Return the last sample before the release or the impact, or None where the record begins in motion.
+    """Return the first sample after the release or the impact, or None where the record begins in motion.
 
     Before a release or an impact the record hardly moves: over 0.65 of a cycle before it, it spans less than half
     the later amplitude, where a free oscillation spans at least its amplitude (1.45 times it, and 1.0 at ten samples
@@ -46,17 +53,17 @@ def end_of_rest(values: FloatArray, sampling_rate: float, frequency: float) -> i
     top = int(np.argmax(level))
     first, _ = _plateau(level, top)
     quiet = _last_quiet(values, period, float(level[top]), int(first + period))
-    return quiet if quiet is not None and quiet > first - 3.0 * period else None
+    return quiet + 1 if quiet is not None and quiet > first - 3.0 * period else None
 
 
-def end_of_drive(values: FloatArray, sampling_rate: float, frequency: float) -> int | None:
+def end_of_drive(values: FloatArray, sampling_rate: float, frequency: float, integrations: int) -> int | None:
     """Return a sample safely after the end of forcing, or None where the record is free from its start.
 
     Forcing is seen in the envelope: it has grown to its maximum, or stayed level there, for more than a cycle and a half.
     The decay begins one and a half cycles after the bend, for the envelope is that blunt.
     """
     period = sampling_rate / frequency
-    level = envelope(values, sampling_rate, frequency)
+    level = envelope(values, sampling_rate, frequency, integrations)
     top = int(np.argmax(level))
     first, last = _plateau(level, top)
     is_level = _is_level(level, first, last, period)
@@ -125,15 +132,22 @@ def end_of_motion(track: Track, floor: float) -> float:
     return float(track.time[-1])
 
 
-def regrowth(track: Track, noise: float) -> tuple[float, float, float] | None:
-    """Return time, low and high of the first clear growth of the amplitude (a second impact, beating), or None."""
-    step = max(track.per_cycle // 2, 1)
-    amplitude, time = track.amplitude[::step], track.time[::step]
-    lowest = np.minimum.accumulate(amplitude)
-    grown = amplitude > 1.25 * lowest + 8.0 * noise
-    grown &= amplitude > 0.05 * amplitude[0]
+def regrowth(path: Track, integrations: int, noise: float) -> tuple[float, float, float] | None:
+    """Return time, low and high of the first clear growth of the amplitude (a second impact, beating), or None.
+
+    Growth is judged on the displacement's amplitude, with ``noise`` the standard error of the measured one.
+    """
+    step = max(path.per_cycle // 2, 1)
+    amplitude, time = path.amplitude[::step], path.time[::step]
+    if time.size < 4:
+        return None
+    rate = np.gradient(path.phase[::step], time) / (2.0 * np.pi * path.frequency)
+    factor = np.clip(rate, 0.6, 1.7) ** -integrations
+    shown = amplitude * factor
+    grown = shown > 1.25 * np.minimum.accumulate(shown) + 8.0 * noise * factor
+    grown &= shown > 0.05 * shown[0]
     if not grown.any():
         return None
     at = int(np.argmax(grown))
-    low = int(np.argmin(amplitude[: at + 1]))
+    low = int(np.argmin(shown[: at + 1]))
     return float(time[low]), float(amplitude[low]), float(amplitude[low:].max())

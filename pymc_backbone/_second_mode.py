@@ -35,6 +35,13 @@ class SecondMode:
     frequency: float
     share: float
 
+    def suggested_band(self, mode: float) -> tuple[float, float]:
+        """Return a band around the dominant mode that keeps this one out."""
+        between = float(np.sqrt(mode * self.frequency))
+        if self.frequency > mode:
+            return 0.7 * mode, min(1.35 * mode, between)
+        return max(0.7 * mode, between), 1.35 * mode
+
 
 def find_second_mode(values: FloatArray, sampling_rate: float, path: Track) -> SecondMode | None:
     """Return the highest peak that is not phase-locked to the dominant mode, or None.

@@ -20,15 +20,14 @@ SMOOTHNESS_GRID = np.logspace(-1.0, 9.0, 31)
 
 KINKS: tuple[float, ...] = tuple(np.linspace(0.0, 1.0, 9))
 """Places (in the range of the abscissa) where the curve may bend much more than elsewhere."""
-KINK_WIDTH = 0.07
+KINK_WIDTH, KINK_EASE = 0.07, 1e4
 UNDERSMOOTHING = 4.0
-"""Freedom to bend beyond what the likelihood asks for: trades a fifth more standard error for a third of the bias at corners."""
-KINK_EASE = 1e4
+"""Freedom to bend beyond what the likelihood asks for: a fifth more standard error, a third less bias at corners."""
 
 
 @dataclass(frozen=True)
 class Curve:
-    """A smoothed curve at the places asked for: value, its covariance, and mean squared normalised residual (at least 1)."""
+    """A smoothed curve where asked for: value, covariance, and mean squared normalised residual (at least 1)."""
 
     value: FloatArray
     covariance: FloatArray
@@ -37,7 +36,7 @@ class Curve:
 
 @lru_cache(maxsize=64)
 def _bending_roots(order: int, kink: float | None) -> FloatArray:
-    """Return spline coefficients (basis, basis) of the prior: ``order`` columns that cost nothing, then columns of unit prior variance.
+    """Return spline coefficients of the prior: ``order`` columns that cost nothing, then some of unit variance.
 
     With a ``kink`` (in [0, 1]) bending costs less there by `KINK_EASE`.
     """
@@ -87,8 +86,10 @@ def smooth(
 ) -> Curve:
     """Smooth ``values`` with noise covariance ``bands``, averaging over smoothness and over abscissas.
 
-    The curve has a Gaussian prior: a polynomial of degree ``order - 1`` that costs nothing plus a part whose ``order``-th derivative is
-    white with unknown strength. The strength (and the abscissa, and the order) is integrated over with the restricted likelihood as weight, so
+    The curve has a Gaussian prior: a polynomial of degree ``order - 1`` that costs nothing plus a part whose
+    ``order``-th derivative is
+    white with unknown strength. The strength (and the abscissa, and the order) is integrated over with the restricted
+    likelihood as weight, so
     that the covariance holds the doubt about smoothness too.
 
     Parameters

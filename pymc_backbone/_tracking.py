@@ -102,6 +102,7 @@ def dominant_frequency(
     top = np.flatnonzero((weighted[1:-1] > weighted[:-2]) & (weighted[1:-1] >= weighted[2:])) + 1
     low, high = band if band is not None else (3.0 * sampling_rate / n, np.inf)
     top = top[(frequency[top] >= max(low, 2.0 * sampling_rate / n)) & (frequency[top] <= high)]
+    top = top[spectrum[top] > 0.25 * spectrum[top].max(initial=0.0)]
     top = top[np.argsort(spectrum[top])[::-1]][:200]
     # a strong decay whose frequency drifts has a broad peak
     for prominence in (2.0, 1.3):
@@ -194,14 +195,22 @@ def local_basis(time: FloatArray, path: Track, harmonics: int, powers: tuple[int
     u = 2.0 * (time - time[0]) / (time[-1] - time[0]) - 1.0
     # the track follows the noise around the fundamental; cubics follow only as much of it as the fit itself
     phase = _cubic(u, path.phase_at(time))
-    log_amplitude = _cubic(u, np.log(np.maximum(path.amplitude_at(time), np.finfo(float).tiny)))
-    amplitude = np.exp(log_amplitude - log_amplitude.max())
+    amplitude = _smooth_amplitude(u, path.amplitude_at(time))
     columns = [u**power for power in range(powers[0])]
     for order in range(1, harmonics + 1):
         for power in range(powers[1] if order == 1 else powers[2]):
             shape = amplitude * u**power
             columns += [shape * np.cos(order * phase), shape * np.sin(order * phase)]
     return np.array(columns).T
+
+
+def _smooth_amplitude(u: FloatArray, amplitude: FloatArray) -> FloatArray:
+    """Return amplitude as a cubic or as the exponential of one: viscous decays need the one, friction the other."""
+    scale = float(amplitude.max())
+    plain = _cubic(u, amplitude / scale)
+    logarithmic = np.exp(_cubic(u, np.log(np.maximum(amplitude / scale, 1e-12))))
+    misfits = [float(np.sum((curve - amplitude / scale) ** 2)) for curve in (plain, logarithmic)]
+    return plain if misfits[0] < misfits[1] else logarithmic
 
 
 def _cubic(u: FloatArray, values: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Turning points of a sampled decay: rough places, compiled local fits, and the covariance of what follows from them."""
+"""Turning points of a sampled decay: rough places, compiled local fits, covariance of what follows from them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def n_shape_functions(harmonics: int) -> int:
 
 
 @njit(cache=True)
-def shape_functions(angle, harmonics, values, slopes):
+def shape_functions(angle, harmonics, values, slopes):  # type: ignore[no-untyped-def]
     """Write the shape functions at ``angle`` from the turning point and their slopes; value and slope vanish at 0."""
     c, s = np.cos(angle), np.sin(angle)
     values[0], slopes[0] = angle * s, s + angle * c
@@ -36,10 +36,11 @@ def shape_functions(angle, harmonics, values, slopes):
 
 
 @njit(cache=True)
-def fit_windows(x, start, step, guess, period, amplitude, sign, template, harmonics, reach, iterations):
+def fit_windows(x, start, step, guess, period, amplitude, sign, template, harmonics, reach, iterations):  # type: ignore[no-untyped-def]
     """Fit time, value and scale of every turning point to the samples around it, the shape given.
 
-    The model around turning point k is ``x = p - s a (1 - cos u) + s sum_j b_kj g_j(u)``, ``u = 2 pi (t - t_k) / period_k``, s its sign, b the
+    The model around turning point k is ``x = p - s a (1 - cos u) + s sum_j b_kj g_j(u)``, ``u = 2 pi (t - t_k) /
+    period_k``, s its sign, b the
     template. Free are t_k, p, a.
 
     Returns
@@ -116,7 +117,9 @@ def fit_windows(x, start, step, guess, period, amplitude, sign, template, harmon
         inverse = np.linalg.inv(normal)
         for i in range(m):
             for c in range(2):
-                influence[k, i, c] = inverse[c, 0] * rows[i, 0] + inverse[c, 1] * rows[i, 1] + inverse[c, 2] * rows[i, 2]
+                influence[k, i, c] = (
+                    inverse[c, 0] * rows[i, 0] + inverse[c, 1] * rows[i, 1] + inverse[c, 2] * rows[i, 2]
+                )
         cross = rows[:m].T @ shapes[:m]
         solved = inverse @ cross
         response[k] = -solved[:2]
@@ -127,13 +130,13 @@ def fit_windows(x, start, step, guess, period, amplitude, sign, template, harmon
 
 
 @njit(cache=True)
-def n_shape_of(harmonics):
+def n_shape_of(harmonics):  # type: ignore[no-untyped-def]
     """Return the number of shape functions (compiled twin of `n_shape_functions`)."""
     return N_FIXED + 2 * (harmonics - 1)
 
 
 @njit(cache=True)
-def select_terms(normal, right, noise_variance, threshold, maximum, forced):
+def select_terms(normal, right, noise_variance, threshold, maximum, forced):  # type: ignore[no-untyped-def]
     """Choose regression terms one by one while the best lowers chi-square by more than ``threshold``.
 
     Returns
@@ -191,7 +194,7 @@ def select_terms(normal, right, noise_variance, threshold, maximum, forced):
 
 
 @njit(cache=True)
-def turning_covariance(influence, first, count, autocovariance, n_bands):
+def turning_covariance(influence, first, count, autocovariance, n_bands):  # type: ignore[no-untyped-def]
     """Return cov[k, b] (2, 2) between (t, p) of turning points k and k + b, the noise stationary."""
     n = first.size
     lags = autocovariance.size
@@ -222,8 +225,8 @@ def turning_covariance(influence, first, count, autocovariance, n_bands):
 
 
 @njit(cache=True)
-def cycle_covariance(gradients, turning, offset, n_bands):
-    """Return bands[q, b, i] = cov(quantity q of cycle i, the same of cycle i + b); gradients (q, cycle, 3 turning points, 2)."""
+def cycle_covariance(gradients, turning, offset, n_bands):  # type: ignore[no-untyped-def]
+    """Return bands[q, b, i], the covariance of quantity q of cycles i and i + b; gradients (q, cycle, 3, 2)."""
     n_quantities, n = gradients.shape[0], gradients.shape[1]
     lags = turning.shape[1]
     result = np.zeros((n_quantities, n_bands, n))
@@ -245,8 +248,8 @@ def cycle_covariance(gradients, turning, offset, n_bands):
 
 
 @njit(cache=True)
-def zigzag(x, threshold):
-    """Return the indices of alternating extremes of ``x`` that are at least ``threshold`` apart, and whether the first is a maximum."""
+def zigzag(x, threshold):  # type: ignore[no-untyped-def]
+    """Return indices of alternating extremes at least ``threshold`` apart, and whether the first is a maximum."""
     n = x.size
     found = np.zeros(n, np.int64)
     n_found, high, low, direction, starts_high = 0, 0, 0, 0, True
@@ -292,7 +295,8 @@ def rough_noise(x: FloatArray) -> float:
 def rough_turning_points(x: FloatArray, step: float, noise: float) -> tuple[FloatArray, FloatArray, float]:
     """Return index and sign of the turning points of the smoothed record, and its dominant period.
 
-    A Hann kernel of 0.4 periods; extremes alternate and differ by more than the smoothed noise. A last extreme after which the record goes on
+    A Hann kernel of 0.4 periods; extremes alternate and differ by more than the smoothed noise. A last extreme after
+    which the record goes on
     without another is the end of the motion (it stuck, or it drowned) and is dropped.
     """
     period = dominant_period(x, step)
@@ -316,7 +320,8 @@ def rough_turning_points(x: FloatArray, step: float, noise: float) -> tuple[Floa
             found, signs = found[: bad[0] + 1], signs[: bad[0] + 1]
         if (x.size - 1 - found[-1]) * step > 0.8 * period:
             found, signs = found[:-1], signs[:-1]
-        # a swing much smaller than the one before it leads from where friction stopped the motion to an extreme of the noise
+        # a swing much smaller than the one before it leads from where friction stopped the motion to an extreme of
+        # the noise
         swings = np.abs(np.diff(smoothed[found]))
         stopped = np.flatnonzero(swings[1:] < 0.3 * swings[:-1])
         if stopped.size:
@@ -325,7 +330,7 @@ def rough_turning_points(x: FloatArray, step: float, noise: float) -> tuple[Floa
 
 
 @njit(cache=True)
-def running_line(values, half):
+def running_line(values, half):  # type: ignore[no-untyped-def]
     """Return the running local line over 2 half + 1 neighbours, one-sided at the ends."""
     n = values.size
     result = np.empty(n)

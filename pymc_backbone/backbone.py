@@ -31,9 +31,10 @@ DEFAULT_LEVELS = 10
 def default_levels(cycles: Sequence[Cycles], n_levels: int | None = None) -> FloatArray:
     """Choose log-spaced levels inside the amplitudes that (nearly) all specimens reach.
 
-    The range is the one all specimens share; when that spans less than a factor 1.25, up to half of the specimens at either end are left out
-    (their values at those levels are NaN). It is inset by 2 % of its logarithm, so that the level values stay away from the outermost cycles,
-    whose standard errors are largest.
+    The range is the one all specimens share, their first cycles aside: the release disturbs them, and their
+    first peak is known from one side only. When it spans less than a factor 1.25 and there are more than three
+    specimens, up to half of them are left out at either end (their values at those levels are NaN). It is inset by 2 % of its logarithm, because
+    standard errors are largest at the outermost cycles.
 
     Parameters
     ----------
@@ -52,9 +53,9 @@ def default_levels(cycles: Sequence[Cycles], n_levels: int | None = None) -> Flo
     InputError
         When the specimens have no common amplitudes.
     """
-    tops = np.array([item.smoothed_amplitude.max() for item in cycles])
+    tops = np.array([np.partition(item.smoothed_amplitude, -2)[-2] for item in cycles])
     bottoms = np.array([item.smoothed_amplitude.min() for item in cycles])
-    for share in (0.0, 0.1, 0.2, 0.35, 0.5):
+    for share in (0.0, 0.1, 0.2, 0.35, 0.5) if len(cycles) > 3 else (0.0,):
         low = float(np.quantile(bottoms, 1.0 - share))
         high = float(np.quantile(tops, share))
         if high > 1.25 * low:
@@ -80,9 +81,12 @@ def backbones_at_levels(
 ) -> xr.Dataset:
     """Estimate the backbone of every specimen at amplitude levels, with standard errors.
 
-    Each observable is smoothed over the cycles by generalised least squares with the covariance of cycles that share samples, as a function of
-    smoothed amplitude. The smoothness is averaged over, not chosen (`_smoothing.smooth`), so that the standard errors contain the doubt about the
-    curve between and beyond its noise; so is the abscissa (logarithm of amplitude, amplitude). The error of the amplitude itself is added.
+    Each observable is smoothed over the cycles by generalised least squares with the covariance of cycles that share
+    samples, as a function of
+    smoothed amplitude. The smoothness is averaged over, not chosen (`_smoothing.smooth`), so that the standard errors
+    contain the doubt about the
+    curve between and beyond its noise; so is the abscissa (logarithm of amplitude, amplitude). The error of the
+    amplitude itself is added.
 
     Parameters
     ----------
@@ -98,7 +102,8 @@ def backbones_at_levels(
     Returns
     -------
     xarray.Dataset
-        ``value`` and ``standard_error`` (specimen, observable, level), ``covariance`` (specimen, observable, level, level_other).
+        ``value`` and ``standard_error`` (specimen, observable, level), ``covariance`` (specimen, observable, level,
+        level_other).
         NaN at levels outside a specimen's own cycles: nothing is extrapolated.
 
     Raises
@@ -132,7 +137,9 @@ def backbones_at_levels(
             covariance[i, j, reached[:, None], reached] = spread
     if np.all(np.isnan(value)):
         low, high = min(c.smoothed_amplitude.min() for c in items), max(c.smoothed_amplitude.max() for c in items)
-        raise InputError(f"`levels` must lie inside the measured amplitudes {low:g} to {high:g}, got {at[0]:g} to {at[-1]:g}.")
+        raise InputError(
+            f"`levels` must lie inside the measured amplitudes {low:g} to {high:g}, got {at[0]:g} to {at[-1]:g}."
+        )
     return _dataset(names, chosen, at, value, covariance, amplitude_unit, notes)
 
 

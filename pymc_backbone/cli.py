@@ -169,8 +169,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 class _Interrupt:
     """Ctrl-C ends the run at once, wherever it comes.
 
-    PyMC takes a KeyboardInterrupt as the end of one chain and goes on with the next; compiled code that calls back turns
-    any exception into another one. So the signal raises an exception of its own, and is remembered.
+    PyMC takes a KeyboardInterrupt as the end of one chain and goes on with the next; compiled code that calls back
+    turns any exception into another one. So the signal raises an exception of its own, and is remembered.
     """
 
     def __init__(self) -> None:
@@ -397,9 +397,7 @@ def _demo(options: argparse.Namespace) -> None:
 def _hush_libraries() -> None:
     """Keep PyMC's own messages from the terminal, whose content the findings give; show this package's progress."""
     logging.getLogger("pymc").setLevel(logging.CRITICAL)
-    logging.root.addHandler(
-        logging.NullHandler()
-    )  # PyMC, when imported later, sets up its logger if root has no handler
+    logging.root.addHandler(logging.NullHandler())  # else PyMC, imported later, sets up its own
     # PyMC averages exp(log acceptance ratio), which overflows where a proposal is far better than the start.
     warnings.filterwarnings("ignore", message="overflow encountered in exp", category=RuntimeWarning)
     progress = logging.getLogger(__package__)

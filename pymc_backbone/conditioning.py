@@ -1,4 +1,4 @@
-"""From a measured record to the displacement of one free decay, with its noise and everything that was done said in words."""
+"""From a measured record to the displacement of one free decay, with its noise and with notes on what was done."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ._asymmetry import SIGNIFICANT, MidLine, displacement_amplitude, restore_mid_line, second_harmonic
 from ._baseline import Baseline, find_baseline
 from ._checks import FloatArray, InputError, check_finite_array
-from ._filters import BandPass, design_band_pass, integrate, integration_response
-from ._noise import NoiseSpectrum, noise_of, noise_spectrum, quantum
+from ._filters import BandPass, check_band, design_band_pass, integrate, integration_response
+from ._noise import NoiseSpectrum, amplitude_floor, noise_in_band, noise_of, noise_spectrum, quantum
 from ._plausibility import check_clipping, check_cycles, check_decays, check_moves, check_per_cycle
-from ._release import Release, end_of_motion, find_release, leading_rest, regrowth
-from ._sampling import UniformSamples, to_uniform
+from ._release import end_of_drive, end_of_motion, end_of_rest, leading_rest, regrowth
+from ._sampling import to_uniform
 from ._second_mode import SecondMode, find_second_mode
 from ._tables import printable
 from ._tracking import Track, dominant_frequency, track
-from .records import Record
+from .records import MINIMUM_SAMPLES, QUANTITIES, Record
 
-_INTEGRATIONS = {"displacement": 0, "velocity": 1, "acceleration": 2}
-_FLOOR = 3.0
-"""Motion ends where its amplitude falls below this many standard errors of the tracked amplitude."""
-_NARROWEST = 0.1
+_TOLERATED_BIAS = 0.05
+"""Relative error of damping from a lost mid-line above which a warning is due."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,8 @@ class ConditionedRecord:
     rest_offset : float
         Where the motion came to rest (dry friction) relative to equilibrium; NaN where the record does not show one.
     offset_is_measured : bool
-        Whether the mid-line of the displacement is that of the structure; integration and band-pass remove it.
+        Whether the mid-line of the displacement is that of the structure. Integration and band-pass remove it; for velocity it
+        is restored where it is significant.
     frequency : float
         Mean frequency of the dominant mode [Hz].
     amplitude : float
@@ -62,6 +63,8 @@ class ConditionedRecord:
         Band that was passed [Hz].
     lost_cycles : float
         Cycles lost at each end to the band-pass.
+    end_of_motion : float
+        Time [s] at which the amplitude drowns in the noise or the motion stops; the record's last time where it does neither.
     second_mode_frequency, second_mode_share : float
         Highest peak of another mode [Hz] and its height over that of the dominant one; NaN where there is none.
     source : str
@@ -86,6 +89,7 @@ class ConditionedRecord:
     quantity: str
     band: tuple[float, float] | None
     lost_cycles: float
+    end_of_motion: float
     second_mode_frequency: float
     second_mode_share: float
     source: str
@@ -125,16 +129,22 @@ def condition(
     Notes
     -----
     *Release.* After a hold, an impact or the end of forcing the record begins a quarter of a cycle before the first
-    turning point that lies at least a quarter of a cycle after the release. The held position itself is dropped:
-    it is a plateau, not a turning point, and the hand or the hammer is in it.
+    turning point that lies at least 0.3 cycles after the release. The held position itself is dropped:
+    it is a plateau, not a turning point, and the hand is in it; so is the first quarter of a cycle after an impact, with the
+    hammer.
 
     *Zero.* For displacement nothing is high-passed, because the mid-line is physics. The reading subtracted is the limit of the
     mid-line at vanishing amplitude, confirmed by a quiet tail where there is one. See `ConditionedRecord.rest_offset`.
 
-    *Velocity and acceleration* are integrated over time (quintic spline) after the release, and the drift is removed without
-    touching the harmonics; no cycle is lost, but the mid-line is.
+    *Velocity and acceleration* are integrated over time (quintic spline) after the release, and the drift is
+    removed without touching the harmonics; no cycle is lost, but the mid-line is. For an asymmetric structure that matters: a
+    mid-line proportional to the k-th power of amplitude changes the logarithmic decrement of the package's definition by the
+    factor 1 + k times mid-line over amplitude. The mean of a velocity over each cycle is the rate of change of the mid-line: where
+    that is significant, the mid-line is restored from it. Otherwise a second harmonic raises a warning.
 
-    *Band.* A linear-phase filter; only samples that depend on no sample before the release are kept.
+    *Band.* A linear-phase filter; only samples that depend on no sample before the release are kept. Harmonics outside the
+    band are lost, and with them their share of the turning points (0.9 % for a third harmonic of a Duffing oscillator
+    with 30 % cubic stiffness).
 
     Examples
     --------
@@ -155,275 +165,274 @@ class _Conditioning:
         self.record = record
         self.name = printable(record.source)
         self.notes: list[str] = list(record.notes)
-        self.start_is_given = start is not None
-        self.samples = self._sampled(start, stop)
-        self.band = self._checked_band(band)
+        self.integrations = QUANTITIES.index(record.quantity)
+        keep = self._chosen(start, stop)
+        time, values = record.time[keep], record.values[keep]
+        check_moves(values, self.name)
+        self.step = quantum(values)
+        self.samples = to_uniform(time, values)
+        self.notes += self.samples.notes
+        self.rate = self.samples.sampling_rate
+        self.band = None if band is None else check_band(band, self.rate, self.name)
+        self.frequency = self._dominant(time, values)
+        self.begin = self.samples.start
+        self.search = start is None
 
     def run(self) -> ConditionedRecord:
         """Condition the record."""
-        samples, rate = self.samples, self.samples.sampling_rate
-        frequency = self._dominant()
-        release = self._release(frequency)
-        measured = samples.values[release.index :]
-        begin = samples.start + release.index / rate
-        whole = check_cycles(track(measured, rate, frequency), self.name, "after the release")
-        spectrum, whole = self._spectrum(measured, whole)
-        band_pass = self._band_pass(whole)
-        filtered, begin = (measured, begin) if band_pass is None else self._filtered(measured, begin, band_pass)
-        path = (
-            whole
-            if band_pass is None
-            else check_cycles(track(filtered, rate, whole.frequency), self.name, "left by the band-pass")
-        )
-        path, end = self._motion(path, spectrum, begin)
-        check_decays(path, self.name)
-        baseline = self._baseline(filtered, path, end, spectrum, band_pass)
-        second = self._second_mode(filtered, path)
-        first, last = self._cut(path, release, end, filtered.size, band_pass)
-        displacement = self._displacement(filtered[first:last], path, first)
-        displacement -= baseline.value
-        noise = noise_of(spectrum, self._response(band_pass, path.frequency), path.frequency, rate)
-        time = begin + np.arange(first, last) / rate
-        time.setflags(write=False)
-        displacement.setflags(write=False)
-        noise.autocovariance.setflags(write=False)
-        integrations = _INTEGRATIONS[self.record.quantity]
-        scale = (2.0 * np.pi * path.frequency) ** -integrations
+        measured, is_cut = self._released(self.samples.values)
+        band_pass = None
+        if self.band is not None:
+            band_pass = design_band_pass(self.band, self.frequency, self.rate, self.name)
+            whole, measured = measured, self._filtered(measured, band_pass)
+        else:
+            whole = measured
+        what = "after the release" if band_pass is None else "left by the band-pass"
+        path = check_cycles(track(measured, self.rate, self.frequency), self.name, what)
+        spectrum, path, end = self._motion(measured, path, band_pass)
+        check_decays(displacement_amplitude(path, self.integrations), self.name)
+        baseline = self._baseline(measured, path, end, spectrum, band_pass)
+        second = self._second_mode(measured, path)
+        first, last = self._range(path, is_cut and band_pass is None, end, measured.size)
+        displacement = self._displacement(measured[first:last], path.shifted(first / self.rate))
+        mid_line = None
+        time = np.arange(first, last) / self.rate
+        amplitude = displacement_amplitude(path, self.integrations)
+        if self.integrations or band_pass:
+            lag = 0.0 if band_pass is None else band_pass.half / self.rate
+            mid_line = self._mid_line(whole, path.shifted(-lag), second, is_filtered=band_pass is not None)
+        if mid_line is not None:
+            displacement += mid_line.at(amplitude.amplitude_at(time))
+        self._note_band_pass(band_pass, path)
+        noise = noise_of(spectrum, self._response(band_pass, path.frequency), path.frequency, self.rate)
+        is_measured = mid_line is not None or not (self.integrations or band_pass)
         return ConditionedRecord(
             specimen=self.record.specimen,
-            time=time,
-            displacement=displacement,
-            sampling_rate=rate,
+            time=_frozen(self.begin + time),
+            displacement=_frozen(displacement - baseline.value),
+            sampling_rate=self.rate,
             noise=noise.standard_deviation,
-            noise_autocovariance=noise.autocovariance,
+            noise_autocovariance=_frozen(noise.autocovariance),
             baseline=baseline.value,
             baseline_error=baseline.error,
             rest_offset=baseline.rest,
-            offset_is_measured=integrations == 0 and band_pass is None,
+            offset_is_measured=is_measured,
             frequency=path.frequency,
-            amplitude=float(path.amplitude_at(np.array([first / rate]))[0]) * scale,
+            amplitude=float(amplitude.amplitude_at(time[:1])[0]),
             unit=self.record.unit.partition("/")[0],
             quantity=self.record.quantity,
             band=self.band,
-            lost_cycles=0.0 if band_pass is None else band_pass.half * path.frequency / rate,
+            lost_cycles=0.0 if band_pass is None else band_pass.half * path.frequency / self.rate,
+            end_of_motion=min(self.begin + end, self.begin + float(time[-1])),
             second_mode_frequency=second.frequency if second else np.nan,
             second_mode_share=second.share if second else np.nan,
             source=self.record.source,
             notes=tuple(self.notes),
         )
 
-    def _sampled(self, start: float | None, stop: float | None) -> UniformSamples:
-        """Return the chosen part of the record on a uniform grid."""
-        time, values = self.record.time, self.record.values
+    def _chosen(self, start: float | None, stop: float | None) -> NDArray[np.bool_]:
+        """Return which samples lie between ``start`` and ``stop``."""
+        time = self.record.time
         keep = np.ones(time.size, dtype=bool)
-        for label, bound, inside in (("start", start, np.greater_equal), ("stop", stop, np.less_equal)):
-            if bound is not None:
-                limit = float(check_finite_array(label, [bound])[0])
-                keep &= inside(time, limit)
-        if np.count_nonzero(keep) < 32:
+        # the limits may be stamps of a grid that is known to a millionth of a sample only
+        slack = 1e-3 * float(np.median(np.diff(time)))
+        if start is not None:
+            keep &= time >= float(check_finite_array("start", start, ndim=0)) - slack
+        if stop is not None:
+            keep &= time <= float(check_finite_array("stop", stop, ndim=0)) + slack
+        if np.count_nonzero(keep) < MINIMUM_SAMPLES:
             raise InputError(
-                f"{self.name}: {np.count_nonzero(keep)} samples lie between `start` and `stop`, expected at least 32 of the "
-                f"record from {time[0]:.6g} to {time[-1]:.6g} s; choose other limits."
+                f"{self.name}: {np.count_nonzero(keep)} samples lie between `start` and `stop`, expected at least "
+                f"{MINIMUM_SAMPLES} of the record from {time[0]:.6g} to {time[-1]:.6g} s; choose other limits."
             )
-        check_moves(values[keep], self.name)
-        samples = to_uniform(time[keep], values[keep])
-        self.notes += samples.notes
-        return samples
+        return keep
 
-    def _checked_band(self, band: Any) -> tuple[float, float] | None:
-        """Return the band as two increasing frequencies below half the sampling rate, or raise."""
-        if band is None:
-            return None
-        try:
-            low, high = (float(edge) for edge in band)
-        except (TypeError, ValueError):
-            raise InputError(f"`band` must be two frequencies (low, high) in Hz, got {band!r}.") from None
-        limit = 0.5 * self.samples.sampling_rate
-        if not 0.0 < low < high < limit:
-            raise InputError(
-                f"{self.name}: `band` must satisfy 0 < low < high < {limit:.4g} Hz (half the sampling rate), got "
-                f"({low:g}, {high:g}); choose edges around the mode."
-            )
-        return low, high
-
-    def _dominant(self) -> float:
+    def _dominant(self, time: FloatArray, values: FloatArray) -> float:
         """Return the frequency of the dominant mode (within the band), after the checks that need it."""
-        values, rate = self.samples.values, self.samples.sampling_rate
-        lead = leading_rest(values)
-        free = values[lead:] if values.size - lead >= 32 else values
-        frequency = dominant_frequency(free, rate, self.band)
+        uniform = self.samples.values
+        lead = leading_rest(uniform)
+        free = uniform[lead:] if uniform.size - lead >= MINIMUM_SAMPLES else uniform
+        frequency = dominant_frequency(free, self.rate, self.band)
         if frequency is None and self.band is not None:
-            other = dominant_frequency(free, rate)
+            other = dominant_frequency(free, self.rate)
             hint = f"the dominant motion is at {other:.4g} Hz" if other else "nothing oscillates outside it either"
             raise InputError(
-                f"{self.name}: nothing oscillates between {self.band[0]:g} and {self.band[1]:g} Hz; {hint}, choose the band around a mode."
+                f"{self.name}: nothing oscillates between {self.band[0]:g} and {self.band[1]:g} Hz; {hint}, "
+                "choose the band around a mode."
             )
         if frequency is None:
             raise InputError(f"{self.name}: no oscillation stands out of the record; check the column, or give a band.")
-        check_per_cycle(rate, frequency, self.name)
-        step = quantum(self.record.values)
-        check_clipping(self.record.values, self.record.time, rate, frequency, step, self.name)
+        check_per_cycle(self.rate, frequency, self.name)
+        check_clipping(values, time, frequency, self.step, self.name)
         return frequency
 
-    def _release(self, frequency: float) -> Release:
-        """Return where the free decay begins, and note what is dropped before."""
-        if self.start_is_given:
-            return Release(0, "start")
-        rate = self.samples.sampling_rate
-        release = find_release(self.samples.values, rate, frequency)
-        seconds = release.index / rate
-        if release.kind != "start":
-            state = "at rest" if release.kind == "rest" else "driven"
-            self.notes.append(f"the first {seconds:.4g} s, {state} before the free decay, were dropped")
-        return release
+    def _released(self, values: FloatArray) -> tuple[FloatArray, bool]:
+        """Return the values from the release on, and whether anything before it was cut."""
+        if not self.search:
+            return values, False
+        # at rest nothing moves, whatever the mode: judged by the record's own dominant motion
+        lead = leading_rest(values)
+        whole = dominant_frequency(values[lead:], self.rate) if values.size - lead >= MINIMUM_SAMPLES else None
+        index = end_of_rest(values, self.rate, whole or self.frequency)
+        if index is not None:
+            return self._without(values, index, "at rest"), True
+        if (
+            self.band is None
+            and (index := end_of_drive(values, self.rate, self.frequency, self.integrations)) is not None
+        ):
+            return self._without(values, index, "driven"), True
+        return values, False
 
-    def _spectrum(self, measured: FloatArray, path: Track) -> tuple[NoiseSpectrum, Track]:
-        """Return the noise spectrum and the track of a record, each found with the help of the other."""
-        rate, step = self.samples.sampling_rate, quantum(self.record.values)
-        spectrum = noise_spectrum(measured, rate, path, step)
-        end = end_of_motion(path, _amplitude_floor(spectrum, path.frequency, rate))
-        moving = path.until(end)
-        if moving.cycles > 4.0 and moving.cycles < 0.9 * path.cycles:
-            spectrum = noise_spectrum(measured, rate, moving, step)
-        return spectrum, path
+    def _without(self, values: FloatArray, index: int, state: str) -> FloatArray:
+        """Return the values from an index on and note what is dropped."""
+        self.notes.append(f"the first {index / self.rate:.4g} s, {state} before the free decay, were dropped")
+        self.begin += index / self.rate
+        return values[index:]
 
-    def _band_pass(self, path: Track) -> BandPass | None:
-        """Return the band-pass, or None; raise where it does not fit the mode or the record."""
-        if self.band is None:
-            return None
-        low, high = self.band
-        frequency, rate = path.frequency, self.samples.sampling_rate
-        if not low < frequency < high:
+    def _filtered(self, values: FloatArray, band_pass: BandPass) -> FloatArray:
+        """Return the band-passed record without its ends, and without forcing at its start."""
+        if values.size - 2 * band_pass.half < MINIMUM_SAMPLES:
             raise InputError(
-                f"{self.name}: `band` ({low:g}, {high:g}) Hz must hold the mode at {frequency:.4g} Hz; move it."
+                f"{self.name}: the band-pass ({band_pass.low:g}, {band_pass.high:g}) Hz needs {band_pass.taps.size} of "
+                f"the {values.size} samples; widen the band or record longer."
             )
-        near = min(frequency - low, high - frequency)
-        if near < _NARROWEST * frequency:
-            raise InputError(
-                f"{self.name}: `band` ({low:g}, {high:g}) Hz leaves {near:.3g} Hz beside the mode at {frequency:.4g} Hz, expected at "
-                f"least {_NARROWEST * frequency:.3g}; widen it, for example to ({0.75 * frequency:.4g}, {1.3 * frequency:.4g})."
-            )
-        return design_band_pass(low, high, frequency, rate)
+        result = band_pass.apply(values)
+        self.begin += band_pass.half / self.rate
+        index = end_of_drive(result, self.rate, self.frequency, self.integrations) if self.search else None
+        return result if index is None else self._without(result, index, "driven")
 
-    def _filtered(self, measured: FloatArray, begin: float, band_pass: BandPass) -> tuple[FloatArray, float]:
-        """Return the band-passed record and the time of its first sample."""
-        rate = self.samples.sampling_rate
-        left = measured.size - 2 * band_pass.half
-        if left < 32:
-            raise InputError(
-                f"{self.name}: the band-pass ({band_pass.low:g}, {band_pass.high:g}) Hz needs {band_pass.taps.size} of the "
-                f"{measured.size} samples; widen the band or record longer."
-            )
-        return band_pass.apply(measured), begin + band_pass.half / rate
-
-    def _motion(self, path: Track, spectrum: NoiseSpectrum, begin: float) -> tuple[Track, float]:
-        """Return the track up to the end of motion, and that time (after the track's origin)."""
-        rate = self.samples.sampling_rate
-        floor = _amplitude_floor(spectrum, path.frequency, rate)
-        end = end_of_motion(path, floor)
+    def _motion(
+        self, values: FloatArray, path: Track, band_pass: BandPass | None
+    ) -> tuple[NoiseSpectrum, Track, float]:
+        """Return the noise, the track up to the end of motion, and that time; each is found with the help of the other."""
+        spectrum = self._spectrum(values, path, band_pass)
+        end = end_of_motion(path, amplitude_floor(spectrum, path.frequency, self.rate))
+        # not the last cycle: it may hold the stop
+        moving = path.until(end - 1.0 / path.frequency)
+        if moving.cycles > 3.0 and moving.cycles < 0.9 * path.cycles:
+            spectrum = self._spectrum(values, moving, band_pass)
+            end = end_of_motion(path, amplitude_floor(spectrum, path.frequency, self.rate))
         path = check_cycles(path.until(end), self.name, "stand above the noise")
-        grown = regrowth(path, floor / _FLOOR)
+        grown = regrowth(path, self.integrations, amplitude_floor(spectrum, path.frequency, self.rate) / 3.0)
         if grown is not None:
-            at, low, high = grown
-            end = at
+            end, low, high = grown
             self.notes.append(
-                f"warning: the amplitude grows again from {low:.3g} to {high:.3g} after {begin + at:.5g} s (second impact or beating "
-                "modes): only the part before is used; choose another part with start and stop, or a mode with band"
+                f"warning: the amplitude grows again from {low:.3g} to {high:.3g} after {self.begin + end:.5g} s (second "
+                "impact or beating modes): only the part before is used; choose another part with start and stop, "
+                "or a mode with a band"
             )
             path = check_cycles(path.until(end), self.name, "before the amplitude grows again")
-        self.samples.check_gaps(path.frequency, begin + end, self.name)
-        return path, end
+        self.samples.check_gaps(path.frequency, self.begin + end, self.name)
+        return spectrum, path, end
+
+    def _spectrum(self, values: FloatArray, path: Track, band_pass: BandPass | None) -> NoiseSpectrum:
+        """Return the spectrum of the noise of the measured quantity."""
+        if band_pass is None:
+            return noise_spectrum(values, self.rate, path, self.step)
+        return noise_in_band(values, self.rate, path, lambda f: np.abs(band_pass.gain(f)), self.step)
 
     def _baseline(
         self, values: FloatArray, path: Track, end: float, spectrum: NoiseSpectrum, band_pass: BandPass | None
     ) -> Baseline:
-        """Return the sensor's zero; a filter has removed it already."""
-        if self.record.quantity != "displacement" or band_pass is not None:
-            self.notes.append("the mid-line was removed by filtering: the offset of this specimen is not measured")
+        """Return the sensor's zero; integration or a filter has removed it already."""
+        if self.integrations or band_pass is not None:
             return Baseline(0.0, 0.0, np.nan)
-        rate = self.samples.sampling_rate
-        noise = float(np.sqrt(np.sum(spectrum.density * np.diff(spectrum.edges))))
-        baseline = find_baseline(values, rate, path, end, noise)
-        self.notes.append(f"baseline {baseline.value:.4g} +- {baseline.error:.2g} {self.record.unit} was subtracted")
+        harmonic = second_harmonic(values, self.rate, path, 0)
+        baseline = find_baseline(values, self.rate, path, end, spectrum.total, harmonic)
+        unit = self.record.unit
+        self.notes.append(f"baseline {baseline.value:.4g} +- {baseline.error:.2g} {unit} was subtracted")
         if np.isfinite(baseline.rest):
             self.notes.append(
-                f"the motion came to rest {baseline.rest:.3g} {self.record.unit} off the mid-line of its last cycles (dry friction, "
-                "or the sensor's zero drifts): the mid-line was taken as zero"
+                f"the motion came to rest {baseline.rest:.3g} {unit} off the mid-line of its last cycles (dry friction, or "
+                "the sensor's zero drifts): the mid-line was taken as zero"
             )
         return baseline
 
     def _second_mode(self, values: FloatArray, path: Track) -> SecondMode | None:
         """Return a second mode, with a warning that names it."""
-        second = find_second_mode(values, self.samples.sampling_rate, path)
-        if second is None:
-            return None
-        low, high = _suggested_band(path.frequency, second.frequency)
-        self.notes.append(
-            f"warning: a second mode at {second.frequency:.4g} Hz has {second.share:.0%} of the spectral peak of the mode at "
-            f"{path.frequency:.4g} Hz; pass one of them, for example with --band {low:.3g}:{high:.3g}"
-        )
+        second = find_second_mode(values, self.rate, path)
+        if second is not None:
+            low, high = second.suggested_band(path.frequency)
+            self.notes.append(
+                f"warning: a second mode at {second.frequency:.4g} Hz has {second.share:.0%} of the spectral peak of the "
+                f"mode at {path.frequency:.4g} Hz; pass one of them, for example with --band {low:.3g}:{high:.3g}"
+            )
         return second
 
-    def _cut(self, path: Track, release: Release, end: float, size: int, band_pass: BandPass | None) -> tuple[int, int]:
-        """Return the range of samples from the release to the end of motion."""
-        rate = self.samples.sampling_rate
+    def _range(self, path: Track, is_cut: bool, end: float, size: int) -> tuple[int, int]:
+        """Return the samples from a quarter of a cycle before the first turning point to the end of motion."""
         cycle = 1.0 / path.frequency
         first = 0
-        if release.kind != "start" and band_pass is None:
+        if is_cut:
             shift = 0.5 * np.pi if self.record.quantity == "velocity" else 0.0
-            phase = float(path.phase_at(np.array([0.25 * cycle]))[0]) - shift
+            phase = float(path.phase_at(np.array([0.3 * cycle]))[0]) - shift
             turning = float(path.time_at(np.array([np.pi * np.ceil(phase / np.pi) + shift]))[0])
-            first = max(0, int(np.floor((turning - 0.25 * cycle) * rate)))
-        last = min(size, int(np.ceil((end + cycle) * rate)) + 1)
-        if band_pass is not None:
-            lost = band_pass.half / rate / cycle
-            amplitude_bias, damping_bias = band_pass.bias(path)
-            self.notes.append(
-                f"band-passed {band_pass.low:g} to {band_pass.high:g} Hz without phase shift: {lost:.1f} cycles were "
-                f"lost at each end, amplitude is biased by {amplitude_bias:+.0e} and damping by {damping_bias:+.0e} of "
-                "themselves; harmonics outside the band are gone"
-            )
-        if size - last > cycle * rate:
-            self.notes.append(f"the last {(size - last) / rate:.4g} s, after the end of motion, were dropped")
+            first = max(0, int(np.floor((turning - 0.25 * cycle) * self.rate)))
+        last = min(size, int(np.ceil((end + cycle) * self.rate)) + 1)
+        if size - last > cycle * self.rate:
+            self.notes.append(f"the last {(size - last) / self.rate:.4g} s, after the end of motion, were dropped")
         return first, last
 
-    def _displacement(self, values: FloatArray, path: Track, first: int) -> FloatArray:
+    def _displacement(self, values: FloatArray, path: Track) -> FloatArray:
         """Integrate as often as the measured quantity asks for."""
-        rate = self.samples.sampling_rate
         result = np.array(values)
-        count = _INTEGRATIONS[self.record.quantity]
-        if count == 0:
-            return result
-        shifted = path.shifted(first / rate)
-        for _ in range(count):
-            result = integrate(result, rate, shifted)
-        times = "once" if count == 1 else "twice"
-        self.notes.append(f"{self.record.quantity} was integrated {times}; no cycle was lost")
+        for _ in range(self.integrations):
+            result = integrate(result, self.rate, path)
+        if self.integrations:
+            times = "once" if self.integrations == 1 else "twice"
+            self.notes.append(f"{self.record.quantity} was integrated {times}; no cycle was lost")
         return result
+
+    def _mid_line(
+        self, values: FloatArray, path: Track, second: SecondMode | None, *, is_filtered: bool
+    ) -> MidLine | None:
+        """Return the mid-line where it can be restored; else say that it is lost, and warn where that matters."""
+        if is_filtered:
+            second = find_second_mode(values, self.rate, path)
+        is_mode = second is not None and abs(second.frequency / path.frequency - 2.0) < 0.1
+        share, error = (0.0, 1.0) if is_mode else second_harmonic(values, self.rate, path, self.integrations)
+        share = share if abs(share) > SIGNIFICANT * error else 0.0
+        found = restore_mid_line(path, share) if self.integrations == 1 and not is_filtered else None
+        bias = 6.0 * abs(share)
+        if found is not None:
+            amplitude = displacement_amplitude(path, self.integrations).amplitude[:1]
+            offset = float(found.at(amplitude)[0] / amplitude[0])
+            self.notes.append(
+                f"the mid-line, {offset:+.3f} +- {found.error:.3f} of the first amplitude, was restored from the mean "
+                "velocity of each cycle"
+            )
+        elif bias < _TOLERATED_BIAS:
+            self.notes.append("the mid-line was removed by filtering: the offset of this specimen is not measured")
+        else:
+            self.notes.append(
+                f"warning: a second harmonic of {abs(share):.1%} shows an asymmetric structure, but filtering removed its "
+                f"mid-line: offset is not measured and damping may be off by some {bias:.0%}; measure displacement, "
+                "unfiltered"
+            )
+        return found
+
+    def _note_band_pass(self, band_pass: BandPass | None, path: Track) -> None:
+        """Say what the band-pass did."""
+        if band_pass is None:
+            return
+        lost = band_pass.half * path.frequency / self.rate
+        amplitude_bias, damping_bias = band_pass.bias(path)
+        self.notes.append(
+            f"band-passed {band_pass.low:g} to {band_pass.high:g} Hz without phase shift: {lost:.1f} cycles were lost at "
+            f"each end, amplitude is biased by {amplitude_bias:+.0e} and damping by {damping_bias:+.0e} of themselves; "
+            "harmonics outside the band are gone"
+        )
 
     def _response(self, band_pass: BandPass | None, frequency: float) -> Callable[[FloatArray], FloatArray]:
         """Return the amplitude response from the measured quantity to the displacement."""
-        count = _INTEGRATIONS[self.record.quantity]
 
         def response(grid: FloatArray) -> FloatArray:
-            kept = (integration_response(grid / frequency) / (2.0 * np.pi * grid)) ** count
+            kept = (integration_response(grid / frequency) / (2.0 * np.pi * grid)) ** self.integrations
             return kept if band_pass is None else kept * np.abs(band_pass.gain(grid))
 
         return response
 
 
-def _amplitude_floor(spectrum: NoiseSpectrum, frequency: float, sampling_rate: float) -> float:
-    """Return the amplitude at which the track drowns in the noise."""
-    density = float(spectrum.at(np.array([frequency]))[0])
-    # two running means over a cycle: variance of either quadrature 2 sigma^2 * 2 / (3 n), n samples per cycle
-    return _FLOOR * float(np.sqrt(density * 0.5 * sampling_rate * 4.0 * frequency / (3.0 * sampling_rate)))
-
-
-def _suggested_band(frequency: float, other: float) -> tuple[float, float]:
-    """Return a band around a mode that keeps another one out."""
-    low, high = 0.7 * frequency, 1.35 * frequency
-    if other > frequency:
-        high = min(high, np.sqrt(frequency * other))
-    else:
-        low = max(low, np.sqrt(frequency * other))
-    return float(low), float(high)
+def _frozen(values: FloatArray) -> FloatArray:
+    values.setflags(write=False)
+    return values

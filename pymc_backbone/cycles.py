@@ -1,7 +1,9 @@
 """Cycles of a measured free decay: turning points with their covariance, then amplitude, frequency, damping, offset.
 
-Around each turning point the samples of about one cycle are fitted by ``p - s a (1 - cos u) + template(u)``: its time, value and scale are free,
-its shape (decay, harmonics, the corner friction leaves) is a template that all turning points share as a polynomial in amplitude.
+Around each turning point the samples of about one cycle are fitted by ``p - s a (1 - cos u) + template(u)``: its
+time, value and scale are free,
+its shape (decay, harmonics, the corner friction leaves) is a template that all turning points share as a polynomial
+in amplitude.
 The template costs next to no variance because all cycles determine it, and it leaves next to no bias.
 """
 
@@ -16,22 +18,11 @@ from numpy.typing import ArrayLike
 from pymc_backbone import _turning
 from pymc_backbone._checks import FloatArray, InputError, check_finite_array
 from pymc_backbone._smoothing import smooth
+from pymc_backbone._template import FLOOR, Fit, fit_with_template
 
 QUANTITIES: tuple[str, ...] = ("amplitude", "frequency", "damping", "offset")
-REACH = 0.75 * np.pi
-"""Half width of the window of a turning point, in radians of the cycle. Wider windows reach the next turning point, where friction changes sign:
-pi lowers the standard errors by 3 % and doubles the bias at 60 dB."""
-OVERLAP = 2.0 * REACH / np.pi
-"""How often a sample is seen: by the window of a peak and of a trough."""
-CORNERS = np.array([0.15, 0.3, 0.45, 0.6, 0.75])
-POWERS = 4
-"""The template's coefficients are polynomials in amplitude with this many terms: friction, linear, quadratic, cubic, ... forces."""
-SELECTION = 10.0
-"""A template term enters when it lowers chi-square by more than this (every sample is seen twice)."""
 LOOSENESS = 300.0
 """Undersmoothing of the amplitude: it is the regressor, where bias costs more than variance."""
-FLOOR = 8.0
-"""Cycles whose amplitude is below this many standard errors are dropped."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +40,8 @@ class Cycles:
     amplitude_error, frequency_error, damping_error, offset_error : (n,) arrays
         Their standard errors.
     bands : (4, b, n) array
-        Covariance of each quantity (rows as in `QUANTITIES`) between cycle i and cycle i + b: neighbours share peaks and samples.
+        Covariance of each quantity (rows as in `QUANTITIES`) between cycle i and cycle i + b: neighbours share peaks
+        and samples.
     shared : (4, n, r) array
         Errors all cycles share, through the template: their covariance is ``shared @ shared.T``, beside the bands.
     smoothed_amplitude : (n,) array
@@ -91,28 +83,14 @@ class Cycles:
         return int(self.time.size)
 
 
-@dataclass
-class _Fit:
-    times: FloatArray
-    values: FloatArray
-    scales: FloatArray
-    misfit: FloatArray
-    first: Any
-    count: Any
-    influence: FloatArray
-    gram: FloatArray
-    projection: FloatArray
-    response: FloatArray
-    good: Any
-
-
 def extract_cycles(record: Any, *, noise: float | ArrayLike | None = None) -> Cycles:
     """Extract the cycles of a conditioned record.
 
     Parameters
     ----------
     record : ConditionedRecord
-        Anything with ``specimen``, ``time``, ``displacement`` and, where known, ``noise`` (standard deviation), ``noise_autocovariance`` and ``notes``.
+        Anything with ``specimen``, ``time``, ``displacement`` and, where known, ``noise`` (standard deviation),
+        ``noise_autocovariance`` and ``notes``.
     noise : float or (lags,) array, optional
         Overrides the record's noise: a standard deviation, or the autocovariance at lags 0, 1, ... samples.
 
@@ -151,7 +129,8 @@ def extract_cycles_from_arrays(
     displacement : (n,) array
         Metres (or radians).
     noise : float or (lags,) array, optional
-        Standard deviation of white noise, or autocovariance at lags 0, 1, ... samples; by default white noise estimated from the residuals.
+        Standard deviation of white noise, or autocovariance at lags 0, 1, ... samples; by default white noise
+        estimated from the residuals.
     specimen : str, default "specimen"
         Name carried along.
     notes : tuple of str, optional
@@ -174,16 +153,17 @@ def extract_cycles_from_arrays(
     step = (t[-1] - t[0]) / (t.size - 1)
     uneven = np.max(np.abs(np.diff(t) - step)) if step > 0.0 else np.inf
     if not uneven < 0.01 * step:
-        raise InputError(f"`time` of {specimen!r} must be increasing and uniform within 1 % of a sample; resample the record first.")
+        raise InputError(
+            f"`time` of {specimen!r} must be increasing and uniform within 1 % of a sample; resample the record first."
+        )
     autocovariance = _autocovariance(noise)
     spread = float(np.std(x))
     if not spread > 0.0:
         raise InputError(f"`displacement` of {specimen!r} must move, got a constant; check the column.")
-    known = autocovariance is not None
     guess_noise = _turning.rough_noise(x)
     if autocovariance is not None:
         guess_noise = max(guess_noise, float(np.sqrt(autocovariance[0])))
-    return _extract(t, x, step, autocovariance, guess_noise, known, specimen, list(notes))
+    return _extract(t, x, step, autocovariance, guess_noise, specimen, list(notes))
 
 
 def _autocovariance(noise: float | ArrayLike | None) -> FloatArray | None:
@@ -191,22 +171,25 @@ def _autocovariance(noise: float | ArrayLike | None) -> FloatArray | None:
         return None
     array = np.atleast_1d(np.asarray(noise, dtype=np.float64))
     if array.ndim != 1 or not np.all(np.isfinite(array)) or not (array[0] >= 0.0):
-        raise InputError("`noise` must be a standard deviation or an autocovariance starting at lag 0, got something else.")
+        raise InputError(
+            "`noise` must be a standard deviation or an autocovariance starting at lag 0, got something else."
+        )
     if array[0] == 0.0:
         return None
     return array**2 if array.size == 1 else array
 
 
-def _extract(t, x, step, autocovariance, guess_noise, known, specimen, notes):  # type: ignore[no-untyped-def]
+def _extract(t, x, step, autocovariance, guess_noise, specimen, notes):  # type: ignore[no-untyped-def]
     places, signs, period = _turning.rough_turning_points(x, step, guess_noise)
     if places.size < 7:
         raise InputError(
-            f"the record of {specimen!r} must hold at least three cycles above its noise, got {places.size} turning points; "
-            "release it from a larger amplitude, band-pass it, or record longer."
+            f"the record of {specimen!r} must hold at least three cycles above its noise, got {places.size} turning "
+            "points; release it from a larger amplitude, band-pass it, or record longer."
         )
     guess = t[0] + places * step
-    harmonics = int(np.clip(np.floor(0.5 * period / step) - 1, 2, 5))
-    fit, signs, periods, factor = _fit_with_template(x, t[0], step, guess, signs, harmonics, guess_noise, autocovariance)
+    # the highest harmonic stays well below half the sampling rate
+    harmonics = int(np.clip(np.floor(0.5 * period / step - 1.9), 2, 5))
+    fit, signs, periods, factor = fit_with_template(x, t[0], step, guess, signs, harmonics, guess_noise, autocovariance)
     # noise from what the fits leave
     freedom = np.maximum(fit.count - 3.0, 0.5)
     residual_variance = float(fit.misfit.sum() / freedom.sum())
@@ -214,23 +197,23 @@ def _extract(t, x, step, autocovariance, guess_noise, known, specimen, notes):  
         autocovariance = np.array([residual_variance])
     elif residual_variance > 1.3 * autocovariance[0]:
         notes.append(
-            f"{specimen}: what the local fits leave is {np.sqrt(residual_variance / autocovariance[0]):.2f} times the given noise; "
+            f"{specimen}: what the local fits leave is {np.sqrt(residual_variance / autocovariance[0]):.2f} times "
+            "the given noise; "
             "standard errors are widened where it happens"
         )
-    autocovariance = np.maximum(autocovariance, -np.inf)
     inflation = _inflation(fit, autocovariance[0])
     lags = autocovariance.size
     n_bands = int(min(3 + np.ceil(lags * step / (0.5 * np.min(periods))), 13))
     influence = fit.influence * inflation[:, None, None]
     covariance = _turning.turning_covariance(influence, fit.first, fit.count, autocovariance, n_bands)
-    white = (fit.influence**2).sum(axis=1).sum() if lags > 1 else 0.0
-    coloured = np.trace(covariance[:, 0].sum(axis=0)) / white if lags > 1 else autocovariance[0]
-    factor = factor * np.sqrt(max(coloured, 0.0))
+    # the white noise that would disturb the turning values as much
+    white = float(covariance[:, 0, 1, 1].sum() / (influence[:, :, 1] ** 2).sum())
+    factor = factor * np.sqrt(max(white, 0.0))
     return _assemble(fit, signs, covariance, factor, float(np.sqrt(autocovariance[0])), specimen, notes)
 
 
-def _inflation(fit: _Fit, variance: float) -> FloatArray:
-    """Return the factor by which standard errors grow where the local residuals exceed the noise (running over 15 windows)."""
+def _inflation(fit: Fit, variance: float) -> FloatArray:
+    """Return the factor on standard errors where local residuals exceed the noise (running over 15 windows)."""
     kernel = np.ones(15)
     excess = np.convolve(fit.misfit, kernel, mode="same")
     freedom = np.convolve(np.maximum(fit.count - 3.0, 0.5), kernel, mode="same")
@@ -241,116 +224,22 @@ def _inflation(fit: _Fit, variance: float) -> FloatArray:
     return np.sqrt(np.where(ratio > limit, ratio, 1.0))
 
 
-def _local_scales(fit_times, fit_values, signs):  # type: ignore[no-untyped-def]
-    """Return smoothed periods and amplitudes at the turning points."""
-    gaps = np.diff(fit_times)
-    periods = np.empty(fit_times.size)
-    periods[1:-1] = gaps[:-1] + gaps[1:]
-    periods[0], periods[-1] = 2.0 * gaps[0], 2.0 * gaps[-1]
-    if fit_times.size > 4:
-        periods[0], periods[-1] = periods[1], periods[-2]
-    signed = fit_values * signs
-    swings = signed[:-1] + signed[1:]
-    halves = np.empty(fit_times.size)
-    halves[1:-1] = (swings[:-1] + swings[1:]) / 4.0
-    halves[0] = swings[0] / 2.0 + 0.25 * (swings[0] - swings[1])
-    halves[-1] = max(swings[-1] / 2.0 - 0.25 * (swings[-2] - swings[-1]), 0.25 * swings[-1])
-    return _turning.running_line(periods, 4), np.maximum(_turning.running_line(halves, 2), 1e-3 * halves.max())
-
-
-def _fit_with_template(x, start, step, guess, signs, harmonics, noise, autocovariance=None):  # type: ignore[no-untyped-def]
-    n_shape = _turning.n_shape_functions(harmonics)
-    if autocovariance is None:
-        autocovariance = np.array([noise**2])
-    values = np.interp(guess, start + step * np.arange(x.size), x)
-    periods, amplitudes = _local_scales(guess, values, signs)
-    template = np.zeros((guess.size, n_shape))
-    coefficients = np.zeros(n_shape * (POWERS + CORNERS.size) * 2)
-    inverse = np.zeros((coefficients.size, coefficients.size))
-    # asymmetry moves the mid-line, so its doubt must be in the errors even where it is too weak to be selected
-    asymmetry = _turning.N_FIXED * 2 * (POWERS + CORNERS.size) + POWERS + CORNERS.size
-    forced = asymmetry + np.array([1, 2])
-    n_pass = 5
-    for number in range(n_pass):
-        fit = _Fit(
-            *_turning.fit_windows(
-                x, start, step, guess, periods, amplitudes, signs, template, harmonics, REACH, 3 if number else 4
-            )
-        )
-        slack = 0.08 * periods
-        if number == n_pass - 1:
-            # a turning point before the record is a guess; one at its beginning is the release
-            slack = step + 3.0 * noise * np.sqrt((fit.influence[:, :, 0] ** 2).sum(axis=1))
-        keep = fit.good & (fit.times >= start - slack) & (np.abs(fit.times - guess) < 0.25 * periods)
-        keep &= start + step * (x.size - 1) - fit.times >= 0.25 * periods
-        if number == 1:
-            # what drowned in noise would only disturb the template
-            errors = _turning.turning_covariance(fit.influence, fit.first, fit.count, autocovariance, 1)[:, 0, 1, 1]
-            drowned = np.flatnonzero(_turning.running_line(amplitudes, 4) < 0.5 * FLOOR * np.sqrt(errors))
-            if drowned.size:
-                keep[max(int(drowned[0]), 7) :] = False
-        if not keep.all():
-            # only a whole run of turning points can be used: cut at the ends
-            inside = np.flatnonzero(~keep)
-            lo = int(inside[inside < keep.size // 4].max() + 1) if np.any(inside < keep.size // 4) else 0
-            rest = inside[inside >= max(lo, keep.size // 4)]
-            hi = int(rest.min()) if rest.size else keep.size
-            if hi - lo < 5:
-                raise InputError("the record must hold at least three clean cycles; band-pass it or cut what is not a free decay.")
-            fit = _Fit(*(value[lo:hi] for value in vars(fit).values()))
-            signs, template, periods, amplitudes = signs[lo:hi], template[lo:hi], periods[lo:hi], amplitudes[lo:hi]
-        if number == n_pass - 1:
-            break
-        guess = fit.times
-        powers = _powers(amplitudes, signs)
-        n_power = powers.shape[1]
-        size = n_shape * n_power
-        pairs = (powers[:, :, None] * powers[:, None, :]).reshape(-1, n_power**2)
-        gram = (pairs.T @ fit.gram.reshape(-1, n_shape**2)).reshape(n_power, n_power, n_shape, n_shape)
-        gram = np.ascontiguousarray(gram.transpose(2, 0, 3, 1)).reshape(size, size)
-        right = (fit.projection.T @ powers).reshape(size) + gram @ coefficients
-        freedom = np.maximum(fit.count - 3.0, 0.5).sum()
-        variance = max(min(fit.misfit.sum() / freedom, 4.0 * noise**2), 1e-24 * float(np.max(np.abs(x))) ** 2)
-        coefficients, inverse = _turning.select_terms(gram, right, variance, SELECTION, 40, forced)
-        template = powers @ coefficients.reshape(n_shape, -1).T
-        old = periods, amplitudes
-        periods, amplitudes = _local_scales(fit.times, fit.values, signs)
-        if number >= 2:
-            # the template belongs to the scales it was found with
-            periods, amplitudes = old
-    return fit, signs, periods, _template_factor(fit, _powers(amplitudes, signs), inverse)
-
-
-def _template_factor(fit: _Fit, powers: FloatArray, inverse: FloatArray) -> FloatArray:
-    """Return F (m, 2, r) with F F^T the covariance of all (t, p) that the error of the template causes, for unit noise variance."""
-    used = np.flatnonzero(np.diag(inverse) > 0.0)
-    if not used.size:
-        return np.zeros((fit.times.size, 2, 0))
-    term, power = np.divmod(used, powers.shape[1])
-    response = fit.response[:, :, term] * powers[:, power][:, None, :]
-    values, vectors = np.linalg.eigh(OVERLAP * inverse[np.ix_(used, used)])
-    return response @ (vectors * np.sqrt(np.maximum(values, 0.0)))
-
-
-def _powers(amplitudes: FloatArray, signs: FloatArray) -> FloatArray:
-    """Return the template's regressors: powers of amplitude, and the same times the sign for asymmetric forces."""
-    relative = amplitudes / amplitudes.max()
-    even = np.hstack([relative[:, None] ** np.arange(POWERS), np.maximum(relative[:, None] - CORNERS, 0.0)])
-    return np.hstack([even, even * signs[:, None]])
-
-
 def _assemble(fit, signs, turning, factor, noise, specimen, notes):  # type: ignore[no-untyped-def]
     shift = 0 if signs[0] > 0 else 1
     n = (fit.times.size - shift - 1) // 2
     if n < 3:
-        raise InputError(f"the record of {specimen!r} must hold at least three cycles above its noise, got {n}; record longer.")
+        raise InputError(
+            f"the record of {specimen!r} must hold at least three cycles above its noise, got {n}; record longer."
+        )
     at = shift + 2 * np.arange(n)
     t0, t1, p0, q, p1 = fit.times[at], fit.times[at + 2], fit.values[at], fit.values[at + 1], fit.values[at + 2]
     amplitude = (p0 + p1 - 2.0 * q) / 4.0
     crossed = np.flatnonzero((p0 - q <= 0.0) | (p1 - q <= 0.0))
     if crossed.size:
         if crossed[0] < 3:
-            raise InputError(f"the turning points of {specimen!r} must alternate for three cycles; band-pass the record.")
+            raise InputError(
+                f"the turning points of {specimen!r} must alternate for three cycles; band-pass the record."
+            )
         n = int(crossed[0])
         t0, t1, p0, q, p1, amplitude = t0[:n], t1[:n], p0[:n], q[:n], p1[:n], amplitude[:n]
     period = t1 - t0
@@ -371,7 +260,9 @@ def _assemble(fit, signs, turning, factor, noise, specimen, notes):  # type: ign
     if end < n:
         notes.append(f"{specimen}: {n - end} cycle(s) below the noise floor dropped")
     if end < 3:
-        raise InputError(f"the record of {specimen!r} must hold at least three cycles above its noise, got {end}; reduce the noise.")
+        raise InputError(
+            f"the record of {specimen!r} must hold at least three cycles above its noise, got {end}; reduce the noise."
+        )
 
     # derivatives at smoothed values: weights that follow the noise would bias the level values
     decrement = np.clip(-np.gradient(np.log(smoothed), index), -1.0, 2.0)
@@ -425,10 +316,13 @@ def _assemble(fit, signs, turning, factor, noise, specimen, notes):  # type: ign
     )
 
 
-def _amplitude_from_damping(amplitude, amplitude_bands, damping, damping_bands, smoothed, end):  # type: ignore[no-untyped-def]
+def _amplitude_from_damping(  # type: ignore[no-untyped-def]
+    amplitude, amplitude_bands, damping, damping_bands, smoothed, end
+):
     """Return the first ``end`` amplitudes, smoothed with the help of the damping they imply, and their covariance.
 
-    Damping is a much smoother function of amplitude than amplitude is of time (friction ends a decay with a corner, slip begins it with
+    Damping is a much smoother function of amplitude than amplitude is of time (friction ends a decay with a corner,
+    slip begins it with
     one). So the damping curve is integrated, and what the amplitudes say beyond it is smoothed over cycles and added.
     """
 

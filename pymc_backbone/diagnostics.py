@@ -230,7 +230,7 @@ def _convergence(table: pd.DataFrame) -> list[str]:
     mixed_badly = table.index[~(r_hat <= R_HAT_LIMIT)]
     if len(mixed_badly):
         sentences.append(
-            f"R-hat is above {R_HAT_LIMIT:g} for {_listed(_with_values(r_hat[mixed_badly], '.3f'))}: the chains do not "
+            f"R-hat is above {R_HAT_LIMIT:g} for {_listed(_with_values(r_hat[mixed_badly], '.4f'))}: the chains do not "
             "agree yet; raise tune and draws, or use another step."
         )
     effective = table[["ess_bulk", "ess_tail"]].min(axis=1)

@@ -146,7 +146,14 @@ def backbone_likelihood(
     return result
 
 
-def simulated_backbone(name: str, source: Source, levels: ArrayLike, parameters: Mapping[str, Any], *, observables: Sequence[str] = ("frequency", "damping")) -> Any:  # noqa: E501
+def simulated_backbone(
+    name: str,
+    source: Source,
+    levels: ArrayLike,
+    parameters: Mapping[str, Any],
+    *,
+    observables: Sequence[str] = ("frequency", "damping"),
+) -> Any:  # noqa: E501
     """Add the simulated backbone at ``levels`` to the current PyMC model as a deterministic, for predictions.
 
     Parameters
@@ -385,9 +392,7 @@ def _whitening(data: xr.Dataset) -> tuple[FloatArray, FloatArray, FloatArray]:
         correlation = covariance[np.ix_(index, index)] / np.outer(scale, scale)
         factor = np.linalg.cholesky(correlation + 1e-9 * np.eye(index.size))
         whitening[s][np.ix_(index, index)] = np.linalg.inv(factor) / scale
-        constants[s] = (
-            -0.5 * index.size * np.log(2.0 * np.pi) - np.log(np.diag(factor)).sum() - np.log(scale).sum()
-        )
+        constants[s] = -0.5 * index.size * np.log(2.0 * np.pi) - np.log(np.diag(factor)).sum() - np.log(scale).sum()
     return np.where(held, values, 0.0).reshape(n, size), whitening, constants
 
 

@@ -291,7 +291,9 @@ class BackboneLogLikelihood(_BackboneOp):
         """Only the parameters carry a derivative, and only to the value."""
         return [[True, False], [False, False], [False, False], [False, False]]
 
-    def pullback(self, inputs: Sequence[Variable], outputs: Sequence[Variable], cotangents: Sequence[Variable]) -> list[Variable]:  # noqa: E501
+    def pullback(
+        self, inputs: Sequence[Variable], outputs: Sequence[Variable], cotangents: Sequence[Variable]
+    ) -> list[Variable]:  # noqa: E501
         """Return the cotangent of the parameters: the node's own second output, times that of the value."""
         if not self.response.has_gradient:
             raise NotImplementedError(
@@ -340,7 +342,9 @@ class SimulatedBackbone(_BackboneOp):
         """Only the values carry a derivative."""
         return [[True, False]]
 
-    def pullback(self, inputs: Sequence[Variable], outputs: Sequence[Variable], cotangents: Sequence[Variable]) -> list[Variable]:  # noqa: E501
+    def pullback(
+        self, inputs: Sequence[Variable], outputs: Sequence[Variable], cotangents: Sequence[Variable]
+    ) -> list[Variable]:  # noqa: E501
         """Return the cotangent of the parameters through the node's own second output."""
         if not self.response.has_gradient:
             raise NotImplementedError(

@@ -271,28 +271,31 @@ def plot_prior_posterior(
     figure, axes = _panels(len(names), 2, width=4.0, height=2.2)
     for row, name in enumerate(names):
         draws = np.asarray(posterior["posterior"][name]).ravel()
-        scale, label = _parameter_axis(name, draws, units)
+        scale, axis_label = _parameter_axis(name, draws, units)
         draws, low, high = draws * scale, bounds[name][0] * scale, bounds[name][1] * scale
         interval = np.asarray(hdi(draws, prob=probability))
         x, density = _smooth(draws, low, high)
         for column, axis in enumerate(axes[row]):
             axis.fill_between(x, density, color=MEASURED, alpha=0.3, linewidth=0)
             axis.plot(x, density, color=MEASURED, linewidth=1.3, label="posterior")
+            axis.axhline(0.0, color="black", linewidth=0.6)
             axis.plot(
                 [low, low, high, high], [0, 1 / (high - low), 1 / (high - low), 0], color=QUIET, label="prior", zorder=3
             )
-            axis.plot(
-                interval, [0, 0], color="black", linewidth=3.5, solid_capstyle="butt", label=f"{probability:.0%} HDI"
-            )
+            # Interval and true values stand below the densities, where nothing covers them.
+            top = float(density.max())
+            label = f"{probability:.0%} HDI"
+            axis.plot(interval, [-0.05 * top] * 2, color="black", linewidth=3.0, solid_capstyle="butt", label=label)
             if true_values is not None and name in true_values:
                 rug = np.asarray(true_values[name]) * scale
-                axis.plot(rug, np.zeros_like(rug), "|", color=TRUE, markersize=11, label="true values of the specimens")
+                below = np.full_like(rug, -0.12 * top)
+                axis.plot(rug, below, "|", color=TRUE, markersize=8, label="true values of the specimens")
             axis.set_yticks([])
-            axis.set_ylim(bottom=0.0)
+            axis.set_ylim(-0.18 * top, 1.05 * top)
             axis.xaxis.set_major_locator(MaxNLocator(5))
             axis.tick_params(labelsize=8)
             axis.spines[["left", "top", "right"]].set_visible(False)
-            axis.set_xlabel(label, fontsize=9)
+            axis.set_xlabel(axis_label, fontsize=9)
             if column == 1:
                 margin = 0.15 * (x[-1] - x[0])
                 axis.set_xlim(x[0] - margin, x[-1] + margin)
@@ -324,13 +327,16 @@ def plot_trace(
 def plot_rank(
     posterior: xr.DataTree, names: Sequence[str] | None = None, *, units: Mapping[str, str] | None = None
 ) -> Figure:
-    """Draw rank plots (ArviZ's ``plot_rank``): p below alpha marks chains that disagree."""
+    """Draw rank plots (ArviZ's ``plot_rank``): p below alpha marks chains that disagree.
+
+    The draws are thinned to independent ones first: the test takes correlated draws of one chain for disagreement.
+    """
     import arviz as az
 
     draws, arguments = _for_arviz(posterior, names, units)
     count = _scalars(draws)
     size = (3.6 * min(count, 4) + 0.5, 2.6 * -(-count // 4) + 0.8)
-    collection = az.plot_rank(draws, figure_kwargs={"figsize": size, "layout": _layout()}, **arguments)
+    collection = az.plot_rank(draws, figure_kwargs={"figsize": size, "layout": _layout()}, thin=True, **arguments)
     return _finished(
         collection,
         "Ranks of the draws by chain (difference from uniform); p below \N{GREEK SMALL LETTER ALPHA}: they disagree",

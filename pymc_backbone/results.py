@@ -242,6 +242,8 @@ def _portable(dataset: xr.Dataset) -> xr.Dataset:
 def _attribute(value: Any) -> Any:
     if isinstance(value, str | int | float) and not isinstance(value, bool):
         return value
+    if isinstance(value, list | tuple) and all(isinstance(item, str) for item in value):
+        return list(value)  # ArviZ finds its sample dimensions in such a list
     return json.dumps(_plain(value))
 
 

@@ -142,3 +142,19 @@ def test_public_names_are_documented_and_there():
         if name != "__version__" and (inspect.isclass(value) or callable(value)):
             assert inspect.getdoc(value), f"{name} has no docstring"
     assert set(names) <= set(dir(pymc_backbone))
+
+
+@pytest.mark.parametrize("name", ["README.md", "examples/first_posterior.py"])
+def test_names_that_the_documentation_uses_are_public(name):
+    import pymc_backbone
+
+    used = set(re.findall(r"\bpb\.(\w+)", (ROOT / name).read_text(encoding="utf-8")))
+    assert used and used <= set(pymc_backbone.__all__), sorted(used - set(pymc_backbone.__all__))
+
+
+@pytest.mark.slow
+def test_script_in_the_readme_runs():
+    (script,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), flags=re.DOTALL)
+    scope: dict = {}
+    exec(compile(script, "README.md", "exec"), scope)
+    assert dict(scope["posterior"]["posterior"].sizes) == {"chain": 4, "draw": 2000}

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from pymc_backbone import cli, run
+from pymc_backbone import cli, demo, run
 from pymc_backbone._checks import InputError
 from pymc_backbone.effects import LIBRARY
+from pymc_backbone.results import read_result
 
 ROOT = Path(__file__).resolve().parents[1]
 MASS = ["--mass", "1"]
@@ -219,6 +221,38 @@ def test_output_in_use_in_a_real_process(tmp_path):
     out, error = process.communicate(timeout=120)
     assert process.returncode == 2 and out == ""
     assert is_one_sentence(error) and "--overwrite" in error
+
+
+def test_update_for_real(capsys, tmp_path):
+    """Records to folder through every module: two specimens that share one parameter set, a short run."""
+    for number in (1, 2):
+        shutil.copy(demo.demo_folder() / f"specimen_0{number}.csv", tmp_path)
+    out = tmp_path / "out"
+    code, text, error = run_cli(
+        capsys, "update", str(tmp_path), *MASS, "--effect", "cubic_stiffness", "--likelihood", "pooled",
+        "--levels", "5", "--draws", "150", "--tune", "300", "--chains", "2", "--step", "demetropolisz", "--seed", "1",
+        "--out", str(out),
+    )  # fmt: skip
+    assert (code, error) == (0, "") and str(out) in text
+    result = read_result(out)
+    stiffness = result["parameters"]["linear_stiffness"]["mean"]
+    truth = demo.true_parameters()[1]["linear_stiffness"][:2]
+    assert truth.min() - 100.0 < stiffness < truth.max() + 100.0  # N/m; one value for two specimens
+    assert any("never moved" in s or "effective draws" in s or "R-hat" in s for s in result["findings"])  # too short
+
+
+@pytest.mark.slow
+def test_demo_recovers_the_truth(capsys, tmp_path):
+    code, text, error = run_cli(capsys, "demo", "--out", str(tmp_path / "out"))
+    assert code == 0 and "Where to look" in text
+    result = read_result(tmp_path / "out")
+    for name, values in demo.true_parameters()[1].items():
+        entry = result["parameters"][name]
+        # About 2000 effective draws and 24 specimens measured well: means within 0.15 sd, spreads within 15 %.
+        assert abs(entry["mean"] - values.mean()) < 0.15 * values.std(ddof=1)
+        assert entry["sd"] == pytest.approx(values.std(ddof=1), rel=0.15)
+        assert entry["r_hat"] < 1.01
+    assert result["seconds"]["total"] < 120.0
 
 
 @pytest.mark.skipif(os.name != "posix", reason="pipes and signals as on POSIX")

@@ -43,8 +43,8 @@ def friction_decay(t: np.ndarray, loss: float) -> np.ndarray:
 def test_linear_decay_without_noise_is_exact(samples: int) -> None:
     t = np.arange(0.0, 15.0, 1.0 / (FREQUENCY * samples) * 1.013)
     cycles = extract_cycles_from_arrays(t, linear_decay(t))
-    # the template holds the decay to second order in the damping ratio: (0.01 * 2.4)^3 / 6 = 2e-6
-    np.testing.assert_allclose(cycles.frequency, FREQUENCY, rtol=2e-6)
+    # the template holds the decay to second order in the damping ratio; (0.01 * 2.4)^3 / 6 = 2e-6 rad, at both peaks
+    np.testing.assert_allclose(cycles.frequency, FREQUENCY, rtol=5e-6)
     np.testing.assert_allclose(cycles.damping, 2.0 * np.pi * RATIO / np.sqrt(1.0 - RATIO**2), rtol=5e-4)
     assert len(cycles) >= 29
     assert np.all(np.diff(cycles.amplitude) < 0.0)
@@ -153,13 +153,18 @@ def test_rescaled_time_and_amplitude_change_nothing_else(request: pytest.Fixture
         for suffix in ("", "_error"):
             # the smoothing's eigenvalues see rounding: 1e-6
             np.testing.assert_allclose(
-                getattr(other, name + suffix), getattr(one, name + suffix) * scale[name], rtol=1e-5, atol=1e-7 * scale[name]
+                getattr(other, name + suffix),
+                getattr(one, name + suffix) * scale[name],
+                rtol=1e-5,
+                atol=1e-7 * scale[name],
             )
 
 
 def test_record_objects_and_their_noise() -> None:
     t = np.arange(0.0, 12.0, 0.02)
-    record = SimpleNamespace(specimen="a", time=t, displacement=linear_decay(t), noise=1e-3, notes=("cut at the release",))
+    record = SimpleNamespace(
+        specimen="a", time=t, displacement=linear_decay(t), noise=1e-3, notes=("cut at the release",)
+    )
     cycles = extract_cycles(record)
     assert (cycles.specimen, cycles.noise, cycles.notes) == ("a", 1e-3, ("cut at the release",))
 

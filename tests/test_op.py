@@ -48,7 +48,9 @@ SOFTENING = Effect(
     summary="a user's own effect, without a gradient",
     text="s x |x|",
     latex="s x |x|",
-    parameters=(Parameter("softening", "N/m^2", "s", "strength", lambda m, a, w: (-m * w * w / a, m * w * w / a), -np.inf),),
+    parameters=(
+        Parameter("softening", "N/m^2", "s", "strength", lambda m, a, w: (-m * w * w / a, m * w * w / a), -np.inf),
+    ),
     force=_softening,
     regime=_side,
 )
@@ -109,7 +111,9 @@ def test_gradient_of_the_likelihood(name, random_seed):
 
 
 def test_gradient_of_the_simulated_backbone(random_seed):
-    op = SimulatedBackbone(make_response(Oscillator(1.0, ["cubic_stiffness"]), LEVELS, ("frequency", "damping", "offset")))
+    op = SimulatedBackbone(
+        make_response(Oscillator(1.0, ["cubic_stiffness"]), LEVELS, ("frequency", "damping", "offset"))
+    )
     verify_grad(lambda relative: op(relative * DUFFING)[0], [np.ones(3)], eps=1e-5, rel_tol=1e-4, abs_tol=1e-6,
                 rng=np.random.default_rng(random_seed), mode="FAST_RUN")  # fmt: skip
 

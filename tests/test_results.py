@@ -42,7 +42,8 @@ def backbones(rng: np.random.Generator) -> xr.Dataset:
 @pytest.fixture
 def posterior(rng: np.random.Generator) -> xr.DataTree:
     draws = xr.Dataset(
-        {"k": (("chain", "draw"), rng.normal(size=(2, 10)))}, attrs={"tuned": True, "settings": {"a": None}}
+        {"k": (("chain", "draw"), rng.normal(size=(2, 10)))},
+        attrs={"tuned": True, "settings": {"a": None}, "sample_dims": ["chain", "draw"]},
     )
     statistics = xr.Dataset(
         {
@@ -72,10 +73,11 @@ def test_everything_written_reads_back(tmp_path, backbones, posterior):
     assert result["levels"] == [0.001, None] and result["settings"] == {"path": "x"} and result["files"] == files
     with xr.open_datatree(folder / "posterior.nc", engine="h5netcdf") as tree:
         np.testing.assert_array_equal(tree["posterior"]["k"], posterior["posterior"]["k"])
+        assert list(tree["posterior"].attrs["sample_dims"]) == ["chain", "draw"]
         assert tree["sample_stats"]["accepted"].sum() == posterior["sample_stats"]["accepted"].sum()
     with xr.open_dataset(folder / "backbones.nc", engine="h5netcdf") as dataset:
         xr.testing.assert_equal(dataset, backbones)
-        assert json.loads(dataset.attrs["notes"]) == backbones.attrs["notes"]
+        assert list(dataset.attrs["notes"]) == backbones.attrs["notes"]
     assert (folder / "figures" / "backbones.png").read_bytes().startswith(b"\x89PNG")
 
 

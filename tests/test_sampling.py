@@ -15,7 +15,9 @@ from .test_model import BOUNDS, DUFFING, LEVELS, TRUTH, batch, noisy
 def test_hard_edges_that_no_prior_point_reaches_end_in_one_sentence(rng):
     density = fit_density(batch(rng, 20), marginal="uniform")
     stiff = {**BOUNDS, "linear_stiffness": (9000.0, 9500.0)}
-    with pytest.raises(InputError, match=r"no prior point reaches the measured frequency at amplitude 0\.0\d+: measured") as caught:
+    with pytest.raises(
+        InputError, match=r"no prior point reaches the measured frequency at amplitude 0\.0\d+: measured"
+    ) as caught:
         sample(build_model(DUFFING, density, stiff), draws=10, tune=10)
     assert str(caught.value).count(". ") == 0
     damped = {**BOUNDS, "viscous_damping": (5.0, 6.0)}
@@ -71,7 +73,9 @@ def test_slice_never_visits_a_failed_simulation(rng, random_seed):
     oscillator = Oscillator(1.0, ["coulomb_friction"])
     bounds = {"linear_stiffness": (6e3, 7e3), "viscous_damping": (0.1, 3.0), "friction_force": (0.0, 60.0)}
     data = noisy(rng, 2).isel(observable=[0])
-    data = data.assign(value=data["value"] * 0 + np.sqrt(6500.0) / (2 * np.pi), standard_error=0.2 + 0 * data["standard_error"])
+    data = data.assign(
+        value=data["value"] * 0 + np.sqrt(6500.0) / (2 * np.pi), standard_error=0.2 + 0 * data["standard_error"]
+    )
     model = build_model(oscillator, data.drop_vars("covariance"), bounds, likelihood="pooled")
     posterior = sample(model, draws=300, tune=300, chains=2, step="slice", random_seed=random_seed)["posterior"]
     friction = np.array(posterior["friction_force"]).ravel()
@@ -86,7 +90,9 @@ def test_same_seed_same_draws_and_failures_are_counted(rng):
     oscillator = Oscillator(1.0, ["coulomb_friction"])
     bounds = {"linear_stiffness": (6e3, 7e3), "viscous_damping": (0.1, 3.0), "friction_force": (0.0, 60.0)}
     density = fit_density(batch(rng, 20, scatter=0.2).sel(observable=["frequency"]), marginal="normal")
-    runs = [sample(build_model(oscillator, density, bounds), draws=100, tune=100, chains=2, random_seed=7) for _ in range(2)]
+    runs = [
+        sample(build_model(oscillator, density, bounds), draws=100, tune=100, chains=2, random_seed=7) for _ in range(2)
+    ]
     for name in bounds:
         np.testing.assert_array_equal(runs[0]["posterior"][name], runs[1]["posterior"][name])
     assert runs[0].attrs["failures"] == runs[1].attrs["failures"] > 0
@@ -102,7 +108,9 @@ def test_a_function_is_sampled_like_an_oscillator(rng, random_seed):
     density = fit_density(batch(rng, 20), marginal="normal")
     model = build_model(by_hand, density, BOUNDS)
     reference = build_model(DUFFING, density, BOUNDS)
-    posteriors = [sample(m, draws=60, tune=60, chains=2, random_seed=random_seed)["posterior"] for m in (model, reference)]
+    posteriors = [
+        sample(m, draws=60, tune=60, chains=2, random_seed=random_seed)["posterior"] for m in (model, reference)
+    ]
     for name in BOUNDS:
         np.testing.assert_allclose(posteriors[0][name], posteriors[1][name], rtol=1e-6)
     for step in ("nuts", "nutpie"):

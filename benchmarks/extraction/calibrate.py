@@ -1,11 +1,16 @@
-"""Calibrate backbone extraction: bias over standard error, coverage of 95 % intervals, error ratio against two published ways.
+"""Calibrate backbone extraction: bias over standard error, coverage, error ratio against two published ways.
 
-For every effect a noise-free decay is integrated once by SciPy (`truth.py`); white noise is drawn many times; level values by `backbones_at_levels`
-are compared with the true backbone. Signal-to-noise ratio: release amplitude over standard deviation of the noise, 20 log10.
+For every effect a noise-free decay is integrated once by SciPy (`truth.py`); white noise is drawn many times; level
+values by `backbones_at_levels`
+are compared with the true backbone. Signal-to-noise ratio: release amplitude over standard deviation of the noise, 20
+log10.
 
-Rivals, on the same noisy samples: (a) bare picking: largest sample of each swing, frequency from its time, decrement from successive peaks;
-(b) published recipe: period from zero crossings by linear interpolation, amplitude by a three-point parabola, decrement from successive amplitudes.
-Their cycle values are brought to the levels in two ways, straight interpolation and a local line in log amplitude (Gaussian kernel, one level
+Rivals, on the same noisy samples: (a) bare picking: largest sample of each swing, frequency from its time, decrement
+from successive peaks;
+(b) published recipe: period from zero crossings by linear interpolation, amplitude by a three-point parabola,
+decrement from successive amplitudes.
+Their cycle values are brought to the levels in two ways, straight interpolation and a local line in log amplitude
+(Gaussian kernel, one level
 spacing); the one with the smaller error counts.
 
 Run: ``python benchmarks/extraction/calibrate.py --quick`` (two minutes) or without (recorded run).
@@ -92,8 +97,8 @@ def to_levels(amplitude, values, levels):
     return straight, local
 
 
-def calibrate(task):
-    """Run one configuration; return a dict of numbers."""
+def calibrate(task, halved=False):
+    """Run one configuration; return a dict of numbers. With ``halved`` standard errors are halved: it must show."""
     effect, ratio, n_cycles, samples, snr, draws, wrong_noise = task
     decay = _truth(effect, ratio, n_cycles)
     step = 1.0 / samples * 1.0137
@@ -106,7 +111,7 @@ def calibrate(task):
     z, ours, bare, published, errors = [], [], [], [], []
     levels, seconds, failures = None, [], 0
     top = decay.cycles["amplitude"][1]
-    for draw in range(draws):
+    for _ in range(draws):
         noisy = x + noise * rng.standard_normal(x.size)
         began = clock.perf_counter()
         try:
@@ -122,11 +127,13 @@ def calibrate(task):
             print("failed:", task, error, file=sys.stderr)
             continue
         seconds.append(clock.perf_counter() - began)
-        value, error = result.value.values[0], result.standard_error.values[0]
+        value, error = result.value.values[0], result.standard_error.values[0] * (0.5 if halved else 1.0)
         z.append((value - true) / error)
         ours.append(value - true)
         errors.append(error)
-        for rival, store in zip(rival_cycles(t, noisy, 1 / decay.cycles["frequency"].mean()), (bare, published), strict=True):
+        for rival, store in zip(
+            rival_cycles(t, noisy, 1 / decay.cycles["frequency"].mean()), (bare, published), strict=True
+        ):
             store.append([[way - true[i] for way in to_levels(rival[0], rival[i + 1], levels)] for i in range(2)])
     z, ours = np.array(z), np.array(ours)
     n = z.shape[0]
@@ -169,7 +176,9 @@ def run_effect(tasks):
 def table(rows, key):
     """Return a Markdown table of rows grouped by ``key``."""
     lines = [
-        f"| {key} | " + " | ".join(f"{o} bias/se | cover | rms z" for o in OBSERVABLES) + " | error / (a): f, d | error / (b): f, d | fail |",
+        f"| {key} | "
+        + " | ".join(f"{o} bias/se | cover | rms z" for o in OBSERVABLES)
+        + " | error / (a): f, d | error / (b): f, d | fail |",
         "|" + "---|" * (2 + 3 * 3 + 2),
     ]
     for group in dict.fromkeys(row[key] for row in rows):
@@ -177,10 +186,19 @@ def table(rows, key):
         cells = []
         for name in OBSERVABLES:
             bias = np.sqrt(np.mean([row[name]["bias"] ** 2 for row in own]))
-            cells.append(f"{bias:.2f} | {100 * np.mean([row[name]['coverage'] for row in own]):.1f} | {np.mean([row[name]['rms_z'] for row in own]):.2f}")
+            cells.append(
+                f"{bias:.2f} | {100 * np.mean([row[name]['coverage'] for row in own]):.1f} | "
+                f"{np.mean([row[name]['rms_z'] for row in own]):.2f}"
+            )
         for label in ("bare", "published"):
-            cells.append(", ".join(f"{np.exp(np.mean([np.log(row[o][label]) for row in own])):.3f}" for o in OBSERVABLES[:2]))
-        lines.append(f"| {group} | " + " | ".join(cells) + f" | {sum(row['failures'] for row in own)}/{sum(row['draws'] + row['failures'] for row in own)} |")
+            cells.append(
+                ", ".join(f"{np.exp(np.mean([np.log(row[o][label]) for row in own])):.3f}" for o in OBSERVABLES[:2])
+            )
+        lines.append(
+            f"| {group} | "
+            + " | ".join(cells)
+            + f" | {sum(row['failures'] for row in own)}/{sum(row['draws'] + row['failures'] for row in own)} |"
+        )
     return "\n".join(lines)
 
 
@@ -194,7 +212,7 @@ def main():
     options = parser.parse_args()
     snrs = (20, 40, 60) if options.quick else (20, 30, 40, 50, 60)
     samples = (10, 50) if options.quick else (10, 25, 60, 200)
-    draws = options.draws or (6 if options.quick else 25)
+    draws = options.draws or (6 if options.quick else 16)
     jobs = []
     for effect in options.effects:
         tasks = [(effect, 0.005, 40, s, snr, draws, 1.0) for s in samples for snr in snrs]
@@ -207,17 +225,23 @@ def main():
             rows = sum(pool.map(run_effect, jobs), [])
     else:
         rows = sum(map(run_effect, jobs), [])
-    control = calibrate(("linear", 0.005, 40, 50, 40, draws, 0.5))
+    control = calibrate(("linear", 0.005, 40, 50, 40, draws, 1.0), halved=True)
     seconds = clock.perf_counter() - began
     parts = ["# Extraction, calibrated", ""]
     arguments = " ".join(sys.argv[1:])
-    parts += [f"`python benchmarks/extraction/calibrate.py {arguments}`".replace(" `", "`") + f", {seconds:.0f} s, {draws} draws a configuration.", ""]
+    parts += [
+        f"`python benchmarks/extraction/calibrate.py {arguments}`".replace(" `", "`")
+        + f", {seconds:.0f} s, {draws} draws a configuration.",
+        "",
+    ]
     parts += [__doc__.split("\n\n", 1)[1].split("\n\nRun:")[0], ""]
     parts += ["bias/se: root mean square over levels and configurations of the mean z, its sampling error subtracted. "
-              "cover: per cent of level values whose 95 % interval holds the truth. Error ratios: below 1 ours is better.", ""]  # fmt: skip
+              "cover: per cent of level values whose 95 % interval holds the truth. Error ratios: "
+              "below 1 ours is better.", ""]  # fmt: skip
     for key in ("effect", "snr", "samples", "cycles"):
         parts += [f"## By {key}", "", table(rows, key), ""]
-    parts += ["## Negative control", "", f"Noise handed in half as large as it is: coverage of frequency {100 * control['frequency']['coverage']:.0f} %, "
+    parts += ["## Negative control", "", "Standard errors halved: coverage of "
+              f"frequency {100 * control['frequency']['coverage']:.0f} %, "
               f"damping {100 * control['damping']['coverage']:.0f} %.", ""]  # fmt: skip
     text = "\n".join(parts)
     print(text)

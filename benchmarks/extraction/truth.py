@@ -1,6 +1,7 @@
 """Noise-free free decays of every effect, integrated by SciPy half cycle by half cycle: an oracle of its own.
 
-The direction of motion is constant inside a half cycle, so friction is exact; sliders (Jenkins, Iwan) are algebraic inside a half cycle given
+The direction of motion is constant inside a half cycle, so friction is exact; sliders (Jenkins, Iwan) are algebraic
+inside a half cycle given
 their force at the last turning point. Natural period about 1 s, mass 1, release amplitude 1.
 """
 
@@ -66,9 +67,21 @@ def _force_terms(name: str, scale: float = 1.0):
 
 
 EFFECTS = (
-    "linear", "cubic_stiffness", "quintic_stiffness", "quadratic_stiffness", "bilinear_stiffness", "pendulum_stiffness", "freeplay",
-    "coulomb_friction", "quadratic_damping", "cubic_damping", "displacement_dependent_damping", "bouc_wen", "jenkins", "iwan",
-)  # fmt: skip
+    "linear",
+    "cubic_stiffness",
+    "quintic_stiffness",
+    "quadratic_stiffness",
+    "bilinear_stiffness",
+    "pendulum_stiffness",
+    "freeplay",
+    "coulomb_friction",
+    "quadratic_damping",
+    "cubic_damping",
+    "displacement_dependent_damping",
+    "bouc_wen",
+    "jenkins",
+    "iwan",
+)
 
 
 def make_truth(name: str, *, damping_ratio: float = 0.005, n_cycles: int = 60, release: float = 1.0) -> Truth:
@@ -151,7 +164,7 @@ MEMORY = ("bouc_wen", "jenkins", "iwan")
 
 
 def make_dense_truth(name: str, **options) -> Truth:
-    """Add cycles of decays from other releases, so that the backbone between two cycles is known; not for effects with memory."""
+    """Add decays from other releases, so that the backbone between two cycles is known (not with memory)."""
     truth = make_truth(name, **options)
     if name in MEMORY:
         return truth
@@ -166,5 +179,7 @@ def make_dense_truth(name: str, **options) -> Truth:
 if __name__ == "__main__":
     for effect in EFFECTS:
         truth = make_truth(effect)
-        show = {key: np.round(value[[0, 1, len(value) // 2, -1]], 5) for key, value in truth.cycles.items() if key != "time"}
+        show = {
+            key: np.round(value[[0, 1, len(value) // 2, -1]], 5) for key, value in truth.cycles.items() if key != "time"
+        }
         print(effect, len(truth.cycles["time"]), show, np.round((truth.stop_time, truth.stop_value), 4))
