@@ -8,6 +8,8 @@ on disk, the address of a user's own force, is passed in as a number.
 from __future__ import annotations
 
 import functools
+from typing import Any
+
 import llvmlite.binding
 import numba
 import numpy as np
@@ -33,7 +35,7 @@ MASS, RELEASE, TOLERANCE = range(3)
 EVALUATIONS, FAILURES, NEWEST, FIRST_SLOT = range(4)
 
 
-def _backbone(user, ci_pointer, cf_pointer, p_pointer, n, values_p, jacobian_p, status_p, wanted):  # type: ignore[no-untyped-def]
+def _backbone(user, ci_pointer, cf_pointer, p_pointer, n, values_p, jacobian_p, status_p, wanted):
     ci = numba.carray(ci_pointer, 1_000_000)
     n_effects, n_levels = ci[EFFECTS], ci[LEVELS]
     cf = numba.carray(cf_pointer, TOLERANCE + 1 + n_levels)
@@ -56,7 +58,7 @@ def _backbone(user, ci_pointer, cf_pointer, p_pointer, n, values_p, jacobian_p, 
 
 
 @numba.njit
-def remembered(memory, theta):  # type: ignore[no-untyped-def]
+def remembered(memory, theta):
     """Return where in ``memory`` the value for ``theta`` stands, or -1."""
     n = theta.size
     if memory.size < FIRST_SLOT + 2 * (n + 1):
@@ -73,7 +75,7 @@ def remembered(memory, theta):  # type: ignore[no-untyped-def]
 
 
 @numba.njit
-def remember(memory, theta, value):  # type: ignore[no-untyped-def]
+def remember(memory, theta, value):
     """Put the value for ``theta`` where the older of the two remembered ones stands; count it if it failed."""
     n = theta.size
     if memory.size < FIRST_SLOT + 2 * (n + 1):
@@ -87,7 +89,7 @@ def remember(memory, theta, value):  # type: ignore[no-untyped-def]
 
 
 @numba.njit
-def judge_backbone(ci, status, values, jacobian, codes, table, memory, gradient):  # type: ignore[no-untyped-def]
+def judge_backbone(ci, status, values, jacobian, codes, table, memory, gradient):
     """Return the log density of a simulated backbone, -inf where a level failed, and write its gradient."""
     levels = ci[LEVELS]
     for k in range(levels):
@@ -121,7 +123,7 @@ def judge_backbone(ci, status, values, jacobian, codes, table, memory, gradient)
     return value
 
 
-def _log_likelihood(user, ci_p, cf, p, n, codes_p, n_codes, table_p, n_table, memory_p, n_memory, gradient_p, wanted):  # type: ignore[no-untyped-def]  # noqa: E501
+def _log_likelihood(user, ci_p, cf, p, n, codes_p, n_codes, table_p, n_table, memory_p, n_memory, gradient_p, wanted):  # noqa: E501
     theta = numba.carray(p, n)
     memory = numba.carray(memory_p, n_memory)
     if wanted == 0:
@@ -159,14 +161,14 @@ def define_symbols() -> None:
     Must have run in a process before code that calls them is loaded there: every Op runs it when it is made.
     """
     for external, function in ((call_backbone, _backbone), (call_log_likelihood, _log_likelihood)):
-        compiled = CFunc(function, (external.sig.args, external.sig.return_type), locals={}, options={})
+        compiled: Any = CFunc(function, (external.sig.args, external.sig.return_type), locals={}, options={})
         compiled._cache = DigestCache(function)
         compiled.compile()
         llvmlite.binding.add_symbol(external.symbol, compiled.address)
         _KEPT.append(compiled)
 
 
-_KEPT: list[CFunc] = []  # compiled code lives as long as its CFunc
+_KEPT: list[Any] = []  # compiled code lives as long as its CFunc
 
 
 class Description:

@@ -14,6 +14,8 @@ from ._tracking import Track, local_basis
 _SEGMENT_CYCLES = 6.0
 _BAND_SEGMENT_CYCLES = 20.0
 _PASSED = 0.25
+_QUIET_CYCLES, _QUIET_SAMPLES = 3.0, 100
+_FINE_SAMPLING = 24.0
 _MAXIMUM_SEGMENTS = 24
 _MAXIMUM_HARMONICS = 8
 _FINE_BINS = 12
@@ -73,21 +75,48 @@ def noise_spectrum(values: FloatArray, sampling_rate: float, track: Track, step:
     glitches, the median over wide bins keeps out narrow lines (a second mode, mains hum). The noise is at
     least that of rounding to the ``step`` of the converter (variance step^2 / 12).
     """
-    nyquist = 0.5 * sampling_rate
-    edges = _bin_edges(track.frequency, nyquist)
-    segments = _segments(values.size, sampling_rate, track, _SEGMENT_CYCLES)
-    estimates = np.full((len(segments), edges.size - 1), np.nan)
-    degrees = np.zeros(estimates.shape)
-    for row, (first, last) in enumerate(segments):
-        frequency, density = _periodogram(values[first:last], first, sampling_rate, track)
-        bins = np.searchsorted(edges, frequency, side="right") - 1
-        for k in range(edges.size - 1):
-            inside = density[bins == k]
-            degrees[row, k] = inside.size
-            if inside.size:
-                estimates[row, k] = inside.mean() if inside.size < 8 else np.median(inside) / np.log(2.0)
+    edges = _bin_edges(track.frequency, 0.5 * sampling_rate)
+    rows = [
+        _binned(edges, *_periodogram(values[first:last], first, sampling_rate, track))
+        for first, last in _segments(values.size, sampling_rate, track, _SEGMENT_CYCLES)
+    ]
+    return _spectrum(edges, rows, step)
+
+
+def quiet_spectrum(
+    values: FloatArray, sampling_rate: float, frequency: float, step: float = 0.0
+) -> NoiseSpectrum | None:
+    """Return the noise spectrum of a stretch without motion, or None where it is too short to tell."""
+    length = int(round(_SEGMENT_CYCLES * sampling_rate / frequency))
+    if values.size < max(_QUIET_CYCLES * sampling_rate / frequency, _QUIET_SAMPLES):
+        return None
+    length = min(length, values.size)
+    edges = _bin_edges(frequency, 0.5 * sampling_rate)
+    rows = []
+    for first in range(0, values.size - length + 1, length)[:_MAXIMUM_SEGMENTS]:
+        u = np.linspace(-1.0, 1.0, length)
+        basis = np.linalg.qr(np.column_stack([np.ones(length), u]))[0]
+        rows.append(_binned(edges, *_beside(basis, values[first : first + length], sampling_rate, _USABLE)))
+    return _spectrum(edges, rows, step)
+
+
+def _binned(edges: FloatArray, frequency: FloatArray, density: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the level of each bin (NaN where it is empty) and the number of spectral values in it."""
+    bins = np.searchsorted(edges, frequency, side="right") - 1
+    level, count = np.full(edges.size - 1, np.nan), np.zeros(edges.size - 1)
+    for k in range(edges.size - 1):
+        inside = density[bins == k]
+        count[k] = inside.size
+        if inside.size:
+            level[k] = inside.mean() if inside.size < 8 else np.median(inside) / np.log(2.0)
+    return level, count
+
+
+def _spectrum(edges: FloatArray, rows: list[tuple[FloatArray, FloatArray]], step: float) -> NoiseSpectrum:
+    """Return the spectrum pooled over segments, not below rounding noise."""
+    estimates, degrees = (np.array(part) for part in zip(*rows, strict=True))
     density = _whitened(_pooled(estimates, degrees), degrees)
-    return NoiseSpectrum(edges, np.maximum(density, step**2 / 12.0 / nyquist))
+    return NoiseSpectrum(edges, np.maximum(density, step**2 / 12.0 / float(edges[-1])))
 
 
 def noise_in_band(
@@ -141,11 +170,21 @@ def _periodogram(values: FloatArray, first: int, sampling_rate: float, track: Tr
     harmonics = int(np.clip(0.5 * sampling_rate / track.frequency - 0.5, 1, _MAXIMUM_HARMONICS))
     while harmonics > 1 and 6 + 4 * harmonics > 0.65 * n:
         harmonics -= 1
-    basis = np.linalg.qr(local_basis(time, track, harmonics, (2, 4, 2)))[0]
+    is_fine = sampling_rate / track.frequency >= _FINE_SAMPLING
+    powers = (3, 4, 3) if is_fine else (2, 4, 2)
+    basis = np.linalg.qr(local_basis(time, track, harmonics, powers))[0]
+    return _beside(basis, values, sampling_rate, _USABLE if cycles > 3.0 else 0.2)
+
+
+def _beside(
+    basis: FloatArray, values: FloatArray, sampling_rate: float, usable: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return frequencies and densities of what an orthonormal basis leaves, where it leaves a usable share of white noise."""
+    n = values.size
     residual = values - basis @ (basis.T @ values)
     power = np.abs(rfft(residual)) ** 2
     share = 1.0 - np.sum(np.abs(rfft(basis, axis=0)) ** 2, axis=1) / n
-    good = share > (_USABLE if cycles > 3.0 else 0.2)
+    good = share > usable
     good[0] = False
     return rfftfreq(n, 1.0 / sampling_rate)[good], 2.0 * power[good] / (n * sampling_rate) / share[good]
 

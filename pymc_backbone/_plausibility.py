@@ -12,13 +12,16 @@ MINIMUM_CYCLES = 4.0
 MINIMUM_FALL = 0.02
 _CLIPPED_PEAKS = 3
 _FINE = 1e-5
+_SMALLEST = 1e-30
 
 
 def check_moves(values: FloatArray, name: str) -> None:
-    """Raise when a record is constant."""
-    span = float(np.ptp(values))
-    if not span > 1e-12 * float(np.max(np.abs(values))):
+    """Raise when a record is constant, or so large or small that its unit cannot be right."""
+    span, largest = float(np.ptp(values / 2.0)), float(np.max(np.abs(values)))
+    if not span > 1e-12 * largest:
         raise InputError(f"{name}: all samples are {values[0]:.6g}, expected a decay; check the column and the sensor.")
+    if not _SMALLEST < span < 1.0 / _SMALLEST:
+        raise InputError(f"{name}: the samples span {2.0 * span:.3g}, which is no measurement in SI units; check the unit.")
 
 
 def check_per_cycle(sampling_rate: float, frequency: float, name: str) -> None:

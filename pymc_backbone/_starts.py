@@ -110,7 +110,10 @@ class StartFinder:
             return {name: piece.reshape(shape) for name, piece, shape in zip(names, pieces, shapes, strict=True)}
 
         start = np.concatenate([np.ravel(point[name]) for name in names]).astype(np.float64)
-        solution = least_squares(lambda vector: self._distances(unpack(vector)), start, method="trf", max_nfev=60)
+        def residuals(vector: Any) -> Any:
+            return self._distances(unpack(vector))
+
+        solution: Any = least_squares(residuals, start, method="trf", max_nfev=60)
         return unpack(solution.x)
 
     def _retreat(self, good: dict[str, FloatArray], far: dict[str, FloatArray]) -> dict[str, FloatArray]:

@@ -151,7 +151,7 @@ def select_terms(normal, right, noise_variance, threshold, maximum, forced):  # 
     for number in range(min(maximum, n) + forced.size):
         best, gain = -1, threshold * noise_variance
         for j in range(n):
-            if chosen[j] or not (work[j, j] > 1e-7 * reference[j]) or not (reference[j] > 0.0):
+            if chosen[j] or not (work[j, j] > 1e-2 * reference[j]) or not (reference[j] > 0.0):
                 continue
             lowered = r[j] * r[j] / work[j, j]
             if lowered > gain:

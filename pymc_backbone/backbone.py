@@ -33,8 +33,8 @@ def default_levels(cycles: Sequence[Cycles], n_levels: int | None = None) -> Flo
 
     The range is the one all specimens share, their first cycles aside: the release disturbs them, and their
     first peak is known from one side only. When it spans less than a factor 1.25 and there are more than three
-    specimens, up to half of them are left out at either end (their values at those levels are NaN). It is inset by 2 % of its logarithm, because
-    standard errors are largest at the outermost cycles.
+    specimens, up to half of them are left out at either end (their values at those levels are NaN). It is inset
+    by 2 % of its logarithm, because standard errors are largest at the outermost cycles.
 
     Parameters
     ----------

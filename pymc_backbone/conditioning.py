@@ -13,7 +13,7 @@ from ._asymmetry import SIGNIFICANT, MidLine, displacement_amplitude, restore_mi
 from ._baseline import Baseline, find_baseline
 from ._checks import FloatArray, InputError, check_finite_array
 from ._filters import BandPass, check_band, design_band_pass, integrate, integration_response
-from ._noise import NoiseSpectrum, amplitude_floor, noise_in_band, noise_of, noise_spectrum, quantum
+from ._noise import NoiseSpectrum, amplitude_floor, noise_in_band, noise_of, noise_spectrum, quantum, quiet_spectrum
 from ._plausibility import check_clipping, check_cycles, check_decays, check_moves, check_per_cycle
 from ._release import end_of_drive, end_of_motion, end_of_rest, leading_rest, regrowth
 from ._sampling import to_uniform
@@ -162,6 +162,8 @@ class _Conditioning:
     """The steps of `condition`, in order, with what they share."""
 
     def __init__(self, record: Record, band: Any, start: float | None, stop: float | None) -> None:
+        if not isinstance(record, Record):
+            raise InputError(f"`record` must be a Record, got {type(record).__name__}; see `read_records`.")
         self.record = record
         self.name = printable(record.source)
         self.notes: list[str] = list(record.notes)
@@ -307,10 +309,19 @@ class _Conditioning:
         """Return the noise, the track up to the end of motion, and that time; each is found with the help of the other."""
         spectrum = self._spectrum(values, path, band_pass)
         end = end_of_motion(path, amplitude_floor(spectrum, path.frequency, self.rate))
+        cycle = 1.0 / path.frequency
         # not the last cycle: it may hold the stop
-        moving = path.until(end - 1.0 / path.frequency)
+        moving = path.until(end - cycle)
         if moving.cycles > 3.0 and moving.cycles < 0.9 * path.cycles:
             spectrum = self._spectrum(values, moving, band_pass)
+            end = end_of_motion(path, amplitude_floor(spectrum, path.frequency, self.rate))
+        # a tail without motion shows the noise itself; less noise may move the end, hence again
+        for _ in range(3 if band_pass is None else 0):
+            tail = values[int(np.ceil((end + 2.0 * cycle) * self.rate)) :]
+            quiet = quiet_spectrum(tail, self.rate, path.frequency, self.step)
+            if quiet is None or quiet.total > 0.9 * spectrum.total:
+                break
+            spectrum = quiet
             end = end_of_motion(path, amplitude_floor(spectrum, path.frequency, self.rate))
         path = check_cycles(path.until(end), self.name, "stand above the noise")
         grown = regrowth(path, self.integrations, amplitude_floor(spectrum, path.frequency, self.rate) / 3.0)
