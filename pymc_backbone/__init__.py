@@ -23,7 +23,9 @@ if TYPE_CHECKING:
         simulate_decay,
         simulate_waveform,
     )
+    from .demo import demo_folder
     from .density import Density, fit_density
+    from .diagnostics import findings, summarise
     from .effects import LIBRARY, Effect, Parameter, get_effect
     from .measured_backbones import read_backbones
     from .model import backbone_likelihood, build_model, simulated_backbone
@@ -51,7 +53,9 @@ _WHERE = {
         "simulate_decay",
         "simulate_waveform",
     ),
+    "demo": ("demo_folder",),
     "density": ("Density", "fit_density"),
+    "diagnostics": ("findings", "summarise"),
     "effects": ("LIBRARY", "Effect", "Parameter", "get_effect"),
     "measured_backbones": ("read_backbones",),
     "model": ("backbone_likelihood", "build_model", "simulated_backbone"),
@@ -82,7 +86,9 @@ __all__ = [
     "backbones_at_levels",
     "build_model",
     "condition",
+    "demo_folder",
     "extract_cycles",
+    "findings",
     "fit_density",
     "get_effect",
     "read_backbones",
@@ -93,6 +99,7 @@ __all__ = [
     "simulate_waveform",
     "simulated_backbone",
     "simulated_backbones",
+    "summarise",
     "write_records",
 ]
 

@@ -43,11 +43,12 @@ def displacement_amplitude(path: Track, integrations: int) -> Track:
     """Return the track with the smoothed amplitude of the displacement in place of that of what was measured."""
     u = np.linspace(-1.0, 1.0, path.time.size)
     degree = int(np.clip(path.cycles / 4.0, 2, 8))
-    weights = path.amplitude / path.amplitude.max()
+    weights = np.maximum(path.amplitude / path.amplitude.max(), 1e-3)
     rate = np.gradient(path.phase, path.time)
     values = np.log(np.maximum(path.amplitude, 1e-12 * path.amplitude.max())) - integrations * np.log(rate)
     curve = np.polynomial.chebyshev.chebfit(u, values, degree, w=weights)
-    return replace(path, amplitude=np.exp(np.polynomial.chebyshev.chebval(u, curve)))
+    smooth = np.polynomial.chebyshev.chebval(u, curve)
+    return replace(path, amplitude=np.exp(np.clip(smooth, values.min() - 1.0, values.max() + 1.0)))
 
 
 def restore_mid_line(path: Track, harmonic: float) -> MidLine | None:

@@ -21,7 +21,9 @@ def check_moves(values: FloatArray, name: str) -> None:
     if not span > 1e-12 * largest:
         raise InputError(f"{name}: all samples are {values[0]:.6g}, expected a decay; check the column and the sensor.")
     if not _SMALLEST < span < 1.0 / _SMALLEST:
-        raise InputError(f"{name}: the samples span {2.0 * span:.3g}, which is no measurement in SI units; check the unit.")
+        raise InputError(
+            f"{name}: the samples span {2.0 * span:.3g}, which is no measurement in SI units; check the unit."
+        )
 
 
 def check_per_cycle(sampling_rate: float, frequency: float, name: str) -> None:
@@ -34,11 +36,14 @@ def check_per_cycle(sampling_rate: float, frequency: float, name: str) -> None:
         )
 
 
-def check_clipping(values: FloatArray, time: FloatArray, frequency: float, step: float, name: str) -> None:
+def check_clipping(
+    values: FloatArray, reading: float, time: FloatArray, frequency: float, step: float, name: str
+) -> None:
     """Raise when the tops of several peaks are cut off at the same value.
 
     Samples at the extreme value that follow each other are natural on a coarse converter: a cosine of
-    amplitude A stays within one step of its top for a while. Clipped tops last longer than that.
+    amplitude A stays within one step of its top for a while. Clipped tops last longer than that. The sensor showed
+    ``values + reading``.
     """
     sampling_rate = (time.size - 1) / float(time[-1] - time[0])
     middle, amplitude = 0.5 * float(values.max() + values.min()), 0.5 * float(np.ptp(values))
@@ -58,7 +63,7 @@ def check_clipping(values: FloatArray, time: FloatArray, frequency: float, step:
             last = min(int(np.flatnonzero(at)[-1]) + 1, time.size - 1)
             side = "upper" if extreme > middle else "lower"
             raise InputError(
-                f"{name}: {np.count_nonzero(cut)} peaks are clipped at {extreme:.6g} ({side} limit of the sensor or converter), "
+                f"{name}: {np.count_nonzero(cut)} peaks are clipped at {extreme + reading:.6g} ({side} limit of the sensor or converter), "
                 f"first at {time[first[cut][0]]:.6g} s; widen the range, or use what follows with start={time[last]:.6g}."
             )
 
@@ -67,7 +72,7 @@ def check_cycles(path: Track | None, name: str, what: str) -> Track:
     """Return the track, or raise when there are too few cycles."""
     # two outer cycles of a record are beyond the track
     cycles = 0.0 if path is None else path.cycles + 2.0
-    if path is None or cycles < MINIMUM_CYCLES:
+    if path is None or cycles < MINIMUM_CYCLES or not path.amplitude.max() > 0.0:
         found = "fewer than 4" if path is None else f"{cycles:.1f}"
         raise InputError(
             f"{name}: {found} cycles {what}, expected at least {MINIMUM_CYCLES:g}; record longer, release from a larger "

@@ -172,6 +172,9 @@ class _Conditioning:
         time, values = record.time[keep], record.values[keep]
         check_moves(values, self.name)
         self.step = quantum(values)
+        # a sensor may read ten thousand times the motion: no filter stops that much
+        self.reading = float(np.median(values))
+        values = values - self.reading
         self.samples = to_uniform(time, values)
         self.notes += self.samples.notes
         self.rate = self.samples.sampling_rate
@@ -207,7 +210,7 @@ class _Conditioning:
             displacement += mid_line.at(amplitude.amplitude_at(time))
         self._note_band_pass(band_pass, path)
         noise = noise_of(spectrum, self._response(band_pass, path.frequency), path.frequency, self.rate)
-        is_measured = mid_line is not None or not (self.integrations or band_pass)
+        is_absolute = not (self.integrations or band_pass)
         return ConditionedRecord(
             specimen=self.record.specimen,
             time=_frozen(self.begin + time),
@@ -215,10 +218,10 @@ class _Conditioning:
             sampling_rate=self.rate,
             noise=noise.standard_deviation,
             noise_autocovariance=_frozen(noise.autocovariance),
-            baseline=baseline.value,
+            baseline=baseline.value + self.reading if is_absolute else 0.0,
             baseline_error=baseline.error,
             rest_offset=baseline.rest,
-            offset_is_measured=is_measured,
+            offset_is_measured=is_absolute or mid_line is not None,
             frequency=path.frequency,
             amplitude=float(amplitude.amplitude_at(time[:1])[0]),
             unit=self.record.unit.partition("/")[0],
@@ -265,7 +268,7 @@ class _Conditioning:
         if frequency is None:
             raise InputError(f"{self.name}: no oscillation stands out of the record; check the column, or give a band.")
         check_per_cycle(self.rate, frequency, self.name)
-        check_clipping(values, time, frequency, self.step, self.name)
+        check_clipping(values, self.reading, time, frequency, self.step, self.name)
         return frequency
 
     def _released(self, values: FloatArray) -> tuple[FloatArray, bool]:
@@ -351,7 +354,7 @@ class _Conditioning:
         harmonic = second_harmonic(values, self.rate, path, 0)
         baseline = find_baseline(values, self.rate, path, end, spectrum.total, harmonic)
         unit = self.record.unit
-        self.notes.append(f"baseline {baseline.value:.4g} +- {baseline.error:.2g} {unit} was subtracted")
+        self.notes.append(f"baseline {baseline.value + self.reading:.6g} +- {baseline.error:.2g} {unit} was subtracted")
         if np.isfinite(baseline.rest):
             self.notes.append(
                 f"the motion came to rest {baseline.rest:.3g} {unit} off the mid-line of its last cycles (dry friction, or "

@@ -212,7 +212,7 @@ def main():
     options = parser.parse_args()
     snrs = (20, 40, 60) if options.quick else (20, 30, 40, 50, 60)
     samples = (10, 50) if options.quick else (10, 25, 60, 200)
-    draws = options.draws or (6 if options.quick else 16)
+    draws = options.draws or (6 if options.quick else 12)
     jobs = []
     for effect in options.effects:
         tasks = [(effect, 0.005, 40, s, snr, draws, 1.0) for s in samples for snr in snrs]
