@@ -59,8 +59,8 @@ def restore_mid_line(path: Track, harmonic: float) -> MidLine | None:
     path : Track
         Track of a velocity.
     harmonic : float
-        Second harmonic of the displacement over its fundamental at the first cycle, from `second_harmonic`; 0 where it is
-        insignificant.
+        Second harmonic of the displacement over its fundamental at the first cycle, from `second_harmonic`; 0 where
+        it is insignificant.
 
     Returns
     -------
@@ -69,12 +69,12 @@ def restore_mid_line(path: Track, harmonic: float) -> MidLine | None:
 
     Notes
     -----
-    The mean of the velocity over a cycle is the rate of change of the mid-line plus the sensor's offset. An autonomous
-    structure's mid-line is a function of amplitude, here ``a A`` (bilinear), ``b A^2`` (quadratic) or both, so the means
-    are regressed on the rates of change of A and A^2. Each coefficient must stand out five standard errors. The same force
-    that shifts the mid-line makes the second harmonic, a third of the shift for a quadratic stiffness and 1 / 4.5 of it for a
-    bilinear one: a mid-line far from that is drift of the sensor. (An acceleration shows the second derivative only, which
-    drowns: its mid-line is not restored.)
+    The mean of the velocity over a cycle is the rate of change of the mid-line plus the sensor's offset. An
+    autonomous structure's mid-line is a function of amplitude, here ``a A`` (bilinear), ``b A^2`` (quadratic) or
+    both, so the means are regressed on the rates of change of A and A^2. Each coefficient must stand out five
+    standard errors. The same force that shifts the mid-line makes the second harmonic, a third of the shift for a
+    quadratic stiffness and 1 / 4.5 of it for a bilinear one: a mid-line far from that is drift of the sensor. (An
+    acceleration shows the second derivative only, which drowns: its mid-line is not restored.)
     """
     stop = max(path.time.size - path.per_cycle, 1)
     picked = slice(None, stop, path.per_cycle)
@@ -107,8 +107,8 @@ def restore_mid_line(path: Track, harmonic: float) -> MidLine | None:
 def second_harmonic(values: FloatArray, sampling_rate: float, path: Track, integrations: int) -> tuple[float, float]:
     """Return the second harmonic of the displacement over its fundamental at the first cycle, and its standard error.
 
-    Positive where it adds to the positive peaks. Only what keeps its phase to the fundamental and grows with the square of
-    amplitude counts.
+    Positive where it adds to the positive peaks. Only what keeps its phase to the fundamental and grows with the
+    square of amplitude counts.
     """
     per_cycle = path.per_cycle
     step = 2.0 * np.pi / per_cycle
@@ -125,9 +125,9 @@ def second_harmonic(values: FloatArray, sampling_rate: float, path: Track, integ
     if z.size < 3:
         return 0.0, 1.0
     # a velocity's phase is a quarter of a turn ahead: x = A cos(phi) has v ~ -sin(phi) = cos(phi + 90 degrees)
-    z = z / (2j) ** integrations * 1j ** (2 * integrations)
+    turned = z / (2j) ** integrations * 1j ** (2 * integrations)
     weight = amplitude**2
-    coefficient = complex(z @ weight) / float(weight @ weight)
-    residual = np.abs(z - coefficient * weight) ** 2
+    coefficient = complex(turned @ weight) / float(weight @ weight)
+    residual = np.abs(turned - coefficient * weight) ** 2
     error = np.sqrt(float(residual @ weight**2) / (z.size - 1.0) * z.size) / float(weight @ weight)
     return coefficient.real * float(path.amplitude[0]), float(error) * float(path.amplitude[0])

@@ -55,15 +55,15 @@ def find_baseline(
 
     Notes
     -----
-    The mid-line of a cycle differs from the equilibrium by c A^2 for a quadratic stiffness and by c A for a bilinear one,
-    and not at all for dry friction, whose half cycles lie on opposite sides. So the mid-line is extrapolated to zero
-    amplitude with 1, A, A^2, averaged over which of them the record supports (Bayesian information criterion).
-    A record that hardly decays says little about that; but the force that shifts the mid-line also makes a second
-    harmonic, and about a third of the shift, which is used as one more observation.
+    The mid-line of a cycle differs from the equilibrium by c A^2 for a quadratic stiffness and by c A for a
+    bilinear one, and not at all for dry friction, whose half cycles lie on opposite sides. So the mid-line is
+    extrapolated to zero amplitude with 1, A, A^2, averaged over which of them the record supports (Bayesian
+    information criterion). A record that hardly decays says little about that; but the force that shifts the
+    mid-line also makes a second harmonic, and about a third of the shift, which is used as one more observation.
 
-    A quiet tail after a decay that faded away shows the zero itself. A tail after a motion that stopped within a few cycles
-    (dry friction: amplitude falls by four times the friction's displacement per cycle, and the rest is within one of it)
-    shows where the structure stuck: it is reported as ``rest`` and says nothing about the zero.
+    A quiet tail after a decay that faded away shows the zero itself. A tail after a motion that stopped within a
+    few cycles (dry friction: amplitude falls by four times the friction's displacement per cycle, and the rest is
+    within one of it) shows where the structure stuck: it is reported as ``rest`` and says nothing about the zero.
     """
     value, error = _extrapolated(path, sampling_rate, noise, harmonic)
     cycle = 1.0 / path.frequency

@@ -57,9 +57,9 @@ class BandPass:
     def bias(self, path: Track) -> tuple[float, float]:
         """Return the relative bias of amplitude and of logarithmic decrement that the filter gives a decay.
 
-        An exponential decay ``exp(s t)`` leaves the filter as ``G(s) exp(s t)``: its amplitude is biased by ``|G| - 1``, its
-        decrement and frequency not at all. When frequency or decrement drift, so does G, and what it gains from the first to
-        the last cycle is missing from the decrement.
+        An exponential decay ``exp(s t)`` leaves the filter as ``G(s) exp(s t)``: its amplitude is biased by ``|G| -
+        1``, its decrement and frequency not at all. When frequency or decrement drift, so does G, and what it gains
+        from the first to the last cycle is missing from the decrement.
         """
         n = max(min(2 * path.per_cycle, path.time.size // 2), 2)
         gains = []
@@ -96,7 +96,8 @@ def design_band_pass(band: tuple[float, float], frequency: float, sampling_rate:
     near = min(frequency - low, high - frequency)
     if near < _NARROWEST * frequency:
         raise InputError(
-            f"{name}: `band` ({low:g}, {high:g}) Hz leaves {near:.3g} Hz beside the mode at {frequency:.4g} Hz, expected "
+            f"{name}: `band` ({low:g}, {high:g}) Hz leaves {near:.3g} Hz beside the mode at {frequency:.4g} Hz, "
+            f"expected "
             f"at least {_NARROWEST * frequency:.3g}; widen it, for example to ({0.75 * frequency:.3g}, "
             f"{1.3 * frequency:.3g})."
         )
@@ -112,10 +113,10 @@ def integrate(values: FloatArray, sampling_rate: float, path: Track) -> FloatArr
 
     Notes
     -----
-    The running integral of a quintic spline is exact to 2e-6 at ten samples per cycle. Sensor offset and noise make it
-    drift; the drift is the mean over three running cycles at uniform phase, which contains nothing of the
-    oscillation or its harmonics, and is subtracted. Within the outermost cycles at each end, where no such mean exists, it
-    comes from a least-squares fit of a parabola and the harmonics to the first (last) five cycles.
+    The running integral of a quintic spline is exact to 2e-6 at ten samples per cycle. Sensor offset and noise make
+    it drift; the drift is the mean over three running cycles at uniform phase, which contains nothing of the
+    oscillation or its harmonics, and is subtracted. Within the outermost cycles at each end, where no such mean
+    exists, it comes from a least-squares fit of a parabola and the harmonics to the first (last) five cycles.
     """
     time = np.arange(values.size) / sampling_rate
     running = make_interp_spline(time, values, k=5).antiderivative()(time)

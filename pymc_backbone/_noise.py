@@ -53,7 +53,7 @@ class NoiseSpectrum:
 
 
 def quantum(values: FloatArray) -> float:
-    """Return the step of a quantised record: the smallest distance between distinct values, if most are multiples of it."""
+    """Return the step of a quantised record, or 0 where values are not multiples of one."""
     distinct = np.unique(values)
     steps = np.diff(distinct)
     steps = steps[steps > 1e-12 * max(abs(distinct[0]), abs(distinct[-1]))]
@@ -179,7 +179,7 @@ def _periodogram(values: FloatArray, first: int, sampling_rate: float, track: Tr
 def _beside(
     basis: FloatArray, values: FloatArray, sampling_rate: float, usable: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return frequencies and densities of what an orthonormal basis leaves, where it leaves a usable share of white noise."""
+    """Return frequencies and densities of what an orthonormal basis leaves, where it leaves enough of white noise."""
     n = values.size
     residual = values - basis @ (basis.T @ values)
     power = np.abs(rfft(residual)) ** 2

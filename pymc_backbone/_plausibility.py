@@ -32,7 +32,8 @@ def check_per_cycle(sampling_rate: float, frequency: float, name: str) -> None:
     if per_cycle < MINIMUM_PER_CYCLE:
         raise InputError(
             f"{name}: {per_cycle:.2g} samples per cycle of the {frequency:.3g} Hz motion, expected at least "
-            f"{MINIMUM_PER_CYCLE:g}; sample faster than {MINIMUM_PER_CYCLE * frequency:.3g} Hz, or choose a lower mode with a band."
+            f"{MINIMUM_PER_CYCLE:g}; sample faster than {MINIMUM_PER_CYCLE * frequency:.3g} Hz, or choose a "
+            f"lower mode with a band."
         )
 
 
@@ -63,8 +64,10 @@ def check_clipping(
             last = min(int(np.flatnonzero(at)[-1]) + 1, time.size - 1)
             side = "upper" if extreme > middle else "lower"
             raise InputError(
-                f"{name}: {np.count_nonzero(cut)} peaks are clipped at {extreme + reading:.6g} ({side} limit of the sensor or converter), "
-                f"first at {time[first[cut][0]]:.6g} s; widen the range, or use what follows with start={time[last]:.6g}."
+                f"{name}: {np.count_nonzero(cut)} peaks are clipped at {extreme + reading:.6g} ({side} limit of "
+                f"the sensor or converter), "
+                f"first at {time[first[cut][0]]:.6g} s; widen the range, or use what follows with "
+                f"start={time[last]:.6g}."
             )
 
 
@@ -75,7 +78,8 @@ def check_cycles(path: Track | None, name: str, what: str) -> Track:
     if path is None or cycles < MINIMUM_CYCLES or not path.amplitude.max() > 0.0:
         found = "fewer than 4" if path is None else f"{cycles:.1f}"
         raise InputError(
-            f"{name}: {found} cycles {what}, expected at least {MINIMUM_CYCLES:g}; record longer, release from a larger "
+            f"{name}: {found} cycles {what}, expected at least {MINIMUM_CYCLES:g}; record longer, release from "
+            f"a larger "
             "amplitude or reduce the noise."
         )
     return path
@@ -87,6 +91,7 @@ def check_decays(path: Track, name: str) -> None:
     first, last = float(np.median(path.amplitude[:n])), float(np.median(path.amplitude[-n:]))
     if last > (1.0 - MINIMUM_FALL) * first:
         raise InputError(
-            f"{name}: the amplitude goes from {first:.3g} to {last:.3g} over {path.cycles:.0f} cycles, expected a decay; "
+            f"{name}: the amplitude goes from {first:.3g} to {last:.3g} over {path.cycles:.0f} cycles, expected "
+            f"a decay; "
             "record the free decay after the release, longer if it is lightly damped."
         )

@@ -35,7 +35,7 @@ def envelope(values: FloatArray, sampling_rate: float, frequency: float, integra
 
 
 def leading_rest(values: FloatArray) -> int:
-    """Return how many samples pass before the record first leaves its starting value by a quarter of its largest excursion."""
+    """Return how many samples pass before the first excursion of a quarter of the largest one."""
     begin = values[: max(values.size // 50, 3)]
     excursion = np.abs(values - np.median(begin))
     return int(np.argmax(excursion > 0.25 * excursion.max()))
@@ -59,8 +59,8 @@ def end_of_rest(values: FloatArray, sampling_rate: float, frequency: float) -> i
 def end_of_drive(values: FloatArray, sampling_rate: float, frequency: float, integrations: int) -> int | None:
     """Return a sample safely after the end of forcing, or None where the record is free from its start.
 
-    Forcing is seen in the envelope: it has grown to its maximum, or stayed level there, for more than a cycle and a half.
-    The decay begins one and a half cycles after the bend, for the envelope is that blunt.
+    Forcing is seen in the envelope: it has grown to its maximum, or stayed level there, for more than a cycle and a
+    half. The decay begins one and a half cycles after the bend, for the envelope is that blunt.
     """
     period = sampling_rate / frequency
     level = envelope(values, sampling_rate, frequency, integrations)
@@ -109,7 +109,7 @@ def _bend(level: FloatArray, first: int, last: int) -> int:
 
 
 def _last_quiet(values: FloatArray, period: float, highest: float, until: int) -> int | None:
-    """Return the last sample up to which the record hardly moves, looking back from ``until``; None if it always moves."""
+    """Return the last sample before ``until`` up to which the record hardly moves; None if it always moves."""
     window = max(int(round(_WINDOW * period)), 3)
     smooth = uniform_filter1d(values, max(int(period / 16.0), 1))
     # a window that ends at each sample

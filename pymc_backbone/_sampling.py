@@ -44,7 +44,8 @@ class UniformSamples:
         for begin, length in self.gaps:
             if length * frequency > _LARGEST_GAP and begin < until:
                 raise InputError(
-                    f"{name}: samples are missing between {begin:.6g} and {begin + length:.6g} s, {length * frequency:.2g} cycles "
+                    f"{name}: samples are missing between {begin:.6g} and {begin + length:.6g} s, "
+                    f"{length * frequency:.2g} cycles "
                     f"of the {frequency:.4g} Hz motion; use the part before or after (stop={begin:.6g} or "
                     f"start={begin + length:.6g})."
                 )
@@ -59,12 +60,12 @@ def to_uniform(time: FloatArray, values: FloatArray) -> UniformSamples:
     """
     steps = np.diff(time)
     typical = float(np.median(steps))
-    counts = np.maximum(np.round(steps / typical), 1.0)
+    counts = _counts(time, typical)
     index = np.concatenate([[0.0], np.cumsum(counts)])
     interval, start = (float(value) for value in np.polyfit(index, time, 1))
     deviation = time - (start + interval * index)
     worst = float(np.max(np.abs(deviation))) / interval
-    wide = steps > 1.5 * typical
+    wide = counts > 1.0
     gaps = np.column_stack([time[:-1][wide], steps[wide]])
     notes: list[str] = []
     is_on_grid = worst < _SNAP or _is_rounding(steps, deviation)
@@ -80,7 +81,8 @@ def to_uniform(time: FloatArray, values: FloatArray) -> UniformSamples:
         interval, start = float(time[-1] - time[0]) / float(index[-1]), float(time[0])
         stamps = time
         notes.append(
-            f"time stamps jitter by up to {worst:.0%} of a sample: resampled at {1.0 / interval:.6g} Hz by a cubic spline"
+            f"time stamps jitter by up to {worst:.0%} of a sample: resampled at {1.0 / interval:.6g} Hz by a "
+            f"cubic spline"
         )
     if wide.any():
         missing = int(np.sum(counts[wide] - 1.0))
@@ -88,6 +90,25 @@ def to_uniform(time: FloatArray, values: FloatArray) -> UniformSamples:
     grid = start + interval * np.arange(int(round((stamps[-1] - start) / interval)) + 1)
     resampled = CubicSpline(stamps, values)(np.clip(grid, stamps[0], stamps[-1]))
     return UniformSamples(start, 1.0 / interval, resampled, gaps, tuple(notes))
+
+
+def _counts(time: FloatArray, typical: float) -> FloatArray:
+    """Return how many sampling intervals lie between neighbouring stamps: more than one where samples are missing.
+
+    Stamps are compared with a lattice that follows them slowly, not with their neighbours: two stamps that jitter
+    apart are no gap, a lattice that has lost its step is.
+    """
+    steps = np.diff(time) / typical
+    counts = np.ones(steps.size)
+    if not (steps > 1.5).any():
+        return counts
+    ahead = 0.0
+    for i, step in enumerate(steps.tolist()):
+        position = ahead + step
+        counts[i] = max(round(position), 1)
+        # how far the stamp lies ahead of the lattice, which gives way by a tenth
+        ahead = 0.9 * (position - counts[i])
+    return counts
 
 
 def _is_rounding(steps: FloatArray, deviation: FloatArray) -> bool:

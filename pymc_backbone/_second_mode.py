@@ -76,10 +76,9 @@ def _phase_locked(values: FloatArray, time: FloatArray, path: Track, cycles: flo
     phase = _smooth(u, path.phase_at(time), degree)
     amplitude = np.exp(_smooth(u, np.log(path.amplitude_at(time)), degree))
     amplitude /= amplitude.max()
-    per_cycle = sampling = time.size / cycles
-    harmonics = int(np.clip(0.5 * sampling - 0.5, 1, _MAXIMUM_HARMONICS))
+    harmonics = int(np.clip(0.5 * time.size / cycles - 0.5, 1, _MAXIMUM_HARMONICS))
     powers = 4 if cycles > 8.0 else 2
-    while harmonics > 1 and 2 * powers * harmonics + 2 * degree > 0.5 * per_cycle * cycles:
+    while harmonics > 1 and 2 * powers * harmonics + 2 * degree > 0.5 * time.size:
         harmonics -= 1
     columns = [amplitude**power for power in range(3)]
     polynomials = np.polynomial.chebyshev.chebvander(u, degree).T
@@ -97,7 +96,8 @@ def _phase_locked(values: FloatArray, time: FloatArray, path: Track, cycles: flo
 def _smooth(u: FloatArray, values: FloatArray, degree: int) -> FloatArray:
     """Return a polynomial through values, so smooth that beating with a close mode stays out of it."""
     step = max(1, u.size // 2000)
-    return np.polynomial.chebyshev.chebval(u, np.polynomial.chebyshev.chebfit(u[::step], values[::step], degree))
+    curve = np.polynomial.chebyshev.chebfit(u[::step], values[::step], degree)
+    return np.asarray(np.polynomial.chebyshev.chebval(u, curve), dtype=np.float64)
 
 
 def _highest_peak(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -15,15 +16,20 @@ from .op import OscillatorResponse
 
 PRIOR_DRAWS = 128
 SEARCHES = 24
+MAXIMUM_DIMENSIONS = 40  # beyond, the shape takes too long, and a joint random walk hardly moves
+_DISPERSION = 3.0  # standard deviations
+_CORRECTIONS = 2
+_FORLORN = 30.0  # a mode this much lower in log-density holds nothing of the posterior
+_PRIOR_PRECISION = 3.0 / np.pi**2  # of a Uniform prior on PyMC's unconstrained (logistic) scale
 _FAILED = 30.0  # standardised distance that stands for a failed simulation in a search
 
 
 class StartFinder:
     """Finds starting points of a PyMC model that holds backbone likelihoods.
 
-    Draws from the prior come first. Where too few of them have a finite log-density (a hard-edged density that no
-    prior draw hits), least squares brings draws to the measured values, and points between there and the draws are
-    tried, the farthest first.
+    Draws from the prior come first; least squares brings them to the measured values, and from there they are
+    dispersed by several standard deviations of the posterior's own shape. So chains start apart, also in separate
+    modes, but not where the log-density is -inf or the posterior out of reach.
 
     Parameters
     ----------
@@ -43,6 +49,8 @@ class StartFinder:
         self.to_natural = model.compile_fn(free, inputs=values, on_unused_input="ignore")
         thetas = model.replace_rvs_by_values([target.theta for target in self.targets]) if self.targets else []
         self.thetas = model.compile_fn(thetas, inputs=values, on_unused_input="ignore") if thetas else None
+        self.best: dict[str, FloatArray] = {}
+        self.shape: FloatArray | None = None
         self.draw_point = pm.initial_point.make_initial_point_fn(model=model, default_strategy="prior")
 
     def find(self, chains: int) -> list[dict[str, FloatArray]]:
@@ -55,29 +63,112 @@ class StartFinder:
             sentence names the observable and the level at fault.
         """
         draws = [self.draw_point(int(seed)) for seed in self.generator.integers(2**31, size=PRIOR_DRAWS)]
-        heights = np.array([self._height(point) for point in draws])
-        finite = [draws[i] for i in np.argsort(-heights) if np.isfinite(heights[i])]
-        # The better half of the finite draws is spread over the posterior and beyond, without hopeless outliers.
-        chosen = finite[: max(chains, (len(finite) + 1) // 2)]
-        if len(chosen) >= chains:
-            picked = self.generator.choice(len(chosen), size=chains, replace=False)
-            return [self._natural(chosen[i]) for i in picked]
-        found = list(chosen)
-        for point in draws[:SEARCHES]:
-            if len(found) >= chains or not self.targets:
+        heights = np.array([self.height(point) for point in draws])
+        order = np.argsort(-heights)
+        if not self.targets:
+            finite = [draws[i] for i in order if np.isfinite(heights[i])]
+            if not finite:
+                raise InputError(self._explain(draws))
+            return [self._natural(finite[i % len(finite)]) for i in range(chains)]
+        found: list[tuple[float, dict[str, FloatArray]]] = []
+        for i in order[:SEARCHES]:
+            # A draw from the prior may lie many thousand standard deviations off: each chain starts where least
+            # squares ends from a draw of its own, so that separate modes are found, and disperses from there.
+            solved = self._search(draws[i])
+            reached = max(((self.height(point), point) for point in (solved, draws[i])), key=lambda pair: pair[0])
+            if np.isfinite(reached[0]):
+                found.append(reached)
+            highest = max((height for height, _ in found), default=-np.inf)
+            if sum(height > highest - _FORLORN for height, _ in found) >= chains:
                 break
-            solved = self._search(point)
-            if np.isfinite(self._height(solved)):
-                found.append(self._retreat(solved, point))
         if not found:
             raise InputError(self._explain(draws))
-        while len(found) < chains:
-            near = found[int(self.generator.integers(len(found)))]
-            far = draws[int(self.generator.integers(len(draws)))]
-            found.append(self._retreat(near, far))
-        return [self._natural(point) for point in found[:chains]]
+        highest, self.best = max(found, key=lambda pair: pair[0])
+        good = [point for height, point in found if height > highest - _FORLORN]
+        self.shape = self._find_shape()
+        return [self._natural(self._disperse(good[i % len(good)])) for i in range(chains)]
 
-    def _height(self, point: dict[str, FloatArray]) -> float:
+    def _disperse(self, centre: dict[str, FloatArray]) -> dict[str, FloatArray]:
+        """Return a point some standard deviations away from ``centre``, nearer where the log-density is not finite."""
+        vector, unpack = self._flatten(centre)
+        factor = np.eye(vector.size) if self.shape is None else np.linalg.cholesky(self.shape)
+        for _ in range(20):
+            width = _DISPERSION
+            offset = factor @ self.generator.standard_normal(vector.size)
+            while width > 0.02:
+                point = unpack(vector + width * offset)
+                if np.isfinite(self.height(point)):
+                    return point
+                width *= 0.6
+        return centre
+
+    def _flatten(
+        self, point: dict[str, FloatArray]
+    ) -> tuple[FloatArray, Callable[[FloatArray], dict[str, FloatArray]]]:
+        """Return the unconstrained values as one vector, and the function that undoes it."""
+        names = [variable.name for variable in self.model.value_vars]
+        shapes = [np.shape(point[name]) for name in names]
+        cuts = np.cumsum([int(np.prod(shape)) for shape in shapes])[:-1]
+
+        def unpack(vector: FloatArray) -> dict[str, FloatArray]:
+            pieces = np.split(vector, cuts)
+            return {name: piece.reshape(shape) for name, piece, shape in zip(names, pieces, shapes, strict=True)}
+
+        return np.concatenate([np.ravel(point[name]) for name in names]).astype(np.float64), unpack
+
+    def _find_shape(self) -> FloatArray | None:
+        """Return the covariance of the unconstrained variables near the best point, or None where there is none.
+
+        Gauss-Newton on the standardised distances to the measured values gives a first shape; second differences of
+        the log-density, a fair step wide in that shape, correct it where the density is smooth there.
+        """
+        centre, unpack = self._flatten(self.best)
+        size = centre.size
+        if size > MAXIMUM_DIMENSIONS:
+            return None
+        steps = 1e-4 * np.eye(size)
+        jacobian = np.column_stack(
+            [(self.distances(unpack(centre + h)) - self.distances(unpack(centre - h))) / 2e-4 for h in steps]
+        )
+        shape: FloatArray = np.linalg.inv(jacobian.T @ jacobian + _PRIOR_PRECISION * np.eye(size))
+        for _ in range(_CORRECTIONS):
+            corrected = self._correct_shape(centre, unpack, 0.5 * (shape + shape.T))
+            if corrected is None:
+                break
+            shape = corrected
+        return 0.5 * (shape + shape.T)
+
+    def _correct_shape(
+        self, centre: FloatArray, unpack: Callable[[FloatArray], dict[str, FloatArray]], shape: FloatArray
+    ) -> FloatArray | None:
+        """Return ``shape`` corrected by second differences of the log-density; None where hard edges are within reach."""
+        size = centre.size
+        factor = np.linalg.cholesky(shape)
+
+        def height(offset: FloatArray) -> float:
+            return self.height(unpack(centre + factor @ offset))
+
+        width, middle = 0.5, height(np.zeros(size))
+        unit = width * np.eye(size)
+        along = np.array([[height(sign * unit[j]) for sign in (1.0, -1.0)] for j in range(size)])
+        if not (np.isfinite(along).all() and np.isfinite(middle)):
+            return None
+        curvature = np.diag(2.0 * middle - along.sum(axis=1)) / width**2
+        for i in range(size):
+            for j in range(i):
+                both = height(unit[i] + unit[j]) + height(-unit[i] - unit[j])
+                mixed = (along[i].sum() + along[j].sum() - 2.0 * middle - both) / (2.0 * width**2)
+                curvature[i, j] = curvature[j, i] = mixed
+        if not np.isfinite(curvature).all():
+            return None
+        values, vectors = np.linalg.eigh(curvature)
+        # What looks flat or sharp beyond a factor of thirty is an artefact of a rough density.
+        correction = vectors @ np.diag(1.0 / np.clip(values, 1.0 / 30.0, 30.0)) @ vectors.T
+        result: FloatArray = factor @ correction @ factor.T
+        return result
+
+    def height(self, point: dict[str, FloatArray]) -> float:
+        """Return the log-density at a point of unconstrained values; -inf where it is not finite."""
         value = float(self.log_density(point))
         return value if np.isfinite(value) else -np.inf
 
@@ -88,7 +179,7 @@ class StartFinder:
     def _inputs(self, point: dict[str, FloatArray]) -> dict[str, FloatArray]:
         return {variable.name: point[variable.name] for variable in self.model.value_vars}
 
-    def _distances(self, point: dict[str, FloatArray]) -> FloatArray:
+    def distances(self, point: dict[str, FloatArray]) -> FloatArray:
         """Return standardised distances between simulated and measured values, over all targets."""
         assert self.thetas is not None
         parts = []
@@ -101,30 +192,13 @@ class StartFinder:
 
     def _search(self, point: dict[str, FloatArray]) -> dict[str, FloatArray]:
         """Return the point nearest to the measured values that least squares finds from ``point``."""
-        names = [variable.name for variable in self.model.value_vars]
-        shapes = [np.shape(point[name]) for name in names]
-        sizes = [int(np.prod(shape)) for shape in shapes]
+        start, unpack = self._flatten(point)
 
-        def unpack(vector: FloatArray) -> dict[str, FloatArray]:
-            pieces = np.split(vector, np.cumsum(sizes)[:-1])
-            return {name: piece.reshape(shape) for name, piece, shape in zip(names, pieces, shapes, strict=True)}
-
-        start = np.concatenate([np.ravel(point[name]) for name in names]).astype(np.float64)
         def residuals(vector: Any) -> Any:
-            return self._distances(unpack(vector))
+            return self.distances(unpack(vector))
 
-        solution: Any = least_squares(residuals, start, method="trf", max_nfev=60)
+        solution: Any = least_squares(residuals, start, method="trf", x_scale="jac", max_nfev=60)
         return unpack(solution.x)
-
-    def _retreat(self, good: dict[str, FloatArray], far: dict[str, FloatArray]) -> dict[str, FloatArray]:
-        """Return the farthest point tried between ``good`` and ``far`` that has a finite log-density."""
-        share = 0.5
-        for _ in range(14):
-            point = {name: value + share * (far[name] - value) for name, value in good.items()}
-            if np.isfinite(self._height(point)):
-                return point
-            share *= 0.5
-        return good
 
     def _explain(self, draws: list[dict[str, FloatArray]]) -> str:
         """Say in one sentence which observable and level no prior point reaches."""

@@ -189,8 +189,8 @@ def local_basis(time: FloatArray, path: Track, harmonics: int, powers: tuple[int
     Returns
     -------
     (n, m) array
-        Mid-line polynomials first, then cosine and sine of each harmonic, whose amplitudes are the tracked amplitude times
-        polynomials in time.
+        Mid-line polynomials first, then cosine and sine of each harmonic, whose amplitudes are the tracked
+        amplitude times polynomials in time.
     """
     u = 2.0 * (time - time[0]) / (time[-1] - time[0]) - 1.0
     # the track follows the noise around the fundamental; cubics follow only as much of it as the fit itself
@@ -214,4 +214,5 @@ def _smooth_amplitude(u: FloatArray, amplitude: FloatArray) -> FloatArray:
 
 
 def _cubic(u: FloatArray, values: FloatArray) -> FloatArray:
-    return np.polynomial.chebyshev.chebval(u, np.polynomial.chebyshev.chebfit(u, values, min(3, u.size - 1)))
+    curve = np.polynomial.chebyshev.chebfit(u, values, min(3, u.size - 1))
+    return np.asarray(np.polynomial.chebyshev.chebval(u, curve), dtype=np.float64)

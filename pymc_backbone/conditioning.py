@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from ._asymmetry import SIGNIFICANT, MidLine, displacement_amplitude, restore_mid_line, second_harmonic
 from ._baseline import Baseline, find_baseline
 from ._checks import FloatArray, InputError, check_finite_array
+from ._conditioned import ConditionedRecord
 from ._filters import BandPass, check_band, design_band_pass, integrate, integration_response
 from ._noise import NoiseSpectrum, amplitude_floor, noise_in_band, noise_of, noise_spectrum, quantum, quiet_spectrum
 from ._plausibility import check_clipping, check_cycles, check_decays, check_moves, check_per_cycle
@@ -22,78 +22,10 @@ from ._tables import printable
 from ._tracking import Track, dominant_frequency, track
 from .records import MINIMUM_SAMPLES, QUANTITIES, Record
 
+__all__ = ["ConditionedRecord", "condition"]
+
 _TOLERATED_BIAS = 0.05
 """Relative error of damping from a lost mid-line above which a warning is due."""
-
-
-@dataclass(frozen=True, eq=False)
-class ConditionedRecord:
-    """The displacement of one free decay on a uniform time grid.
-
-    Attributes
-    ----------
-    specimen : str
-        Name of the specimen.
-    time : (n,) array
-        Seconds on the record's own clock, uniform; from the release to the end of motion.
-    displacement : (n,) array
-        Displacement from equilibrium [``unit``].
-    sampling_rate : float
-        Samples per second [Hz].
-    noise : float
-        Standard deviation [``unit``] of the white noise that disturbs turning points as much as the actual noise does.
-    noise_autocovariance : (m,) array
-        Autocovariance [``unit``^2] of the actual noise at lags 0, 1, ... samples, zero beyond the last; m >= 2.
-    baseline, baseline_error : float
-        Sensor reading at equilibrium that was subtracted, and its standard error [``unit``]; zero where a filter removed it.
-    rest_offset : float
-        Where the motion came to rest (dry friction) relative to equilibrium; NaN where the record does not show one.
-    offset_is_measured : bool
-        Whether the mid-line of the displacement is that of the structure. Integration and band-pass remove it; for velocity it
-        is restored where it is significant.
-    frequency : float
-        Mean frequency of the dominant mode [Hz].
-    amplitude : float
-        Amplitude of the fundamental at the first sample, extrapolated where the track begins later.
-    unit : str
-        ``"m"`` or ``"rad"``.
-    quantity : str
-        What was measured.
-    band : (float, float) or None
-        Band that was passed [Hz].
-    lost_cycles : float
-        Cycles lost at each end to the band-pass.
-    end_of_motion : float
-        Time [s] at which the amplitude drowns in the noise or the motion stops; the record's last time where it does neither.
-    second_mode_frequency, second_mode_share : float
-        Highest peak of another mode [Hz] and its height over that of the dominant one; NaN where there is none.
-    source : str
-        File, for messages.
-    notes : tuple of str
-        What was assumed and done, one sentence each; warnings begin with ``warning:``.
-    """
-
-    specimen: str
-    time: FloatArray
-    displacement: FloatArray
-    sampling_rate: float
-    noise: float
-    noise_autocovariance: FloatArray
-    baseline: float
-    baseline_error: float
-    rest_offset: float
-    offset_is_measured: bool
-    frequency: float
-    amplitude: float
-    unit: str
-    quantity: str
-    band: tuple[float, float] | None
-    lost_cycles: float
-    end_of_motion: float
-    second_mode_frequency: float
-    second_mode_share: float
-    source: str
-    notes: tuple[str, ...] = field(default=())
 
 
 def condition(
@@ -129,22 +61,24 @@ def condition(
     Notes
     -----
     *Release.* After a hold, an impact or the end of forcing the record begins a quarter of a cycle before the first
-    turning point that lies at least 0.3 cycles after the release. The held position itself is dropped:
-    it is a plateau, not a turning point, and the hand is in it; so is the first quarter of a cycle after an impact, with the
-    hammer.
+    turning point that lies at least 0.3 cycles after the release. The held position itself is dropped: it is a
+    plateau, not a turning point, and the hand is in it; so is the first quarter of a cycle after an impact, with
+    the hammer.
 
-    *Zero.* For displacement nothing is high-passed, because the mid-line is physics. The reading subtracted is the limit of the
-    mid-line at vanishing amplitude, confirmed by a quiet tail where there is one. See `ConditionedRecord.rest_offset`.
+    *Zero.* For displacement nothing is high-passed, because the mid-line is physics. The reading subtracted is the
+    limit of the mid-line at vanishing amplitude, confirmed by a quiet tail where there is one. See
+    `ConditionedRecord.rest_offset`.
 
     *Velocity and acceleration* are integrated over time (quintic spline) after the release, and the drift is
-    removed without touching the harmonics; no cycle is lost, but the mid-line is. For an asymmetric structure that matters: a
-    mid-line proportional to the k-th power of amplitude changes the logarithmic decrement of the package's definition by the
-    factor 1 + k times mid-line over amplitude. The mean of a velocity over each cycle is the rate of change of the mid-line: where
-    that is significant, the mid-line is restored from it. Otherwise a second harmonic raises a warning.
+    removed without touching the harmonics; no cycle is lost, but the mid-line is. For an asymmetric structure that
+    matters: a mid-line proportional to the k-th power of amplitude changes the logarithmic decrement of the
+    package's definition by the factor 1 + k times mid-line over amplitude. The mean of a velocity over each cycle
+    is the rate of change of the mid-line: where that is significant, the mid-line is restored from it. Otherwise a
+    second harmonic raises a warning.
 
-    *Band.* A linear-phase filter; only samples that depend on no sample before the release are kept. Harmonics outside the
-    band are lost, and with them their share of the turning points (0.9 % for a third harmonic of a Duffing oscillator
-    with 30 % cubic stiffness).
+    *Band.* A linear-phase filter; only samples that depend on no sample before the release are kept. Harmonics
+    outside the band are lost, and with them their share of the turning points (0.9 % for a third harmonic of a
+    Duffing oscillator with 30 % cubic stiffness).
 
     Examples
     --------
@@ -309,7 +243,7 @@ class _Conditioning:
     def _motion(
         self, values: FloatArray, path: Track, band_pass: BandPass | None
     ) -> tuple[NoiseSpectrum, Track, float]:
-        """Return the noise, the track up to the end of motion, and that time; each is found with the help of the other."""
+        """Return the noise, the track up to the end of motion, and that time, each found with the help of the other."""
         spectrum = self._spectrum(values, path, band_pass)
         end = end_of_motion(path, amplitude_floor(spectrum, path.frequency, self.rate))
         cycle = 1.0 / path.frequency
@@ -331,7 +265,8 @@ class _Conditioning:
         if grown is not None:
             end, low, high = grown
             self.notes.append(
-                f"warning: the amplitude grows again from {low:.3g} to {high:.3g} after {self.begin + end:.5g} s (second "
+                f"warning: the amplitude grows again from {low:.3g} to {high:.3g} after {self.begin + end:.5g} "
+                f"s (second "
                 "impact or beating modes): only the part before is used; choose another part with start and stop, "
                 "or a mode with a band"
             )
@@ -357,7 +292,8 @@ class _Conditioning:
         self.notes.append(f"baseline {baseline.value + self.reading:.6g} +- {baseline.error:.2g} {unit} was subtracted")
         if np.isfinite(baseline.rest):
             self.notes.append(
-                f"the motion came to rest {baseline.rest:.3g} {unit} off the mid-line of its last cycles (dry friction, or "
+                f"the motion came to rest {baseline.rest:.3g} {unit} off the mid-line of its last cycles (dry "
+                f"friction, or "
                 "the sensor's zero drifts): the mid-line was taken as zero"
             )
         return baseline
@@ -368,7 +304,8 @@ class _Conditioning:
         if second is not None:
             low, high = second.suggested_band(path.frequency)
             self.notes.append(
-                f"warning: a second mode at {second.frequency:.4g} Hz has {second.share:.0%} of the spectral peak of the "
+                f"warning: a second mode at {second.frequency:.4g} Hz has {second.share:.0%} of the spectral "
+                f"peak of the "
                 f"mode at {path.frequency:.4g} Hz; pass one of them, for example with --band {low:.3g}:{high:.3g}"
             )
         return second
@@ -419,7 +356,8 @@ class _Conditioning:
             self.notes.append("the mid-line was removed by filtering: the offset of this specimen is not measured")
         else:
             self.notes.append(
-                f"warning: a second harmonic of {abs(share):.1%} shows an asymmetric structure, but filtering removed its "
+                f"warning: a second harmonic of {abs(share):.1%} shows an asymmetric structure, but filtering "
+                f"removed its "
                 f"mid-line: offset is not measured and damping may be off by some {bias:.0%}; measure displacement, "
                 "unfiltered"
             )
@@ -432,7 +370,8 @@ class _Conditioning:
         lost = band_pass.half * path.frequency / self.rate
         amplitude_bias, damping_bias = band_pass.bias(path)
         self.notes.append(
-            f"band-passed {band_pass.low:g} to {band_pass.high:g} Hz without phase shift: {lost:.1f} cycles were lost at "
+            f"band-passed {band_pass.low:g} to {band_pass.high:g} Hz without phase shift: {lost:.1f} cycles "
+            f"were lost at "
             f"each end, amplitude is biased by {amplitude_bias:+.0e} and damping by {damping_bias:+.0e} of themselves; "
             "harmonics outside the band are gone"
         )

@@ -151,7 +151,7 @@ def plot_predictive(measured: xr.Dataset, simulated: xr.Dataset, *, probability:
             axis.bar(row, high[k] - low[k], width=0.5, bottom=low[k], color=SIMULATED, alpha=0.22)
             axis.plot([row - 0.25, row + 0.25], [middle[k], middle[k]], color=SIMULATED, linewidth=1.6)
             here = np.flatnonzero(np.isfinite(value[:, k]))
-            shift = np.linspace(-0.16, 0.16, here.size) if here.size > 1 else np.zeros(1)
+            shift = np.linspace(-0.16, 0.16, here.size) if here.size > 1 else np.zeros(here.size)
             axis.errorbar(
                 row + shift,
                 value[here, k],

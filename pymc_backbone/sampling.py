@@ -13,10 +13,11 @@ import pymc as pm
 import xarray as xr
 
 from ._checks import InputError, check_choice
+from ._proposal import make_metropolis
 from ._starts import StartFinder
 from .model import is_differentiable, targets_of
 
-STEPS = ("metropolis", "demetropolisz", "slice", "nuts", "nutpie")
+STEPS = ("metropolis", "elementwise", "demetropolisz", "slice", "nuts", "nutpie")
 _LOG_EVERY = 15.0  # seconds between lines where there is no terminal
 logger = logging.getLogger("pymc_backbone")
 
@@ -44,9 +45,10 @@ def sample(
         Default: the model of the current context.
     draws, tune, chains : int
         Per chain; ``tune`` draws are discarded.
-    step : {"metropolis", "demetropolisz", "slice", "nuts", "nutpie"} or a PyMC step object
-        ``metropolis`` is PyMC's Metropolis, one variable at a time; ``nuts`` and ``nutpie`` need the gradient that
-        oscillators have and functions have not.
+    step : {"metropolis", "elementwise", "demetropolisz", "slice", "nuts", "nutpie"} or a PyMC step object
+        ``metropolis`` is PyMC's Metropolis with joint proposals in the shape of the posterior near its best point
+        (PyMC's own where no shape is found); ``elementwise`` is `pymc.Metropolis` as it comes, one variable at a time;
+        ``nuts`` and ``nutpie`` need the gradient that oscillators have and functions have not.
     random_seed : int, optional
         Seed of starts and draws.
     cores : int, default 1
@@ -77,14 +79,17 @@ def sample(
             raise InputError(f"`{label}` must be a whole number of at least {least}, got {value}.")
     begin = time.perf_counter()
     seeds = np.random.SeedSequence(random_seed).generate_state(2)
-    starts = StartFinder(model, int(seeds[0])).find(chains)
+    finder = StartFinder(model, int(seeds[0]))
+    starts = finder.find(chains)
     before = _counts(model)
     shown = sys.stderr.isatty() if progressbar is None else progressbar
     if step == "nutpie":
         result = _sample_nutpie(model, draws, tune, chains, int(seeds[1]), starts, shown, cores)
     else:
+        stepper = make_metropolis(model, finder) if step == "metropolis" else _make_step(step, model)
         if not shown and progressbar is None:
             kwargs.setdefault("callback", _Reporter(chains * (draws + tune)))
+        before = _counts(model)
         with model, warnings.catch_warnings():
             # PyMC warns that several processes under fork may deadlock; one process is the default here.
             warnings.filterwarnings("ignore", message="We recommend running at least 4 chains", category=UserWarning)
@@ -93,7 +98,7 @@ def sample(
                 tune=tune,
                 chains=chains,
                 cores=cores,
-                step=_make_step(step),
+                step=stepper,
                 nuts_sampler="pymc",
                 initvals=starts,
                 random_seed=int(seeds[1]),
@@ -111,9 +116,10 @@ def sample(
     return result
 
 
-def _make_step(step: str | Any) -> Any:
-    makers = {"metropolis": pm.Metropolis, "demetropolisz": pm.DEMetropolisZ, "slice": pm.Slice, "nuts": pm.NUTS}
-    return makers[step]() if isinstance(step, str) else step
+def _make_step(step: str | Any, model: pm.Model) -> Any:
+    makers = {"elementwise": pm.Metropolis, "demetropolisz": pm.DEMetropolisZ, "slice": pm.Slice, "nuts": pm.NUTS}
+    with model:
+        return makers[step]() if isinstance(step, str) else step
 
 
 def _counts(model: pm.Model) -> tuple[float, float]:

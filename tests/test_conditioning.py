@@ -156,16 +156,31 @@ def test_rounded_stamps_go_to_the_grid() -> None:
     assert any("of a sample" in note and "put there" in note for note in decay.notes)
 
 
-def test_true_jitter_is_resampled(rng: np.random.Generator) -> None:
+@pytest.mark.parametrize("jitter", [0.1, 0.2, 0.35])
+def test_true_jitter_is_resampled(jitter: float, rng: np.random.Generator) -> None:
     time, (x, _, _) = simulated(per_cycle=40)
-    jittered = time + rng.uniform(-0.3, 0.3, time.size) / 400.0
+    jittered = time + rng.uniform(-jitter, jitter, time.size) / 400.0
     jittered[0] = 0.0
     values = make_interp_spline(time, x, k=5)(np.clip(jittered, 0.0, time[-1]))
     decay = condition(record(jittered, values))
-    assert is_uniform(decay.time) and any("cubic spline" in note for note in decay.notes)
+    assert is_uniform(decay.time) and decay.sampling_rate == pytest.approx(400.0, rel=1e-3)
+    assert any("jitter" in note and "cubic spline" in note for note in decay.notes)
+    # two stamps that jitter apart (by up to 1.7 samples) are no gap
+    assert not any("missing" in note for note in decay.notes)
     truth = make_interp_spline(time, x, k=5)(np.clip(decay.time, 0.0, time[-1]))
-    # ignoring the jitter would cost 0.17 samples (rms) of slope: 0.027; the spline leaves h^4 errors
+    # ignoring a jitter of 0.35 would cost 0.2 samples (rms) of slope, 0.03; the spline leaves h^4 errors
     assert np.max(np.abs(decay.displacement - truth)[5:-5]) < 5e-4
+
+
+def test_missing_samples_are_found_among_jitter(rng: np.random.Generator) -> None:
+    time, (x, _, _) = simulated(per_cycle=60)
+    jittered = time + rng.uniform(-0.25, 0.25, time.size) / 600.0
+    keep = np.ones(time.size, bool)
+    keep[[300, 700, 701, 1500]] = False
+    values = make_interp_spline(time, x, k=5)(np.clip(jittered, 0.0, time[-1]))
+    decay = condition(record(jittered[keep], values[keep]))
+    assert any("4 missing sample(s) in 3 gap(s)" in note for note in decay.notes)
+    assert decay.sampling_rate == pytest.approx(600.0, rel=1e-3)
 
 
 def test_a_few_missing_samples_are_interpolated_and_many_are_refused() -> None:
@@ -177,7 +192,9 @@ def test_a_few_missing_samples_are_interpolated_and_many_are_refused() -> None:
     np.testing.assert_allclose(decay.displacement, x[: decay.time.size], atol=1e-4)
     assert any("4 missing sample(s) in 3 gap(s)" in note for note in decay.notes)
     keep[500:530] = False
-    with pytest.raises(InputError, match=r"s: samples are missing between 0\.83166\d* and 0\.88333\d* s.*stop=.*start="):
+    with pytest.raises(
+        InputError, match=r"s: samples are missing between 0\.83166\d* and 0\.88333\d* s.*stop=.*start="
+    ):
         condition(record(time[keep], x[keep]))
 
 
@@ -249,6 +266,21 @@ def test_start_and_stop_are_obeyed() -> None:
         condition(record(time, x), start=np.nan)
 
 
+@pytest.mark.parametrize("impact", [True, False])
+def test_softening_acceleration_that_stays_level_is_not_taken_for_forcing(impact: bool) -> None:
+    """The displacement decays while the acceleration, omega^2 A, does not fall yet."""
+    time, motion = simulated("softening", 0.004, 60, 40, impact=impact)
+    lead = np.zeros(400) if impact else np.zeros(0)
+    values = np.concatenate([lead, motion[2]])
+    decay = condition(record(np.arange(values.size) / 400.0, values, "acceleration"))
+    assert (
+        decay.time[0] < (lead.size / 40.0 + 3.5) / FREQUENCY
+        if impact
+        else decay.time[0] == pytest.approx(0.0, abs=1e-9)
+    )
+    assert not warnings_of(decay)
+
+
 def test_second_impact_ends_the_record_with_a_warning() -> None:
     time, (x, _, _) = simulated(cycles=25, impact=True)
     values = np.concatenate([np.zeros(100), x, 0.8 * x])
@@ -270,6 +302,29 @@ def test_sensor_offset_is_not_physics(force: str, cycles: int, rng: np.random.Ge
     # with a tail the zero is as good as its mean; without (15 cycles fall to 0.4) as good as the extrapolation says
     assert abs(decay.baseline - 0.7) < 4.0 * decay.baseline_error
     assert decay.baseline_error < (5e-4 if cycles == 120 else 0.03)
+
+
+@pytest.mark.parametrize("quantity", ["displacement", "velocity", "acceleration"])
+def test_a_reading_of_many_amplitudes_is_no_obstacle(quantity: str) -> None:
+    """An absolute gauge shows 10 mm and moves by a micrometre."""
+    time, motion = simulated("hardening", 0.01, 60)
+    values = motion[["displacement", "velocity", "acceleration"].index(quantity)]
+    plain = condition(record(time, values, quantity))
+    far = condition(record(time, values + 1e4 * np.abs(values).max(), quantity))
+    np.testing.assert_allclose(far.displacement, plain.displacement, atol=1e-6)
+    if quantity == "displacement":
+        assert far.baseline == pytest.approx(1e4, abs=1e-4)
+
+
+@pytest.mark.parametrize("damping", [0.0005, 0.004])
+def test_a_record_that_hardly_decays_takes_its_zero_from_the_second_harmonic(
+    damping: float, rng: np.random.Generator
+) -> None:
+    """The mid-line alone, at 0.13 amplitudes, cannot tell where it would end."""
+    time, (x, _, _) = simulated("quadratic stiffness", damping, 20)
+    decay = condition(record(time, x + 0.7 + 0.01 * rng.normal(size=x.size)))
+    assert abs(decay.baseline - 0.7) < min(0.06, 3.0 * decay.baseline_error)
+    assert decay.baseline_error > 0.003
 
 
 def test_quadratic_stiffness_keeps_its_mid_line() -> None:
@@ -422,7 +477,9 @@ def test_band_pass_separates_two_modes(quantity: str) -> None:
     power = ["displacement", "velocity", "acceleration"].index(quantity)
     values = np.real(s1**power * np.exp(s1 * time) + 0.4 * 1j * s2**power * np.exp(s2 * time))
     decay = condition(record(time, values, quantity), band=(6.0, 15.0))
-    np.testing.assert_allclose(decay.displacement, np.real(np.exp(s1 * decay.time)), atol=2e-3 * np.exp(-0.6 * decay.time[0]))
+    np.testing.assert_allclose(
+        decay.displacement, np.real(np.exp(s1 * decay.time)), atol=2e-3 * np.exp(-0.6 * decay.time[0])
+    )
     assert not warnings_of(decay)
     other = condition(record(time, values, quantity), band=(17.0, 29.0))
     assert other.frequency == pytest.approx(23.0, rel=1e-3)
@@ -509,6 +566,13 @@ def test_noise_level_is_honest(force: str, per_cycle: int, decibel: int, rng: np
     assert np.all(np.abs(decay.noise_autocovariance[1:]) < 0.15 * sigma**2)
 
 
+@pytest.mark.parametrize("per_cycle", [25, 150])
+def test_noise_beside_a_friction_stop_is_that_of_the_tail(per_cycle: int, rng: np.random.Generator) -> None:
+    time, x = friction(0.03, 40, per_cycle)
+    decay = condition(record(time, x + 3e-4 * rng.normal(size=x.size)))
+    assert decay.noise == pytest.approx(3e-4, rel=0.15)
+
+
 @pytest.mark.parametrize("bits", [8, 10, 12, 14])
 def test_quantisation_counts_as_noise(bits: int) -> None:
     time, (x, _, _) = simulated("hardening", 0.01, 40, 37)
@@ -534,6 +598,17 @@ def test_coloured_noise_is_seen_as_such(rng: np.random.Generator) -> None:
 
 
 # ---- what is refused ----------------------------------------------------------------------------
+
+
+def test_only_records_are_conditioned() -> None:
+    with pytest.raises(InputError, match="must be a Record, got list"):
+        condition([1.0, 2.0])  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("scale", [1e200, 1e-200])
+def test_values_that_are_no_measurement(scale: float) -> None:
+    time, (x, _, _) = simulated()
+    refuses(time, scale * x, "check the unit")
 
 
 def refuses(time: Array, values: Array, *words: str, quantity: str = "displacement") -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import arviz as az
 import numpy as np
 import pymc as pm
 import pytest
@@ -56,10 +57,10 @@ def test_search_finds_a_narrow_target_and_no_chain_is_frozen(rng, random_seed):
         assert all(np.unique(chain).size > 10 for chain in posterior[name].values)
 
 
-@pytest.mark.parametrize("step", ["metropolis", "demetropolisz", "slice", "nuts", "nutpie"])
+@pytest.mark.parametrize("step", ["metropolis", "elementwise", "demetropolisz", "slice", "nuts", "nutpie"])
 def test_every_step_samples_the_same_posterior(step):
     density = fit_density(batch(np.random.default_rng(5), 30), kind="joint", marginal="normal")
-    draws = 3000 if step in ("metropolis", "demetropolisz") else 700
+    draws = 3000 if step in ("elementwise", "demetropolisz") else 700
     posterior = sample(build_model(DUFFING, density, BOUNDS), draws=draws, tune=700, chains=2, step=step, random_seed=3)
     assert posterior.attrs["step"] == step
     for name, truth in TRUTH.items():
@@ -67,6 +68,21 @@ def test_every_step_samples_the_same_posterior(step):
         # The population's mean is within 0.4 % of the truth (2 % over the root of 30); a shared sd of 2 %.
         assert drawn.mean() == pytest.approx(truth, rel=0.02)
         assert 0.012 < drawn.std() / truth < 0.032
+
+
+def test_joint_proposals_follow_a_ridge(rng, random_seed):
+    # Two dampings from three levels: their sum is known far better than each. One at a time crawls along the ridge.
+    oscillator = Oscillator(1.0, ["quadratic_damping"])
+    data = noisy(rng, 1).isel(level=slice(1, 4), level_other=slice(1, 4))
+    values = simulate_backbone(oscillator, [6500.0, 1.0, 3.0], data["level"].values).values[:2]
+    data = data.assign(value=(data["value"].dims, values[None]))
+    bounds = {"linear_stiffness": (6e3, 7e3), "viscous_damping": (0.0, 5.0), "quadratic_damping": (0.0, 20.0)}
+    effective = {}
+    for step in ("metropolis", "elementwise"):
+        model = build_model(oscillator, data, bounds)
+        effective[step] = az.ess(sample(model, draws=1500, tune=500, chains=2, step=step, random_seed=random_seed))
+    for name in ("viscous_damping", "quadratic_damping"):
+        assert float(effective["metropolis"][name]) > 1.5 * float(effective["elementwise"][name])
 
 
 def test_slice_never_visits_a_failed_simulation(rng, random_seed):
@@ -96,7 +112,7 @@ def test_same_seed_same_draws_and_failures_are_counted(rng):
     for name in bounds:
         np.testing.assert_array_equal(runs[0]["posterior"][name], runs[1]["posterior"][name])
     assert runs[0].attrs["failures"] == runs[1].attrs["failures"] > 0
-    assert runs[0].attrs["evaluations"] == 2 * 2 * 200 * 3
+    assert runs[0].attrs["evaluations"] == 2 * 2 * 200  # two points a draw, two chains: one joint proposal each
 
 
 def by_hand(parameters, levels):
