@@ -1,4 +1,4 @@
-"""What sampling costs, as ratios within one run: PyMC against a bare compiled random walk, and steps against each other.
+"""What sampling costs, as ratios within one run: PyMC against a bare compiled walk, and steps against each other.
 
     python benchmarks/sampling.py [--draws 3000] [--repeats 5]
 

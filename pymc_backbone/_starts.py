@@ -141,7 +141,7 @@ class StartFinder:
     def _correct_shape(
         self, centre: FloatArray, unpack: Callable[[FloatArray], dict[str, FloatArray]], shape: FloatArray
     ) -> FloatArray | None:
-        """Return ``shape`` corrected by second differences of the log-density; None where hard edges are within reach."""
+        """Return ``shape`` corrected by second differences of the log-density; None if hard edges are within reach."""
         size = centre.size
         factor = np.linalg.cholesky(shape)
 

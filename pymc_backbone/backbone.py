@@ -28,8 +28,8 @@ DEFAULT_LEVELS = 10
 """Levels chosen by default, fewer when a decay has fewer than two cycles per level."""
 
 UNDERSMOOTHING = {"frequency": 30.0, "damping": 4.0, "offset": 4.0}
-"""Freedom to bend beyond what the likelihood asks for. Frequencies are so precise that the bias of a curve smoothed at its
-likeliest shows first; a fifth more standard error removes a third of it."""
+"""Freedom to bend beyond what the likelihood asks for. Frequencies are so precise that the bias of a curve as smooth as
+is likeliest shows there first; a third more standard error removes a third of it."""
 
 
 def default_levels(cycles: Sequence[Cycles], n_levels: int | None = None) -> FloatArray:

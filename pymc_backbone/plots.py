@@ -22,6 +22,7 @@ from .density import Density
 from .diagnostics import Bounds
 
 # Okabe and Ito's colours, told apart by colour-blind readers too.
+_FEW = 12  # up to so many specimens, each backbone is drawn with its error bars
 MEASURED, SIMULATED, TRUE, QUIET = "#0072B2", "#D55E00", "#009E73", "#8C8C8C"
 CHAIN_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#000000")
 OBSERVABLE_NAMES = {
@@ -127,6 +128,7 @@ def plot_predictive(measured: xr.Dataset, simulated: xr.Dataset, *, probability:
     -------
     matplotlib.figure.Figure
         A column for each observable: above, the backbones; below, the spread at the lowest, middle and highest level.
+        Error bars span 95 %.
     """
     levels, scale, amplitude_label = _levels(measured)
     names = [str(name) for name in measured["observable"].values]
@@ -143,7 +145,13 @@ def plot_predictive(measured: xr.Dataset, simulated: xr.Dataset, *, probability:
         axis = axes[0, column]
         axis.fill_between(levels * scale, low, high, color=SIMULATED, alpha=0.22, linewidth=0)
         axis.plot(levels * scale, middle, color=SIMULATED, linewidth=1.6)
-        axis.plot(levels * scale, value.T, color=MEASURED, linewidth=0.6, alpha=0.55)
+        if len(value) > _FEW:
+            axis.plot(levels * scale, value.T, color=MEASURED, linewidth=0.6, alpha=0.55)
+        else:
+            for one, spread in zip(value, error, strict=True):
+                axis.errorbar(
+                    levels * scale, one, yerr=1.96 * spread, color=MEASURED, fmt="o-", markersize=2.5, linewidth=0.7
+                )
         _label(axis, amplitude_label, name)
 
         axis = axes[1, column]
@@ -155,7 +163,7 @@ def plot_predictive(measured: xr.Dataset, simulated: xr.Dataset, *, probability:
             axis.errorbar(
                 row + shift,
                 value[here, k],
-                yerr=error[here, k],
+                yerr=1.96 * error[here, k],
                 color=MEASURED,
                 fmt="o",
                 markersize=2.5,

@@ -419,12 +419,13 @@ def _figures(
     names = list(bounds)
     figures = {
         "backbones": plots.plot_backbones(measured.backbones),
-        "densities": plots.plot_densities(measured.backbones, density, simulated=predictive),
         "predictive": plots.plot_predictive(measured.backbones, predictive),
         "prior_posterior": plots.plot_prior_posterior(posterior, bounds, units=units, true_values=true_values),
         "trace": plots.plot_trace(posterior, names, units=units),
         "rank": plots.plot_rank(posterior, names, units=units),
     }
+    if density is not None:
+        figures["densities"] = plots.plot_densities(measured.backbones, density, simulated=predictive)
     if len(names) > 1:
         figures["pair"] = plots.plot_pair(posterior, names, units=units)
     if measured.records:
