@@ -16,9 +16,9 @@ from ._filters import BandPass, check_band, design_band_pass, integrate, integra
 from ._noise import NoiseSpectrum, amplitude_floor, noise_in_band, noise_of, noise_spectrum, quantum, quiet_spectrum
 from ._plausibility import check_clipping, check_cycles, check_decays, check_moves, check_per_cycle
 from ._release import end_of_drive, end_of_motion, end_of_rest, leading_rest, regrowth
-from ._time_grid import to_uniform
 from ._second_mode import SecondMode, find_second_mode
 from ._tables import printable
+from ._time_grid import to_uniform
 from ._tracking import Track, dominant_frequency, track
 from .records import MINIMUM_SAMPLES, QUANTITIES, Record
 
