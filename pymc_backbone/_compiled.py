@@ -13,8 +13,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import llvmlite.binding
 import numba
+from numba import types
 from numba.core.caching import FunctionCache
+from numba.core.ccallback import CFunc
 
 _FOLDER = Path(__file__).parent
 
@@ -30,7 +33,20 @@ def compiled_sources_digest() -> str:
 
 
 _COMPILED_MODULES = frozenset(
-    ("_forces.py", "_stepper.py", "_ode_stepper.py", "_halfcycle.py", "_kernels.py", "_density_kernel.py")
+    (
+        "_compiled.py",
+        "_pointers.py",
+        "_forces.py",
+        "_stepper.py",
+        "_states.py",
+        "_instants.py",
+        "_memory.py",
+        "_kinks.py",
+        "_halfcycle.py",
+        "_curves.py",
+        "_kernels.py",
+        "_density_kernel.py",
+    )
 )
 
 
@@ -46,3 +62,35 @@ def cached(function: Callable[..., Any]) -> Any:
     dispatcher = numba.njit(function)
     dispatcher._cache = DigestCache(dispatcher.py_func)
     return dispatcher
+
+
+class NativeFunction:
+    """A function compiled once, kept on disk, and called by name from other compiled code.
+
+    What calls it is compiled without it, which is fast, and must be loaded into a process only after `define`.
+
+    Parameters
+    ----------
+    name : str
+        The symbol is this with the package's name in front.
+    signature : numba signature
+        Numbers and pointers only.
+    function : callable
+        A Python function, or one compiled with `numba.njit`, whose options are then kept.
+    """
+
+    def __init__(self, name: str, signature: Any, function: Any) -> None:
+        self.call = types.ExternalFunction(f"pymc_backbone_{name}", signature)
+        self._function = getattr(function, "py_func", function)
+        self._options = {k: v for k, v in getattr(function, "targetoptions", {}).items() if k != "nopython"}
+        self._compiled: Any = None
+
+    def define(self) -> None:
+        """Make the function known in this process: from disk, or compiled; does nothing the second time."""
+        if self._compiled is None:
+            signature = self.call.sig
+            compiled: Any = CFunc(self._function, (signature.args, signature.return_type), {}, self._options)
+            compiled._cache = DigestCache(self._function)
+            compiled.compile()
+            llvmlite.binding.add_symbol(self.call.symbol, compiled.address)
+            self._compiled = compiled

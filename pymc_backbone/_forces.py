@@ -12,222 +12,83 @@ from typing import Any
 
 import numba
 import numpy as np
-from numba import float64, int64, types
-from numba.core import cgutils
-from numba.core.typing import signature
-from numba.extending import intrinsic
+from numba import float64, int64
 from numpy.typing import NDArray
 
+from ._checks import InputError
+from ._pointers import function_type, matrix, shifted, view
 from .effects import BASE_EFFECTS, LIBRARY, Effect
 
 FORCE, GRADIENT, REGIME, RATE, RATE_GRADIENT = range(5)
 NO_USER_EFFECT = 0  # the address where there are library effects only
 USER = 1_000_000  # codes from here on are effects written by the user
 NO_STATE, MEMORY, OWN_EQUATION = range(3)
-_STEP = 6e-6  # central differences: (machine epsilon)^(1/3)
 
-Layout = namedtuple(
-    "Layout", ["table", "stiffness", "damping", "n_states", "mass", "has_regime", "scales", "user"]
+Model = namedtuple(
+    "Model",
+    [
+        "user", "table", "n_effects", "stiffness", "damping", "n_states", "n_parameters", "columns", "mass",
+        "p", "scales", "user_scales", "fp", "fz", "scratch",
+    ],
+)  # fmt: skip
+Model.__doc__ = (
+    "What the integrator knows of an oscillator: address of the user's effects, one row of `table` for each effect "
+    "but linear stiffness and viscous damping, where these two stand among the parameters `p`, how many sensitivities "
+    "are carried (`columns`); amplitude and speed of the motion and sizes of the states (`scales`), room for "
+    "derivatives. All but the counts and the mass are pointers."
 )
-Layout.__doc__ = (
-    "What the integrator knows of an oscillator: where linear stiffness and viscous damping stand among the "
-    "parameters, one row of `table` for each other effect, and `scales`, amplitude and speed of the motion."
-)
-CODE, P_FIRST, P_LAST, Z_FIRST, Z_LAST, KIND = range(6)  # columns of `Layout.table`
+CODE, P_FIRST, P_LAST, Z_FIRST, Z_LAST, KIND, ROW = range(7)  # columns of the table and their number
 
 USER_SIGNATURE = float64(
     int64, int64, float64, float64, float64, float64[::1], float64[::1], float64[::1], float64[::1]
 )
-USER_TYPE = types.FunctionType(USER_SIGNATURE)
+function_at = function_type(USER_SIGNATURE)
+
+# No function on the hot path allocates, and without reference counting it is six times as fast. Division by zero
+# gives inf or nan, which the integrator looks for, instead of an exception.
+plain = numba.njit(_nrt=False, error_model="numpy", fastmath={"contract"})
 
 
-# No function on the hot path allocates; without reference counting it is six times as fast.
-plain = numba.njit(_nrt=False)
+def _switch(cases: Sequence[tuple[int, Sequence[Any]]], arrays: Sequence[str], result: str) -> Any:
+    """Return one compiled ``f(code, x, v, direction, z, n_z, p, n_p, ...)``, pointers and sizes, over library effects.
 
-
-@intrinsic
-def function_at(typing_context: Any, address: Any) -> Any:
-    """Return the function of the user-effect signature at ``address``: 0 where there are library effects only."""
-
-    def generate(context: Any, builder: Any, sig: Any, arguments: Any) -> Any:
-        function = cgutils.create_struct_proxy(USER_TYPE)(context, builder)
-        pointer = context.get_value_type(types.voidptr)
-        function.c_addr = builder.inttoptr(arguments[0], pointer)
-        function.py_addr = cgutils.get_null_value(pointer)
-        function.jit_addr = cgutils.get_null_value(pointer)
-        return function._getvalue()
-
-    return signature(USER_TYPE, types.int64), generate
-
-
-@plain
-def _no_more_effects(kind, code, x, v, direction, z, p, scales, out):
-    return 0.0
-
-
-def _switch(cases: Sequence[tuple[int, Any]], arguments: str, otherwise: str) -> Any:
-    """Return one compiled ``f(code, arguments)`` that calls the function listed for ``code``.
-
+    It calls the functions listed for ``code``, the last one for its value; ``result`` is returned for codes not listed.
     A flat switch compiles far faster than a chain of closures. The text holds indices only.
     """
-    lines = [f"def switch(code, {arguments}):"]
-    lines += [f"    if code == {index}:\n        return f{index}({arguments})" for index, _ in cases]
-    lines.append(f"    return {otherwise}")
-    names = {f"f{index}": function for index, function in cases}
+    sizes = {"z": "n_z", "p": "n_p", "out": "2 + n_p + n_z", "rates": "n_z", "rows": "n_z, 2 + n_p + n_z"}
+    pointers = ["to_z", "n_z", "to_p", "n_p", *("to_" + name for name in arrays)]
+    lines = [f"def switch(code, x, v, direction, {', '.join(pointers)}):"]
+    for name in ("z", "p", *arrays):
+        made = f"matrix(to_{name}, {sizes[name]})" if name == "rows" else f"view(to_{name}, 0, {sizes[name]})"
+        lines.append(f"    {name} = {made}")
+    names: dict[str, Any] = {"view": view, "matrix": matrix}
+    for index, functions in cases:
+        lines.append(f"    if code == {index}:")
+        for k, function in enumerate(functions):
+            name = f"f{index}_{k}"
+            names[name] = plain(function.py_func)
+            last = k == len(functions) - 1
+            # Where a gradient and a force are called, the latter returns its value and writes nothing.
+            out = arrays if not last or result == "None" else ()
+            lines.append(f"        {'return ' if last else ''}{name}({', '.join(['x, v, direction, z, p', *out])})")
+    lines.append(f"    return {result}")
     exec("\n".join(lines), names)  # only the package's own functions, by number
     return plain(names["switch"])
 
 
 _CODES = {name: index for index, name in enumerate(LIBRARY)}
-_STATEFUL = [(index, effect) for index, effect in enumerate(LIBRARY.values()) if effect.state_rate is not None]
+# The two of every oscillator are not called: their force is a product.
+_numbered = [(code, LIBRARY[name]) for name, code in _CODES.items() if name not in BASE_EFFECTS]
+_stateful = [(code, effect) for code, effect in _numbered if effect.state_rate is not None]
+_incomplete = [effect.name for _, effect in _numbered if effect.gradient is None]
+if _incomplete:
+    raise TypeError(f"library effects need a gradient: {', '.join(_incomplete)}")
 
-
-def _missing(attribute: str) -> list[str]:
-    return [effect.name for effect in LIBRARY.values() if getattr(effect, attribute) is None]
-
-
-if _missing("gradient"):
-    raise TypeError(f"library effects need a gradient: {', '.join(_missing('gradient'))}")
-
-_numbered = list(enumerate(LIBRARY.values()))
-library_force = _switch([(i, e.force) for i, e in _numbered], "x, v, direction, z, p", "0.0")
-library_gradient = _switch([(i, e.gradient) for i, e in _numbered], "x, v, direction, z, p, out", "None")
-library_regime = _switch([(i, e.regime) for i, e in _numbered if e.regime], "x, v, direction, z, p", "0")
-library_rate = _switch([(i, e.state_rate) for i, e in _STATEFUL], "x, v, direction, z, p, out", "None")
-library_rate_gradient = _switch([(i, e.state_rate_gradient) for i, e in _STATEFUL], "x, v, direction, z, p, out", "None")
-
-
-def _numeric_gradient(force: Any) -> Any:
-    """Return a compiled gradient of ``force`` by central differences scaled with the motion."""
-
-    @numba.njit
-    def gradient(x, v, direction, z, p, scales, out):
-        h = _STEP * scales[0]
-        out[0] = (force(x + h, v, direction, z, p) - force(x - h, v, direction, z, p)) / (2.0 * h)
-        h = _STEP * scales[1]
-        out[1] = (force(x, v + h, direction, z, p) - force(x, v - h, direction, z, p)) / (2.0 * h)
-        for array, first in ((p, 2), (z, 2 + p.size)):
-            for j in range(array.size):
-                value = array[j]
-                h = _STEP * abs(value) if value != 0.0 else _STEP
-                array[j] = value + h
-                above = force(x, v, direction, z, p)
-                array[j] = value - h
-                out[first + j] = (above - force(x, v, direction, z, p)) / (2.0 * h)
-                array[j] = value
-
-    return gradient
-
-
-def _given_gradient(given: Any) -> Any:
-    @numba.njit
-    def gradient(x, v, direction, z, p, scales, out):
-        given(x, v, direction, z, p, out)
-
-    return gradient
-
-
-def _numeric_rate_gradient(rate: Any) -> Any:
-    """Return compiled derivatives of ``rate`` by central differences, written row by row into a flat array."""
-
-    @numba.njit
-    def gradient(x, v, direction, z, p, scales, out):
-        n, width = z.size, 2 + p.size + z.size
-        above = np.empty(n)
-        below = np.empty(n)
-        for column in range(width):
-            if column < 2:
-                h = _STEP * scales[column]
-                dx, dv = (h, 0.0) if column == 0 else (0.0, h)
-                rate(x + dx, v + dv, direction, z, p, above)
-                rate(x - dx, v - dv, direction, z, p, below)
-            else:
-                array, j = (p, column - 2) if column < 2 + p.size else (z, column - 2 - p.size)
-                value = array[j]
-                h = _STEP * abs(value) if value != 0.0 else _STEP
-                array[j] = value + h
-                rate(x, v, direction, z, p, above)
-                array[j] = value - h
-                rate(x, v, direction, z, p, below)
-                array[j] = value
-            for i in range(n):
-                out[i * width + column] = (above[i] - below[i]) / (2.0 * h)
-
-    return gradient
-
-
-def _given_rate_gradient(given: Any) -> Any:
-    @numba.njit
-    def gradient(x, v, direction, z, p, scales, out):
-        n, width = z.size, 2 + p.size + z.size
-        given(x, v, direction, z, p, out[: n * width].reshape((n, width)))
-
-    return gradient
-
-
-@plain
-def _no_rate(x, v, direction, z, p, out):
-    out[:] = 0.0
-
-
-@plain
-def _no_rate_gradient(x, v, direction, z, p, scales, out):
-    out[:] = 0.0
-
-
-@plain
-def _single_regime(x, v, direction, z, p):
-    return 0
-
-
-def _link_user(index: int, effect: Effect, rest: Any) -> Any:
-    force = effect.force
-    regime = effect.regime or _single_regime
-    gradient = _given_gradient(effect.gradient) if effect.gradient else _numeric_gradient(effect.force)
-    rate: Any = effect.state_rate or _no_rate
-    rate_gradient: Any = _no_rate_gradient
-    if effect.state_rate is not None:
-        given = effect.state_rate_gradient
-        rate_gradient = _given_rate_gradient(given) if given else _numeric_rate_gradient(effect.state_rate)
-
-    @numba.njit
-    def link(kind, code, x, v, direction, z, p, scales, out):
-        if code != index:
-            return rest(kind, code, x, v, direction, z, p, scales, out)
-        if kind == FORCE:
-            return force(x, v, direction, z, p)
-        if kind == GRADIENT:
-            gradient(x, v, direction, z, p, scales, out)
-        elif kind == REGIME:
-            return float(regime(x, v, direction, z, p))
-        elif kind == RATE:
-            rate(x, v, direction, z, p, out)
-        else:
-            rate_gradient(x, v, direction, z, p, scales, out)
-        return 0.0
-
-    return link
-
-
-_USER_FUNCTIONS: dict[tuple[Any, ...], Any] = {}
-
-
-def compose_user_effects(effects: Sequence[Effect]) -> int:
-    """Return the address of one compiled function that reaches all ``effects``; compiled once per process."""
-    if not effects:
-        return NO_USER_EFFECT
-    key = tuple((id(e.force), id(e.gradient), id(e.regime), id(e.state_rate), id(e.state_rate_gradient)) for e in effects)
-    if key not in _USER_FUNCTIONS:
-        chain: Any = _no_more_effects
-        for index, effect in reversed(list(enumerate(effects))):
-            chain = _link_user(USER + index, effect, chain)
-
-        def call(kind, code, x, v, direction, z, p, scales, out):  # type: ignore[no-untyped-def]
-            return chain(kind, code, x, v, direction, z, p, scales, out)
-
-        # The effects are kept with the pointer: their ids are the key, so they must not be collected.
-        _USER_FUNCTIONS[key] = (numba.cfunc(USER_SIGNATURE)(call), tuple(effects))
-    return int(_USER_FUNCTIONS[key][0].address)
+_library_force = _switch([(i, (e.force,)) for i, e in _numbered], (), "0.0")
+_library_slopes = _switch([(i, (e.gradient, e.force)) for i, e in _numbered], ("out",), "0.0")
+_library_regime = _switch([(i, (e.regime,)) for i, e in _numbered if e.regime], (), "0")
+_library_rate = _switch([(i, (e.state_rate,)) for i, e in _stateful], ("rates",), "None")
+_library_rate_gradient = _switch([(i, (e.state_rate_gradient,)) for i, e in _stateful], ("rows",), "None")
 
 
 def describe_effects(effects: Sequence[Effect]) -> tuple[NDArray[np.int64], int, int, int, bool, tuple[Effect, ...]]:
@@ -248,119 +109,148 @@ def describe_effects(effects: Sequence[Effect]) -> tuple[NDArray[np.int64], int,
             kind = MEMORY if effect.has_memory else OWN_EQUATION if effect.n_states else NO_STATE
             rows.append((code, p_first, p_last, z_first, z_last, kind))
         p_first, z_first = p_last, z_last
-    table = np.array(rows, dtype=np.int64).reshape(-1, 6)
+    for name in BASE_EFFECTS:
+        if name not in place:
+            raise InputError(f"effect {name!r} is built in; give your own another name and fix the built-in one at 0.")
+    table = np.array(rows, dtype=np.int64).reshape(-1, ROW)
     has_regime = any(effect.regime is not None for effect in effects)
-    return table, *(place[name] for name in BASE_EFFECTS), z_first, has_regime, tuple(users)  # type: ignore[return-value]
+    stiffness, damping = (place[name] for name in BASE_EFFECTS)
+    return table, stiffness, damping, z_first, has_regime, tuple(users)
 
 
 @plain
-def effect_force(layout, i, x, v, direction, z, p):
+def _call_user(model, kind, row, x, v, direction, z, p, out, size):
+    """Call the user's effects, with what difference steps are measured by: amplitude, speed, size of each state."""
+    n_z = row[Z_LAST] - row[Z_FIRST]
+    n_p = row[P_LAST] - row[P_FIRST]
+    sizes = view(model.user_scales, 0, 2 + n_z)
+    sizes[0] = model.scales[0]
+    sizes[1] = model.scales[1]
+    for j in range(n_z):
+        sizes[2 + j] = model.scales[2 + row[Z_FIRST] + j]
+    return function_at(model.user)(
+        kind, row[CODE], x, v, direction, view(z, 0, n_z), view(p, 0, n_p), sizes, view(out, 0, size)
+    )
+
+
+@plain
+def effect_force(model, i, x, v, direction, z):
     """Return the force of effect ``i`` [N]."""
-    code = layout.table[i, CODE]
-    pi = p[layout.table[i, P_FIRST] : layout.table[i, P_LAST]]
-    zi = z[layout.table[i, Z_FIRST] : layout.table[i, Z_LAST]]
-    if code < USER:
-        return library_force(code, x, v, direction, zi, pi)
-    return layout.user(FORCE, code, x, v, direction, zi, pi, layout.scales, pi)
+    row = shifted(model.table, ROW * i)
+    n_z = row[Z_LAST] - row[Z_FIRST]
+    n_p = row[P_LAST] - row[P_FIRST]
+    zi = shifted(z, row[Z_FIRST])
+    pi = shifted(model.p, row[P_FIRST])
+    if row[CODE] < USER:
+        return _library_force(row[CODE], x, v, direction, zi, n_z, pi, n_p)
+    return _call_user(model, FORCE, row, x, v, direction, zi, pi, model.scratch, 0)
 
 
 @plain
-def effect_gradient(layout, i, x, v, direction, z, p, out):
-    """Return the force of effect ``i`` [N] and write dF/dx, dF/dv, dF/dp, dF/dz into ``out``."""
-    code = layout.table[i, CODE]
-    pi = p[layout.table[i, P_FIRST] : layout.table[i, P_LAST]]
-    zi = z[layout.table[i, Z_FIRST] : layout.table[i, Z_LAST]]
-    if code < USER:
-        library_gradient(code, x, v, direction, zi, pi, out)
-        return library_force(code, x, v, direction, zi, pi)
-    layout.user(GRADIENT, code, x, v, direction, zi, pi, layout.scales, out)
-    return layout.user(FORCE, code, x, v, direction, zi, pi, layout.scales, pi)
+def effect_slopes(model, i, x, v, direction, z):
+    """Return the force of effect ``i`` [N] and write dF/dx, dF/dv, dF/dp, dF/dz into the model's scratch."""
+    row = shifted(model.table, ROW * i)
+    n_z = row[Z_LAST] - row[Z_FIRST]
+    n_p = row[P_LAST] - row[P_FIRST]
+    zi = shifted(z, row[Z_FIRST])
+    pi = shifted(model.p, row[P_FIRST])
+    if row[CODE] < USER:
+        return _library_slopes(row[CODE], x, v, direction, zi, n_z, pi, n_p, model.scratch)
+    _call_user(model, GRADIENT, row, x, v, direction, zi, pi, model.scratch, 2 + n_p + n_z)
+    return _call_user(model, FORCE, row, x, v, direction, zi, pi, model.scratch, 0)
 
 
 @plain
-def total_force(layout, x, v, direction, z, p):
+def total_force(model, x, v, direction, z):
     """Return the sum of all forces [N]."""
-    total = p[layout.stiffness] * x + p[layout.damping] * v
-    for i in range(layout.table.shape[0]):
-        total += effect_force(layout, i, x, v, direction, z, p)
+    total = model.p[model.stiffness] * x + model.p[model.damping] * v
+    for i in range(model.n_effects):
+        total += effect_force(model, i, x, v, direction, z)
     return total
 
 
 @plain
-def force_slopes(layout, x, v, direction, z, p, out):
-    """Return the total force [N], dF/dx and dF/dv; ``out`` is scratch."""
-    fx = p[layout.stiffness]
-    fv = p[layout.damping]
+def force_slopes(model, x, v, direction, z):
+    """Return the total force [N], dF/dx and dF/dv."""
+    fx = model.p[model.stiffness]
+    fv = model.p[model.damping]
     total = fx * x + fv * v
-    for i in range(layout.table.shape[0]):
-        total += effect_gradient(layout, i, x, v, direction, z, p, out)
-        fx += out[0]
-        fv += out[1]
+    for i in range(model.n_effects):
+        total += effect_slopes(model, i, x, v, direction, z)
+        fx += model.scratch[0]
+        fv += model.scratch[1]
     return total, fx, fv
 
 
 @plain
-def force_gradient(layout, x, v, direction, z, p, out, fp, fz):
-    """Return the total force [N], dF/dx and dF/dv and write dF/dp and dF/dz; ``out`` is scratch."""
-    fx = p[layout.stiffness]
-    fv = p[layout.damping]
+def force_gradient(model, x, v, direction, z):
+    """Return the total force [N], dF/dx and dF/dv, and write dF/dp and dF/dz into the model's ``fp`` and ``fz``."""
+    fx = model.p[model.stiffness]
+    fv = model.p[model.damping]
     total = fx * x + fv * v
-    fp[layout.stiffness] = x
-    fp[layout.damping] = v
-    for i in range(layout.table.shape[0]):
-        total += effect_gradient(layout, i, x, v, direction, z, p, out)
-        fx += out[0]
-        fv += out[1]
+    model.fp[model.stiffness] = x
+    model.fp[model.damping] = v
+    for i in range(model.n_effects):
+        total += effect_slopes(model, i, x, v, direction, z)
+        fx += model.scratch[0]
+        fv += model.scratch[1]
+        row = shifted(model.table, ROW * i)
         k = 2
-        for j in range(layout.table[i, P_FIRST], layout.table[i, P_LAST]):
-            fp[j] = out[k]
+        for j in range(row[P_FIRST], row[P_LAST]):
+            model.fp[j] = model.scratch[k]
             k += 1
-        for j in range(layout.table[i, Z_FIRST], layout.table[i, Z_LAST]):
-            fz[j] = out[k]
+        for j in range(row[Z_FIRST], row[Z_LAST]):
+            model.fz[j] = model.scratch[k]
             k += 1
     return total, fx, fv
 
 
 @plain
-def smooth_branch(layout, x, v, direction, z, p):
+def smooth_branch(model, x, v, direction, z):
     """Return one integer that labels the smooth branch of all forces together."""
     label = 0
-    for i in range(layout.table.shape[0]):
-        code = layout.table[i, CODE]
-        pi = p[layout.table[i, P_FIRST] : layout.table[i, P_LAST]]
-        zi = z[layout.table[i, Z_FIRST] : layout.table[i, Z_LAST]]
-        if code < USER:
-            label = 7 * label + library_regime(code, x, v, direction, zi, pi)
+    for i in range(model.n_effects):
+        row = shifted(model.table, ROW * i)
+        n_z = row[Z_LAST] - row[Z_FIRST]
+        n_p = row[P_LAST] - row[P_FIRST]
+        zi = shifted(z, row[Z_FIRST])
+        pi = shifted(model.p, row[P_FIRST])
+        if row[CODE] < USER:
+            label = 7 * label + _library_regime(row[CODE], x, v, direction, zi, n_z, pi, n_p)
         else:
-            label = 7 * label + int(layout.user(REGIME, code, x, v, direction, zi, pi, layout.scales, pi))
+            label = 7 * label + int(_call_user(model, REGIME, row, x, v, direction, zi, pi, model.scratch, 0))
     return label
 
 
 @plain
-def state_rates(layout, x, v, direction, z, p, out):
+def state_rates(model, x, v, direction, z, out):
     """Write dz/dt of all states into ``out``; states that remember a turning point do not move."""
-    for i in range(layout.table.shape[0]):
-        code = layout.table[i, CODE]
-        first, last = layout.table[i, Z_FIRST], layout.table[i, Z_LAST]
-        if layout.table[i, KIND] != OWN_EQUATION:
-            for j in range(first, last):
-                out[j] = 0.0
-            continue
-        pi = p[layout.table[i, P_FIRST] : layout.table[i, P_LAST]]
-        if code < USER:
-            library_rate(code, x, v, direction, z[first:last], pi, out[first:last])
+    for i in range(model.n_effects):
+        row = shifted(model.table, ROW * i)
+        n_z = row[Z_LAST] - row[Z_FIRST]
+        n_p = row[P_LAST] - row[P_FIRST]
+        zi = shifted(z, row[Z_FIRST])
+        pi = shifted(model.p, row[P_FIRST])
+        rates = shifted(out, row[Z_FIRST])
+        if row[KIND] != OWN_EQUATION:
+            for j in range(n_z):
+                rates[j] = 0.0
+        elif row[CODE] < USER:
+            _library_rate(row[CODE], x, v, direction, zi, n_z, pi, n_p, rates)
         else:
-            layout.user(RATE, code, x, v, direction, z[first:last], pi, layout.scales, out[first:last])
+            _call_user(model, RATE, row, x, v, direction, zi, pi, rates, n_z)
 
 
 @plain
-def state_rate_gradients(layout, i, x, v, direction, z, p, out):
-    """Write the derivatives of dz/dt of effect ``i`` into the flat array ``out``, row by row."""
-    code = layout.table[i, CODE]
-    first, last = layout.table[i, Z_FIRST], layout.table[i, Z_LAST]
-    pi = p[layout.table[i, P_FIRST] : layout.table[i, P_LAST]]
-    if code < USER:
-        n, width = last - first, 2 + pi.size + last - first
-        library_rate_gradient(code, x, v, direction, z[first:last], pi, out[: n * width].reshape((n, width)))
+def state_rate_gradients(model, i, x, v, direction, z):
+    """Write the derivatives of dz/dt of effect ``i`` into the model's scratch, row by row."""
+    row = shifted(model.table, ROW * i)
+    n_z = row[Z_LAST] - row[Z_FIRST]
+    n_p = row[P_LAST] - row[P_FIRST]
+    zi = shifted(z, row[Z_FIRST])
+    pi = shifted(model.p, row[P_FIRST])
+    if row[CODE] < USER:
+        _library_rate_gradient(row[CODE], x, v, direction, zi, n_z, pi, n_p, model.scratch)
     else:
-        layout.user(RATE_GRADIENT, code, x, v, direction, z[first:last], pi, layout.scales, out)
+        size = n_z * (2 + n_p + n_z)
+        _call_user(model, RATE_GRADIENT, row, x, v, direction, zi, pi, model.scratch, size)

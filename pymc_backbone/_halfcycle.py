@@ -2,25 +2,27 @@
 
 Inside a half cycle the sign of the velocity is a constant, so Coulomb friction and v|v| are smooth. The last
 step is aimed at the turning point, and may overshoot it, because the frozen sign continues the force smoothly;
-what then remains is closed by a Taylor step. Where a force has kinks, a step is cut back until it ends where the
-label of the smooth branch changes, so that no step straddles a kink.
+what then remains is closed by one implicit step. Where a force has kinks, a step is cut back until it ends where the
+label of the smooth branch is about to change, and a hop takes it over: no step straddles a kink, which the state would
+hardly notice but its derivatives would.
+
+Compiled once as native functions with a name, which other compiled code calls without being compiled with them.
 """
 
 from __future__ import annotations
 
-from collections import namedtuple
-
-import numba
 import numpy as np
+from numba import float64, int64
 
+from ._compiled import NativeFunction
 from ._forces import (
     KIND,
     MEMORY,
     P_FIRST,
     P_LAST,
+    ROW,
     Z_FIRST,
-    Z_LAST,
-    effect_gradient,
+    effect_slopes,
     force_gradient,
     force_slopes,
     plain,
@@ -28,298 +30,360 @@ from ._forces import (
     state_rates,
     total_force,
 )
-from ._ode_stepper import STAGES, step_ode
-from ._stepper import step_sensitivity, step_value
+from ._instants import Samples, sensitivity_slopes, write_samples
+from ._kinks import HOP, KINK_MARGIN, KINK_WINDOW, fraction_before_kink, hop_over, time_to_kink
+from ._memory import (
+    AMPLITUDE,
+    CURSOR,
+    HAS_REGIME,
+    LARGEST_STEP,
+    MODE,
+    N_SAMPLES,
+    OWN_STATES,
+    SAMPLE_SLOPES,
+    SENSITIVITY,
+    STEP,
+    TIME,
+    TOLERANCE,
+    VALUE,
+    model_of,
+    place_of,
+)
+from ._pointers import FLOATS, INTEGERS, shifted
+from ._states import load_slowly
+from ._stepper import step_sensitivity, step_states, step_value
 
 COMPLETED, STUCK, NO_RETURN, RUNAWAY, OUT_OF_REACH = range(5)
-VALUE, SENSITIVITY, OWN_STATES = range(3)  # which stepper; OWN_STATES carries as many columns as S has
-_MAXIMUM_STEPS = 600
-_TAYLOR = 1e-4  # radians left to the turning point that the closing Taylor step may cover (error: its cube)
-_SLIVER = 1e-6  # radians of a step that may lie beyond a kink (error: its square)
-
-Work = namedtuple(
-    "Work", ["y", "S", "fp", "fz", "qx", "qv", "scratch", "K", "KS", "z_scale", "clock", "dt", "slope0", "slope1"]
-)
-Work.__doc__ = (
-    "Scratch arrays. `clock` holds time [s], proposed step [s], largest step [rad] and the amplitude of the motion; "
-    "`dt` the derivatives of time."
-)
-Samples = namedtuple("Samples", ["time", "displacement", "jacobian", "cursor"])
-Samples.__doc__ = "Instants at which displacement and sensitivities are wanted, and how many are done."
-
-
-@numba.njit
-def make_work(n_parameters, n_states, columns, mode):
-    """Allocate scratch arrays for an oscillator of ``n_parameters`` and ``n_states``."""
-    rows = 2 + n_states
-    stages = STAGES if mode == OWN_STATES else 0
-    return Work(
-        np.zeros(rows),
-        np.zeros((rows, columns)),
-        np.zeros(n_parameters),
-        np.zeros(n_states),
-        np.zeros(n_parameters + 1),
-        np.zeros(n_parameters + 1),
-        np.zeros((2 + n_parameters + n_states) * max(1, n_states)),
-        np.zeros((stages, rows)),
-        np.zeros((stages, rows, columns)),
-        np.zeros(n_states),
-        np.zeros(4),
-        np.zeros(columns),
-        np.zeros(columns),
-        np.zeros(columns),
-    )
+_MAXIMUM_STEPS = 400
+_CLOSE = 0.02  # radians left to the turning point that the closing step may cover (error: their fifth power / 720)
+_CLOSE_STATES = 2e-3  # the same with states that have their own equation (error: their cube / 12) ...
+_CLOSE_STATE_SENSITIVITIES = 1e-6  # ... and where their sensitivities are carried (error: proportional)
+_GONE = 1e-13  # of the amplitude: what is smaller and still creeps will not turn
 
 
 @plain
-def _hermite_position(x0, v0, a0, x1, v1, a1, h, theta):
-    """Return the quintic through position, velocity and acceleration at both ends, at ``theta`` of the step."""
-    t2 = theta * theta
-    t3 = t2 * theta
-    t4 = t3 * theta
-    t5 = t4 * theta
-    return (
-        x0 * (1.0 - 10.0 * t3 + 15.0 * t4 - 6.0 * t5)
-        + x1 * (10.0 * t3 - 15.0 * t4 + 6.0 * t5)
-        + h * v0 * (theta - 6.0 * t3 + 8.0 * t4 - 3.0 * t5)
-        + h * v1 * (-4.0 * t3 + 7.0 * t4 - 3.0 * t5)
-        + h * h * a0 * (0.5 * t2 - 1.5 * t3 + 1.5 * t4 - 0.5 * t5)
-        + h * h * a1 * (0.5 * t3 - t4 + 0.5 * t5)
-    )
-
-
-@numba.njit
-def _fraction_before_kink(layout, y, work, a, h, label, direction, p):
-    """Return the share of the step at which the label of the smooth branch changes, by bisection."""
-    z0 = y[2:]
-    z1 = work.y[2:]
-    z = np.empty(z0.size)
-    a1 = -total_force(layout, work.y[0], work.y[1], direction, z1, p) / layout.mass
-    low, high = 0.0, 1.0
-    for _ in range(40):
-        middle = 0.5 * (low + high)
-        x = _hermite_position(y[0], y[1], a, work.y[0], work.y[1], a1, h, middle)
-        v = y[1] + middle * (work.y[1] - y[1])
-        for j in range(z.size):
-            z[j] = z0[j] + middle * (z1[j] - z0[j])
-        if smooth_branch(layout, x, v, direction, z, p) == label:
-            low = middle
-        else:
-            high = middle
-    return high
-
-
-@plain
-def _sensitivity_slopes(layout, y, S, p, direction, work, out):
-    """Write the acceleration's total derivatives, one per column of ``S``, into ``out``."""
-    _, fx, fv = force_gradient(layout, y[0], y[1], direction, y[2:], p, work.scratch, work.fp, work.fz)
-    for c in range(S.shape[1]):
-        total = fx * S[0, c] + fv * S[1, c]
-        for j in range(work.fz.size):
-            total += work.fz[j] * S[2 + j, c]
-        if c > 0:
-            total += work.fp[c - 1]
-        out[c] = -total / layout.mass
-
-
-@plain
-def _write_samples(layout, y, S, a0, jerk0, a1, jerk1, h, smooth, end, p, direction, mode, work, samples):
-    """Write displacement and sensitivities at all remaining instants before ``end`` inside the last step."""
-    cursor = samples.cursor[0]
-    if cursor >= samples.time.size or samples.time[cursor] > end:
-        return
-    start = work.clock[0]
-    columns = S.shape[1] if mode != VALUE else 0
-    if columns > 0:
-        _sensitivity_slopes(layout, y, S, p, direction, work, work.slope0)
-        _sensitivity_slopes(layout, work.y, work.S, p, direction, work, work.slope1)
-    while cursor < samples.time.size and samples.time[cursor] <= end:
-        theta = (samples.time[cursor] - start) / h
-        x = _hermite_position(y[0], y[1], a0, work.y[0], work.y[1], a1, h, theta)
-        if smooth:
-            # The jerk at both ends lifts the quintic to a septic: what it misses at either end, times a bump.
-            t = theta
-            r = 1.0 - t
-            bump = (t * r) ** 3
-            left = jerk0 - _quintic_jerk(y[0], y[1], a0, work.y[0], work.y[1], a1, h, 0.0)
-            right = jerk1 - _quintic_jerk(y[0], y[1], a0, work.y[0], work.y[1], a1, h, 1.0)
-            x += h * h * h * bump * (left * r - right * t) / 6.0
-        samples.displacement[cursor] = x
-        for c in range(columns):
-            samples.jacobian[cursor, c] = _hermite_position(
-                S[0, c], S[1, c], work.slope0[c], work.S[0, c], work.S[1, c], work.slope1[c], h, theta
-            )
-        cursor += 1
-    samples.cursor[0] = cursor
-
-
-@plain
-def _quintic_jerk(x0, v0, a0, x1, v1, a1, h, theta):
-    """Return the third derivative of the quintic of `_hermite_position` at an end."""
-    d = (x1 - x0) / h**3
-    if theta == 0.0:
-        return 60.0 * d - (36.0 * v0 + 24.0 * v1) / h**2 + (-9.0 * a0 + 3.0 * a1) / h
-    return 60.0 * d - (24.0 * v0 + 36.0 * v1) / h**2 + (-3.0 * a0 + 9.0 * a1) / h
-
-
-@plain
-def remember_turning_point(layout, y, S, p, direction, mode, work):
+def _remember(model, y, direction):
     """Let effects with memory take over the turning point ``y``: where it was, their own force there."""
-    for i in range(layout.table.shape[0]):
-        if layout.table[i, KIND] != MEMORY:
+    columns = model.columns
+    z = shifted(y, 2)
+    for i in range(model.n_effects):
+        row = shifted(model.table, ROW * i)
+        if row[KIND] != MEMORY:
             continue
-        first = layout.table[i, Z_FIRST]
-        p_first, p_last = layout.table[i, P_FIRST], layout.table[i, P_LAST]
-        force = effect_gradient(layout, i, y[0], 0.0, direction, y[2:], p, work.scratch)
-        if mode != VALUE:
-            for c in range(S.shape[1]):
-                total = work.scratch[0] * S[0, c]
-                for j in range(3):
-                    total += work.scratch[2 + p_last - p_first + j] * S[2 + first + j, c]
-                if p_first <= c - 1 < p_last:
-                    total += work.scratch[2 + c - 1 - p_first]
-                S[2 + first + 1, c] = total
-                S[2 + first, c] = S[0, c]
-                S[2 + first + 2, c] = 0.0
-        y[2 + first] = y[0]
-        y[2 + first + 1] = force
-        y[2 + first + 2] = 1.0
+        first = row[Z_FIRST]
+        force = effect_slopes(model, i, y[0], 0.0, direction, z)
+        S = shifted(y, 2 + model.n_states)
+        Sz = shifted(S, (2 + first) * columns)
+        by_state = shifted(model.scratch, 2 + row[P_LAST] - row[P_FIRST])
+        for c in range(columns):
+            total = model.scratch[0] * S[c]
+            for j in range(3):
+                total += by_state[j] * Sz[j * columns + c]
+            if row[P_FIRST] <= c - 1 < row[P_LAST]:
+                total += model.scratch[2 + c - 1 - row[P_FIRST]]
+            Sz[c] = S[c]
+            Sz[columns + c] = total
+            Sz[2 * columns + c] = 0.0
+        z[first] = y[0]
+        z[first + 1] = force
+        z[first + 2] = 1.0
 
 
 @plain
-def _close(layout, y, S, a, fx, fv, p, direction, mode, work):
-    """Close the last thousandth of a radian by a Taylor step and land on the turning point."""
-    n = y.size - 2
-    rates = work.y[2:]
-    jerk = -(fx * y[1] + fv * a) / layout.mass
-    if n > 0:
-        state_rates(layout, y[0], y[1], direction, y[2:], p, rates)
-        force_gradient(layout, y[0], y[1], direction, y[2:], p, work.scratch, work.fp, work.fz)
-        for j in range(n):
-            jerk -= work.fz[j] * rates[j] / layout.mass
-    tau = -y[1] / a - 0.5 * jerk * y[1] * y[1] / (a * a * a)
-    if mode == VALUE:
-        work.slope0[0] = -(fx * S[0, 0] + fv * S[1, 0]) / layout.mass
-    else:
-        _sensitivity_slopes(layout, y, S, p, direction, work, work.slope0)
-    turn = a + jerk * tau
-    y[0] += tau * (y[1] + tau * (0.5 * a + tau * jerk / 6.0))
-    y[1] = 0.0
-    for j in range(n):
-        y[2 + j] += tau * rates[j]
-    if n > 0:
-        state_rates(layout, y[0], 0.0, direction, y[2:], p, rates)
-    for c in range(S.shape[1]):
-        S[0, c] += tau * (S[1, c] + 0.5 * tau * work.slope0[c])
-        shift = -(S[1, c] + tau * work.slope0[c]) / turn
-        S[1, c] = 0.0
-        work.dt[c] += shift
-        for j in range(n):
-            S[2 + j, c] += rates[j] * shift
-    work.clock[0] += tau
+def _jerk(model, x, v, a, fx, fv, direction, z, moving, rates):
+    """Return the third derivative of the displacement; states that move need the force's slopes along them."""
+    total = fx * v + fv * a
+    if moving:
+        state_rates(model, x, v, direction, z, rates)
+        force_gradient(model, x, v, direction, z)
+        for j in range(model.n_states):
+            total += model.fz[j] * rates[j]
+    return -total / model.mass
 
 
-@numba.njit
-def half_cycle(layout, y, S, p, direction, mode, tolerance, work, samples):
-    """Run from a turning point to the next.
+@plain
+def _turning_time(v, a, jerk):
+    """Return the time left to the turning point, to second order."""
+    return -v / a - 0.5 * jerk * v * v / (a * a * a)
 
-    On entry ``y = (x, 0, z...)`` and ``S`` (rows as ``y``; column 0 the starting amplitude, then the parameters)
-    describe the turning point; on return the next one. ``work.clock[0]`` and ``work.dt`` gain the time it took and
-    its derivatives. Returns a status.
+
+@plain
+def _close(model, y, y1, a, jerk, label, check_label, moving, direction, shift, rates, room):
+    """Move the state to the turning point close by; return the time that takes, or nan if a kink lies between.
+
+    One two-point Hermite step: the velocity is zero at the end, the acceleration there is that of a predicted state.
     """
-    mass = layout.mass
-    z = y[2:]
+    n = model.n_states
+    columns = model.columns
+    rows = 2 + n
+    x, v = y[0], y[1]
+    tau = _turning_time(v, a, jerk)
+    y1[0] = x + tau * (v + tau * (0.5 * a + tau * jerk / 6.0))
+    y1[1] = 0.0
+    for j in range(n):
+        y1[2 + j] = y[2 + j] + (tau * rates[j] if moving else 0.0)
+    z1 = shifted(y1, 2)
+    force, fx1, fv1 = force_slopes(model, y1[0], 0.0, direction, z1)
+    a1 = -force / model.mass
+    if not a1 * direction < 0.0:
+        return np.nan
+    if moving:
+        tau -= (v + 0.5 * tau * (a + a1)) / a1
+        y1[0] = x + tau * (v + tau * (2.0 * a + a1) / 6.0)
+    else:
+        jerk1 = -fv1 * a1 / model.mass
+        tau -= (v + 0.5 * tau * (a + a1) + tau * tau / 12.0 * (jerk - jerk1)) / a1
+        y1[0] = x + tau * (0.5 * v + tau * (0.1 * (a - a1) + tau * (jerk + jerk1) / 120.0))
+    if check_label and smooth_branch(model, y1[0], 0.0, direction, z1) != label:
+        return np.nan
+    if columns > 0:
+        S = shifted(y, rows)
+        S1 = shifted(y1, rows)
+        slope1 = shifted(room, columns)
+        sensitivity_slopes(model, y, direction, room)
+        for c in range(columns):
+            S1[c] = S[c] + tau * (S[columns + c] + 0.5 * tau * room[c])
+            S1[columns + c] = S[columns + c] + tau * room[c]
+        for k in range(2 * columns, rows * columns):
+            S1[k] = S[k]
+        sensitivity_slopes(model, y1, direction, slope1)
+        for c in range(columns):
+            S1[c] = S[c] + tau * (S[columns + c] + tau * (2.0 * room[c] + slope1[c]) / 6.0)
+            S1[columns + c] = S[columns + c] + 0.5 * tau * (room[c] + slope1[c])
+    if moving:
+        state_rates(model, y1[0], 0.0, direction, z1, model.fz)
+        for j in range(n):
+            y1[2 + j] = y[2 + j] + 0.5 * tau * (rates[j] + model.fz[j])
+    if columns > 0:
+        S1 = shifted(y1, rows)
+        for c in range(columns):
+            # The turning point moves in time by so much; there the displacement does not change with time.
+            shift[c] = -S1[columns + c] / a1
+    return tau
+
+
+@plain
+def _aim(v, a, fx, mass, h, direction):
+    """Return the length of the next step: ``h``, or less to land on the turning point; negative behind it."""
+    if not a * direction < 0.0:
+        return h
+    left = abs(v / a)
+    if v * direction < 0.0:
+        return -min(left, h)
+    if fx > 0.0:
+        local = (fx / mass) ** 0.5
+        left = np.arctan(local * left) / local
+    if left <= 1.1 * h:
+        return left
+    return 0.5 * left if left < 2.0 * h else h
+
+
+@plain
+def _half_cycle(run, memory, p, direction, time, displacement, slopes):
+    place = place_of(run)
+    model = model_of(run, memory, p, place)
+    samples = Samples(time, displacement, slopes, run[SAMPLE_SLOPES] != 0, run[N_SAMPLES])
+    y = shifted(memory, place.now)
+    y1 = shifted(memory, place.next)
+    z = shifted(y, 2)
+    z1 = shifted(y1, 2)
+    dt = shifted(memory, place.dt)
+    shift = shifted(memory, place.shift)
+    K = shifted(memory, place.K)
+    middle = shifted(memory, place.middle)
+    room = shifted(memory, place.room)
+    mode = run[MODE]
+    moving = mode == OWN_STATES
+    has_regime = run[HAS_REGIME] != 0
+    columns = model.columns
+    n = model.n_states
+    rows = 2 + n
+    # Where states stay as they are through a half cycle, so do their sensitivities.
+    carried = rows if moving else 2
+    mass = model.mass
     start = y[0]
-    force, fx, fv = force_slopes(layout, y[0], 0.0, direction, z, p, work.scratch)
+    amplitude = memory[AMPLITUDE]
+    tolerance = memory[TOLERANCE]
+    force = total_force(model, start, 0.0, direction, z)
     a = -force / mass
     if not np.isfinite(a):
         return RUNAWAY
-    if a * direction <= 0.0:
-        return STUCK
-    amplitude = work.clock[3]
+    if not a * direction > 0.0:
+        backwards = total_force(model, start, 0.0, -direction, z) / mass * direction
+        if backwards > 0.0:
+            return RUNAWAY
+        return STUCK if a * direction < 0.0 or backwards < 0.0 else NO_RETURN
     omega = (abs(a) / amplitude) ** 0.5
-    layout.scales[0] = amplitude
-    layout.scales[1] = amplitude * omega
-    label = smooth_branch(layout, y[0], 0.0, direction, z, p) if layout.has_regime else 0
-    h = min(work.clock[1] if work.clock[1] > 0.0 else 0.3 / omega, work.clock[2] / omega)
+    model.scales[0] = amplitude
+    model.scales[1] = amplitude * omega
+    if moving:
+        state_rates(model, start, amplitude * omega * direction, direction, z, model.fz)
+        for j in range(n):
+            model.scales[2 + j] = max(abs(z[j]), abs(model.fz[j]) / omega)
+    for k in range(carried, rows):
+        y1[k] = y[k]
+        for c in range(columns):
+            y1[rows + k * columns + c] = y[rows + k * columns + c]
+    force, fx, fv = force_slopes(model, start, 0.0, direction, z)
+    label = smooth_branch(model, start, 0.0, direction, z) if has_regime else 0
+    radius = _CLOSE
+    if moving:
+        radius = _CLOSE_STATES if columns == 0 else _CLOSE_STATE_SENSITIVITIES
+    h = memory[STEP] if memory[STEP] > 0.0 else 0.3 / omega
     limit = np.inf
-    rows = y.size if mode == OWN_STATES else 2
-    if mode == OWN_STATES:
-        state_rates(layout, y[0], amplitude * omega * direction, direction, z, p, work.z_scale)
-        for j in range(z.size):
-            work.z_scale[j] = max(abs(z[j]), abs(work.z_scale[j]) / omega)
+    rejected, at_kink, hop = False, False, False
     for _ in range(_MAXIMUM_STEPS):
-        step = h
-        if y[1] * direction > 0.0 and a * direction < 0.0:
-            if fx > 0.0:
-                local = (fx / mass) ** 0.5
-                left = np.arctan(local * abs(y[1] / a)) / local
-            else:
-                left = abs(y[1] / a)
-            if left <= 1.1 * h:
-                step = left
-            elif left < 2.0 * h:
-                step = 0.5 * left
-        elif y[1] * direction < 0.0:
-            step = max(-y[1] / a, -h) if a * direction < 0.0 else h
-        step = min(step, limit)
-        if mode == VALUE:
-            error = step_value(layout, y, S, a, fx, fv, p, direction, step, tolerance, work)
+        local = (fx / mass) ** 0.5 if fx > 0.0 else 0.0
+        h = min(h, memory[LARGEST_STEP] / max(local, omega if samples.count > 0 else 1e-3 * omega))
+        scale = max(local, omega)
+        step = min(_aim(y[1], a, fx, mass, h, direction), limit)
+        if hop:
+            step = HOP / scale
+            hop_over(model, y, y1, a, direction, step, moving, K, room)
+            error = 0.0
+        elif mode == VALUE:
+            error = step_value(model, y, shifted(y, rows), a, fx, fv, direction, step, tolerance, y1, shifted(y1, rows))
         elif mode == SENSITIVITY:
-            error = step_sensitivity(layout, y, S, a, fx, fv, p, direction, step, tolerance, work)
+            error = step_sensitivity(
+                model, y, shifted(y, rows), a, fx, fv, direction, step, tolerance, y1, shifted(y1, rows),
+                shifted(memory, place.quadrature),
+            )  # fmt: skip
         else:
-            error = step_ode(layout, y, S, p, direction, step, tolerance, work)
+            error = step_states(model, y, direction, step, tolerance, y1, K)
+        if not np.isfinite(error):
+            error = np.inf
         new_label = label
-        if layout.has_regime and step > 0.0 and np.isfinite(error):
-            if rows == 2:
-                work.y[2:] = z
-            new_label = smooth_branch(layout, work.y[0], work.y[1], direction, work.y[2:], p)
-            if new_label != label:
-                share = _fraction_before_kink(layout, y, work, a, step, label, direction, p)
-                if (1.0 - share) * step * omega > _SLIVER:
-                    limit = max(share * step, 0.5 * _SLIVER / omega)
+        if has_regime and step > 0.0 and error < np.inf:
+            new_label = smooth_branch(model, y1[0], y1[1], direction, z1)
+            if new_label != label and not hop:
+                a1 = -total_force(model, y1[0], y1[1], direction, z1) / mass
+                precision = 0.1 * HOP / (scale * step)
+                share = fraction_before_kink(
+                    model, y, a, y1, a1, step, label, direction, precision, shifted(K, 2), moving, middle
+                )
+                left = share * step
+                if left * scale > 2.0 * KINK_MARGIN:
+                    limit = left - KINK_MARGIN / scale
+                    at_kink = True
                     continue
+                if step * scale > KINK_WINDOW:
+                    jerk = _jerk(model, y[0], y[1], a, fx, fv, direction, z, moving, middle)
+                    left = time_to_kink(
+                        model, y, y1, a, jerk, KINK_WINDOW / scale, label, direction, 0.1 * HOP / scale, middle,
+                        moving, room,
+                    )  # fmt: skip
+                hop = left * scale < HOP
+                limit = min(left - 0.5 * HOP / scale, 0.5 * step)
+                at_kink = not hop
+                continue
         if not error <= 1.0:
-            h = abs(step) * (max(0.2, 0.9 * error**-0.125) if np.isfinite(error) else 0.2)
+            h = abs(step) * (max(0.2, 0.9 * error**-0.125) if error < np.inf else 0.2)
             limit = h
+            rejected, at_kink = True, False
             if not h * omega > 1e-9:
                 return RUNAWAY
             continue
-        x1, v1 = work.y[0], work.y[1]
-        z1 = work.y[2:] if mode == OWN_STATES else z
-        force, fx1, fv1 = force_slopes(layout, x1, v1, direction, z1, p, work.scratch)
+        force, fx1, fv1 = force_slopes(model, y1[0], y1[1], direction, z1)
         a1 = -force / mass
-        if not (np.isfinite(a1) and abs(x1) < 1e3 * (abs(start) + amplitude)):
+        if not (np.isfinite(a1) and abs(y1[0]) < 1e3 * (abs(start) + amplitude)):
             return RUNAWAY
-        if samples.time.size > 0 and step > 0.0:
-            if rows == 2:
-                work.y[2:] = z
-                work.S[2:, :] = S[2:, :]
-            end = work.clock[0] + step
-            if v1 * direction < 0.0 and a1 != 0.0:
-                end += min(0.0, -v1 / a1)
-            jerk0 = -(fx * y[1] + fv * a) / mass
-            jerk1 = -(fx1 * v1 + fv1 * a1) / mass
-            smooth = mode != OWN_STATES and new_label == label
-            _write_samples(
-                layout, y, S, a, jerk0, a1, jerk1, step, smooth, end, p, direction, mode, work, samples
-            )
-        work.clock[0] += step
-        for i in range(rows):
-            y[i] = work.y[i]
-            for c in range(S.shape[1]):
-                S[i, c] = work.S[i, c]
-        if mode == OWN_STATES:
-            for j in range(z.size):
-                work.z_scale[j] = max(work.z_scale[j], abs(z[j]))
+        if samples.count > 0 and step > 0.0:
+            jerk = _jerk(model, y[0], y[1], a, fx, fv, direction, z, moving, middle)
+            jerk1 = _jerk(model, y1[0], y1[1], a1, fx1, fv1, direction, z1, moving, middle)
+            until = memory[TIME] + step
+            if y1[1] * direction < 0.0 and a1 * direction < 0.0:
+                until += _turning_time(y1[1], a1, jerk1)
+            run[CURSOR] = write_samples(
+                model, y, a, jerk, y1, a1, jerk1, memory[TIME], step, not hop, run[CURSOR], until,
+                direction, dt, room, samples,
+            )  # fmt: skip
+        memory[TIME] += step
+        for k in range(carried):
+            y[k] = y1[k]
+        for k in range(rows, rows + carried * columns):
+            y[k] = y1[k]
+        for j in range(n if moving else 0):
+            model.scales[2 + j] = max(model.scales[2 + j], abs(z[j]))
         if step >= 0.999 * h:
             growth = min(6.0, 0.9 * error**-0.125) if error > 0.0 else 6.0
-            h = min(step * growth, work.clock[2] / omega)
-        a, fx, fv, label, limit = a1, fx1, fv1, new_label, np.inf
-        if a * direction < 0.0 and abs(y[1]) * omega < _TAYLOR * abs(a):
-            _close(layout, y, S, a, fx, fv, p, direction, mode, work)
-            remember_turning_point(layout, y, S, p, direction, mode, work)
-            work.clock[1] = h
-            work.clock[3] = max(0.5 * abs(y[0] - start), 1e-300)
-            return COMPLETED
+            h = step * (min(growth, 1.0) if rejected else growth)
+        a, fx, fv, limit, rejected = a1, fx1, fv1, np.inf, False
+        hop = False
+        if at_kink and new_label == label:
+            jerk = _jerk(model, y[0], y[1], a, fx, fv, direction, z, moving, middle)
+            left = time_to_kink(
+                model, y, y1, a, jerk, KINK_WINDOW / scale, label, direction, 0.1 * HOP / scale, middle, moving, room
+            )
+            hop = left * scale < HOP
+            if not hop:
+                limit = left - 0.5 * HOP / scale
+                continue
+        at_kink = False
+        label = new_label
+        if hop:
+            continue
+        if a * direction < 0.0:
+            if abs(y[1]) * scale < radius * abs(a):
+                jerk = _jerk(model, y[0], y[1], a, fx, fv, direction, z, moving, middle)
+                check = has_regime and radius > 1e-9
+                tau = _close(model, y, y1, a, jerk, label, check, moving, direction, shift, middle, room)
+                if np.isfinite(tau):
+                    if samples.count > 0 and tau > 0.0:
+                        force, fx1, fv1 = force_slopes(model, y1[0], 0.0, direction, z1)
+                        a1 = -force / mass
+                        jerk1 = _jerk(model, y1[0], 0.0, a1, fx1, fv1, direction, z1, moving, middle)
+                        run[CURSOR] = write_samples(
+                            model, y, a, jerk, y1, a1, jerk1, memory[TIME], tau, True, run[CURSOR],
+                            memory[TIME] + tau, direction, dt, room, samples,
+                        )  # fmt: skip
+                    for k in range(rows * (1 + columns)):
+                        y[k] = y1[k]
+                    if moving and columns > 0:
+                        state_rates(model, y[0], 0.0, direction, z, middle)
+                    for c in range(columns):
+                        dt[c] += shift[c]
+                        y[rows + columns + c] = 0.0
+                        for j in range(n if moving else 0):
+                            y[rows + (2 + j) * columns + c] += middle[j] * shift[c]
+                    _remember(model, y, direction)
+                    memory[TIME] += tau
+                    memory[STEP] = h
+                    memory[AMPLITUDE] = max(0.5 * abs(y[0] - start), 1e-300)
+                    return COMPLETED
+                radius *= 0.1
+            elif not abs(y[0]) + abs(y[1]) / omega > _GONE * amplitude:
+                return NO_RETURN
     return NO_RETURN
+
+
+@plain
+def _load_states(run, memory, p, virgin):
+    place = place_of(run)
+    model = model_of(run, memory, p, place)
+    y = shifted(memory, place.now)
+    side = 1.0 if y[0] > 0.0 else -1.0
+    for j in range(2 + model.n_states):
+        model.scales[j] = abs(y[0])
+    if virgin != 0:
+        if run[MODE] == OWN_STATES:
+            load_slowly(model, y, side, shifted(memory, place.K))
+        _remember(model, y, side)
+        return 0
+    for i in range(model.n_effects):
+        row = shifted(model.table, ROW * i)
+        if row[KIND] == MEMORY:
+            y[2 + row[Z_FIRST]] = y[0]
+            if model.columns > 0:
+                y[2 + model.n_states + (2 + row[Z_FIRST]) * model.columns] = 1.0
+    return 0
+
+
+HALF_CYCLE = NativeFunction("half_cycle", int64(INTEGERS, FLOATS, FLOATS, float64, FLOATS, FLOATS, FLOATS), _half_cycle)
+half_cycle = HALF_CYCLE.call
+"""``half_cycle(run, memory, p, direction, time, displacement, slopes) -> status``: on to the next turning point.
+
+On entry the memory's ``now`` describes a turning point, on return the next one; time and ``dt`` gain what that took.
+"""
+LOAD_STATES = NativeFunction("load_states", int64(INTEGERS, FLOATS, FLOATS, int64), _load_states)
+load_states = LOAD_STATES.call
+"""``load_states(run, memory, p, virgin)``: put the internal states where they are at release."""

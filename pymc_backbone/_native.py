@@ -160,6 +160,7 @@ def define_symbols() -> None:
 
     Must have run in a process before code that calls them is loaded there: every Op runs it when it is made.
     """
+    _kernels.define()
     for external, function in ((call_backbone, _backbone), (call_log_likelihood, _log_likelihood)):
         compiled: Any = CFunc(function, (external.sig.args, external.sig.return_type), locals={}, options={})
         compiled._cache = DigestCache(function)

@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _kernels
 from ._checks import FloatArray, InputError, check_finite_array, check_levels, check_positive
-from ._forces import KIND, OWN_EQUATION, compose_user_effects, describe_effects
+from ._forces import KIND, OWN_EQUATION, describe_effects
 from ._halfcycle import COMPLETED, NO_RETURN, OUT_OF_REACH, RUNAWAY, STUCK
+from ._user_effects import compose_user_effects
 from .oscillator import Oscillator
 
 TOLERANCE = 2e-9  # of one step, relative to amplitude and speed; set by the decrement, not by the frequency
@@ -39,7 +40,8 @@ _MEANINGS = {
     Status.STUCK: "the motion stuck before it completed a cycle; lower the friction bounds or drop the lowest levels",
     Status.NO_RETURN: "the motion did not swing back; lower the damping bounds or exclude negative stiffness",
     Status.RUNAWAY: "the motion ran away or was not finite; exclude negative stiffness at large amplitude",
-    Status.OUT_OF_REACH: "no cycle of the decay has this amplitude; raise the release amplitude or drop the level",
+    Status.OUT_OF_REACH: "no cycle of the decay has this amplitude, or the damping is too light to get there; "
+    "raise the release amplitude or drop the level",
 }
 
 
@@ -137,6 +139,7 @@ class Simulator:
     """
 
     def __init__(self, oscillator: Oscillator) -> None:
+        _kernels.define()
         self.oscillator = oscillator
         table, stiffness, damping, n_states, has_regime, users = describe_effects(oscillator.effects)
         user = compose_user_effects(users)
@@ -163,7 +166,7 @@ class Simulator:
 
     def decay(self, *arguments: Any) -> tuple[int, int]:
         """Run the compiled whole decay."""
-        return _kernels.decay(*self.description, *arguments)  # type: ignore[no-any-return]
+        return _kernels.decay(*self.description, *arguments)
 
 
 def simulate_backbone(
@@ -344,8 +347,8 @@ def simulate_waveform(
 
     Notes
     -----
-    Between the integrator's steps the septic through position, velocity, acceleration and jerk is used (the quintic
-    without jerk where internal states have their own equation and for the derivatives).
+    Between the integrator's steps the septic through position, velocity, acceleration and jerk is used, for the
+    derivatives the quintic without jerk.
     """
     instants = check_finite_array("time", time) - release_time
     backwards = np.flatnonzero(np.diff(instants) < 0.0)

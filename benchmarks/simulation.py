@@ -1,0 +1,128 @@
+"""How fast and how exact the compiled free decay is: ratios within one run, CPU time, medians.
+
+    python benchmarks/simulation.py
+
+Ten levels of a Duffing oscillator against SciPy's DOP853 with turning-point events over the whole decay, at equal
+accuracy; one cycle per level against the whole decay; with and without sensitivities; every effect of the library.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from pymc_backbone.decay import Simulator, simulate_backbone, simulate_waveform
+from pymc_backbone.effects import BASE_EFFECTS, LIBRARY
+from pymc_backbone.oscillator import Oscillator
+
+MASS, K, C, K3 = 1.0, 6500.0, 1.1, 6.25e6
+LEVELS = np.geomspace(0.003, 0.03, 10)
+RELEASE = 0.035
+
+
+def seconds(call: Callable[[], object], repeats: int = 15, inner: int = 1) -> float:
+    """Return the median CPU time of one call."""
+    times = []
+    for _ in range(repeats):
+        start = time.process_time_ns()
+        for _ in range(inner):
+            call()
+        times.append((time.process_time_ns() - start) * 1e-9 / inner)
+    return statistics.median(times)
+
+
+def scipy_cycles(rtol: float) -> np.ndarray:
+    """Return amplitude, frequency and decrement of the cycles of the whole decay."""
+
+    def slope(t, y):
+        return (y[1], -(K * y[0] + C * y[1] + K3 * y[0] ** 3) / MASS)
+
+    def turning(t, y):
+        return y[1]
+
+    def gone(t, y):
+        return abs(y[0]) + abs(y[1]) / 80.0 - 0.5 * LEVELS[0]
+
+    gone.terminal = True
+    run = solve_ivp(slope, (0.0, 100.0), (RELEASE, 0.0), "DOP853", events=(turning, gone), rtol=rtol, atol=rtol * 1e-3)
+    t, x = run.t_events[0], run.y_events[0][:, 0]
+    if t.size == 0 or t[0] > 1e-6:
+        t, x = np.append(0.0, t), np.append(RELEASE, x)
+    n = (t.size - 1) // 2
+    p0, q, p1 = x[0 : 2 * n : 2], x[1 : 2 * n : 2], x[2 : 2 * n + 1 : 2]
+    time_of_cycle = t[2 : 2 * n + 1 : 2] - t[0 : 2 * n : 2]
+    return np.array([(p0 + p1 - 2 * q) / 4, 1 / time_of_cycle, 2 * np.log((p0 - q) / (p1 - q))])
+
+
+def at_levels(cycles: np.ndarray) -> np.ndarray:
+    """Return frequency and decrement at the levels, by a spline in log amplitude."""
+    from scipy.interpolate import CubicSpline
+
+    return np.array([CubicSpline(np.log(cycles[0, ::-1]), row[::-1])(np.log(LEVELS)) for row in cycles[1:]])
+
+
+def runner(simulator: Simulator, p: np.ndarray, release: float, sensitivities: bool) -> Callable[[], None]:
+    """Return a call of the compiled backbone without the checks around it, as the Ops make it."""
+    values, status = np.empty((3, LEVELS.size)), np.zeros(LEVELS.size, dtype=np.int64)
+    jacobian = np.empty((3, LEVELS.size, p.size) if sensitivities else (0, 0, 0))
+    return lambda: simulator.backbone(p, LEVELS, release, True, values, jacobian, status)
+
+
+def against_scipy() -> None:
+    """Print speed and error of both on the Duffing oscillator."""
+    oscillator = Oscillator(MASS, "cubic_stiffness")
+    p = np.array([K, C, K3])
+    simulator = Simulator(oscillator)
+    exact = simulate_backbone(oscillator, p, LEVELS, sensitivities=True)  # cycles next to their levels
+    with_tolerance = simulate_backbone(oscillator, p, LEVELS)
+    reference = at_levels(scipy_cycles(1e-13))
+    print("Duffing, ten levels               CPU time     frequency error   decrement error (largest, relative)")
+    fast = seconds(runner(simulator, p, 0.0, False), 51, 20)
+
+    def line(name, duration, values):
+        f, d = np.abs(values[0] / exact.values[0] - 1).max(), np.abs(values[1] / exact.values[1] - 1).max()
+        print(f"  {name:30s} {duration * 1e6:10.1f} us   {f:12.1e} {d:16.1e}   x {duration / fast:.0f}")
+
+    line("one cycle per level", fast, with_tolerance.values)
+    whole = simulate_backbone(oscillator, p, LEVELS, release_amplitude=RELEASE)
+    line("whole decay, compiled", seconds(runner(simulator, p, RELEASE, False), 31, 5), whole.values)
+    for rtol in (1e-9, 1e-7):
+        duration = seconds(lambda rtol=rtol: scipy_cycles(rtol), 5)
+        line(f"whole decay, SciPy at {rtol:g}", duration, at_levels(scipy_cycles(rtol)))
+    print(f"  whole decay, SciPy at 1e-13 and spline against one cycle per level: "
+          f"{np.abs(reference[0] / exact.values[0] - 1).max():.1e}, {np.abs(reference[1] / exact.values[1] - 1).max():.1e}")  # fmt: skip
+    for release, name in ((0.0, "one cycle per level"), (RELEASE, "whole decay")):
+        plain = seconds(runner(simulator, p, release, False), 51, 10)
+        both = seconds(runner(simulator, p, release, True), 51, 10)
+        print(f"  sensitivities, {name}: x {both / plain:.2f} ({both * 1e6:.0f} us)")
+
+
+def per_effect() -> None:
+    """Print the cost of ten levels for each effect, relative to the linear oscillator."""
+    amplitude, omega = LEVELS[-1], np.sqrt(K / MASS)
+    base = None
+    print("Effect                             ten levels   to linear   with sensitivities   waveform (50 cycles x 40)")
+    for name in ("linear", *(name for name in LIBRARY if name not in BASE_EFFECTS)):
+        oscillator = Oscillator(MASS, () if name == "linear" else name)
+        bounds = oscillator.default_bounds(amplitude, omega).values()
+        p = np.array([low + (0.2 + 0.037 * i) * (high - low) for i, (low, high) in enumerate(bounds)])
+        p[:2] = K, 0.02 * np.sqrt(K * MASS)
+        simulator = Simulator(oscillator)
+        plain = seconds(runner(simulator, p, 0.0, False), 21, 5)
+        both = seconds(runner(simulator, p, 0.0, True), 21, 5)
+        instants = np.arange(2000) * 2 * np.pi / omega / 40
+        wave = seconds(lambda o=oscillator, p=p, t=instants: simulate_waveform(o, p, t, amplitude), 7)
+        base = base or plain
+        print(f"  {name:30s} {plain * 1e6:9.0f} us {plain / base:9.1f} {both / plain:15.2f} {wave * 1e6:17.0f} us")
+
+
+if __name__ == "__main__":
+    start = time.process_time()
+    simulate_backbone(Oscillator(MASS, ()), [K, C], LEVELS)
+    print(f"first call: {time.process_time() - start:.2f} s CPU (compiling, or loading from disk)")
+    against_scipy()
+    per_effect()
