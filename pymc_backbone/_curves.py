@@ -133,35 +133,36 @@ def hermite(nodes, far, near, column, at):
 def carry_jacobian(levels, nodes, status, jacobian):
     """Take derivatives at cycles with log amplitudes ``nodes`` to the ``levels`` next to them.
 
-    The slopes along log amplitude are those of the parabola through the cycle and the nearest good ones beside it.
-    Highest level last; works upwards, keeping what it has overwritten.
+    The slopes along log amplitude are those of the parabola through the cycle and the two nearest good ones.
     """
-    n = jacobian.shape[2]
-    below = np.empty((3, n))
-    here = np.empty((3, n))
-    below_at = 0.0
-    has_below = False
+    good = np.empty(levels.size, np.int64)
+    count = 0
     for k in range(levels.size):
-        if status[k] != 0:
-            continue
-        above = k + 1
-        while above < levels.size and status[above] != 0:
-            above += 1
-        has_above = above < levels.size
-        e = math.log(levels[k]) - nodes[k]
-        for o in range(3):
-            for j in range(n):
-                here[o, j] = jacobian[o, k, j]
-                slope = 0.0
-                if has_above:
-                    slope = (jacobian[o, above, j] - here[o, j]) / (nodes[above] - nodes[k])
-                if has_below:
-                    other = (here[o, j] - below[o, j]) / (nodes[k] - below_at)
-                    share = (nodes[k] - below_at) / (nodes[above] - below_at) if has_above else 0.0
-                    slope = share * slope + (1.0 - share) * other
-                jacobian[o, k, j] = here[o, j] + e * slope
-        for o in range(3):
-            for j in range(n):
-                below[o, j] = here[o, j]
-        below_at = nodes[k]
-        has_below = True
+        if status[k] == 0:
+            good[count] = k
+            count += 1
+    if count < 3:
+        return
+    moves = np.empty(jacobian.shape)
+    for g in range(count):
+        k = good[g]
+        first = min(max(g - 1, 0), count - 3)
+        for i in range(3):
+            for j in range(jacobian.shape[2]):
+                moves[i, k, j] = 0.0
+        for a in range(first, first + 3):
+            other = good[a]
+            if other == k:
+                continue
+            third = good[3 * first + 3 - a - g]
+            # Derivative of the Lagrange polynomial of node `other` at node k, applied to the difference from k.
+            weight = (nodes[k] - nodes[third]) / ((nodes[other] - nodes[k]) * (nodes[other] - nodes[third]))
+            weight *= math.log(levels[k]) - nodes[k]
+            for i in range(3):
+                for j in range(jacobian.shape[2]):
+                    moves[i, k, j] += weight * (jacobian[i, other, j] - jacobian[i, k, j])
+    for g in range(count):
+        k = good[g]
+        for i in range(3):
+            for j in range(jacobian.shape[2]):
+                jacobian[i, k, j] += moves[i, k, j]

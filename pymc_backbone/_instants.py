@@ -8,9 +8,7 @@ from ._forces import force_gradient, plain
 from ._pointers import shifted
 
 Samples = namedtuple("Samples", ["time", "displacement", "slopes", "sensitivities", "count"])
-Samples.__doc__ = (
-    "Instants [s], room for displacement and derivatives, whether these are wanted, how many instants."
-)
+Samples.__doc__ = "Instants [s], room for displacement and derivatives, whether these are wanted, how many instants."
 
 
 @plain

@@ -52,8 +52,8 @@ from ._memory import (
 from ._pointers import address
 
 _ON_LEVEL = 3e-5  # a cycle this close to its level is carried there along its slope (error: its square)
-_DERIVATIVES_ON_LEVEL = 5e-6  # the same for derivatives, whose slopes are taken from the levels beside it
-_ALONE = 3e-7  # the same for derivatives, whose slope is not known where there is one level only, or kinks
+_DERIVATIVES = 2e-6  # the same for derivatives, times the square of the spacing of the levels (in the logarithm)
+_ALONE = 3e-7  # the same for derivatives where they are not carried at all: few levels, or kinks
 _NEAR_LEVEL = 1e-3  # one this close by the cubic through it and the cycle before it, slopes included
 _CYCLES_PER_LEVEL = 14
 _LARGEST_STEP = 1.5  # radians; between larger steps the error estimate is not to be trusted ...
@@ -135,6 +135,15 @@ def _all_finite(p):
 
 
 @compiled
+def _derivatives_near(levels, k, has_regime):
+    """Return how close to level ``k`` a cycle has to be for derivatives; their slopes come from the levels beside."""
+    if has_regime or levels.size < 3:
+        return _ALONE
+    width = math.log(levels[k + 1] / levels[k]) if k + 1 < levels.size else math.log(levels[k] / levels[k - 1])
+    return min(_ON_LEVEL, _DERIVATIVES / (width * width))
+
+
+@compiled
 def _no_answer(k, values, jacobian):
     """Mark level ``k`` as not answered; ``jacobian`` may be empty."""
     for i in range(3):
@@ -177,7 +186,7 @@ def backbone_by_cycles(
         start = min(max(start, 0.3 * level), 30.0 * level)
         near = _ON_LEVEL
         if sensitivities:
-            near = _DERIVATIVES_ON_LEVEL if levels.size > 1 and not has_regime else _ALONE
+            near = _derivatives_near(levels, k, has_regime)
         elif known > 0 and not has_regime:
             near = _NEAR_LEVEL
         good = 0.0

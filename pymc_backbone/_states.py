@@ -43,25 +43,47 @@ def state_slopes(model, y, direction, out):
     out[1] = -force / model.mass
     S = shifted(y, rows)
     slopes = shifted(out, rows)
+    accelerations = shifted(slopes, columns)
+    minus = -1.0 / model.mass
     for c in range(columns):
-        total = fx * S[c] + fv * S[columns + c]
-        for j in range(model.n_states):
-            total += model.fz[j] * S[(2 + j) * columns + c]
-        if c > 0:
-            total += model.fp[c - 1]
         slopes[c] = S[columns + c]
-        slopes[columns + c] = -total / model.mass
+    _write_along(accelerations, S, columns, minus * fx, minus * fv)
+    for j in range(model.n_states):
+        _add_row(accelerations, shifted(S, (2 + j) * columns), columns, minus * model.fz[j])
+    for j in range(model.n_parameters):
+        accelerations[1 + j] += minus * model.fp[j]
     for i in range(model.n_effects):
         row = shifted(model.table, ROW * i)
+        n_parameters = row[P_LAST] - row[P_FIRST]
+        n = row[Z_LAST] - row[Z_FIRST]
         if row[KIND] == OWN_EQUATION:
             state_rate_gradients(model, i, x, v, direction, z)
-            for state in range(row[Z_LAST] - row[Z_FIRST]):
-                for c in range(columns):
-                    rate = _along(model, row, state, c, S[c], S[columns + c], shifted(S, 2 * columns))
-                    slopes[(2 + row[Z_FIRST] + state) * columns + c] = rate
+            for state in range(n):
+                gradient = shifted(model.scratch, state * (2 + n_parameters + n))
+                rates = shifted(slopes, (2 + row[Z_FIRST] + state) * columns)
+                _write_along(rates, S, columns, gradient[0], gradient[1])
+                for j in range(n):
+                    by_state = gradient[2 + n_parameters + j]
+                    _add_row(rates, shifted(S, (2 + row[Z_FIRST] + j) * columns), columns, by_state)
+                for j in range(n_parameters):
+                    rates[1 + row[P_FIRST] + j] += gradient[2 + j]
         else:
             for k in range((2 + row[Z_FIRST]) * columns, (2 + row[Z_LAST]) * columns):
                 slopes[k] = 0.0
+
+
+@plain
+def _write_along(out, S, columns, by_x, by_v):
+    """Write what the first two rows of sensitivities contribute to the derivatives of a slope."""
+    for c in range(columns):
+        out[c] = by_x * S[c] + by_v * S[columns + c]
+
+
+@plain
+def _add_row(out, row, columns, factor):
+    """Add a multiple of one row of sensitivities."""
+    for c in range(columns):
+        out[c] += factor * row[c]
 
 
 @plain

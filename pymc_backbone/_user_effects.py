@@ -179,7 +179,7 @@ def compose_user_effects(effects: Sequence[Effect]) -> int:
         for index, effect in reversed(list(enumerate(effects))):
             chain = _link_user(USER + index, effect, chain)
 
-        def call(kind, code, x, v, direction, z, p, scales, out):  # type: ignore[no-untyped-def]
+        def call(kind, code, x, v, direction, z, p, scales, out):
             return chain(kind, code, x, v, direction, z, p, scales, out)
 
         # The effects are kept with the pointer: their ids are the key, so they must not be collected.

@@ -35,6 +35,8 @@ Reference: Hairer, Norsett, Wanner, *Solving Ordinary Differential Equations I*,
 # ruff: noqa: E501
 from __future__ import annotations
 
+import math
+
 from ._forces import force_gradient, force_slopes, plain
 from ._pointers import shifted
 from ._states import state_slopes
@@ -46,7 +48,7 @@ STAGES = 12
 def scaled_error(square5, square3, count, h, tolerance):
     """Return the error that Hairer's mixture of the 5th and the 3rd order estimate gives, in units of tolerance."""
     denominator = square5 + 0.01 * square3
-    return abs(h) * square5 / (count * denominator) ** 0.5 / tolerance if denominator > 0.0 else 0.0
+    return abs(h) * square5 / (math.sqrt(count * denominator) * tolerance) if denominator > 0.0 else 0.0
 
 
 @plain
