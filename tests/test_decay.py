@@ -159,7 +159,8 @@ def test_any_draw_from_the_default_bounds_is_answered_soon(effects, sensitivitie
         p = rng.uniform(bounds[:, 0], bounds[:, 1])
         start = clock.process_time()
         simulator.backbone(p, LEVELS, 0.0, True, values, jacobian, status)
-        # What decays as slowly as that takes thousands of cycles where there is hysteresis: another matter.
+        # Left out: hysteretic decays with hardly any damping run thousands of cycles. Measured over all draws, 0.1 to
+        # 0.8 percent of those of bouc_wen, jenkins and iwan take more than 20 ms, at worst 0.9 s.
         if not (simulator.needs_decay and p[1] < 0.01 * bounds[1, 1]):
             slowest = max(slowest, clock.process_time() - start)
         seen |= set(status.tolist())
@@ -168,8 +169,8 @@ def test_any_draw_from_the_default_bounds_is_answered_soon(effects, sensitivitie
             assert np.all(np.isfinite(jacobian[:, status == 0]))
     assert Status.COMPLETED in seen
     assert seen <= set(Status)
-    # Measured: 0.1 to 1 ms without states, 1 to 20 ms with; the rest is for a busy machine.
-    assert slowest < (0.1 if simulator.needs_decay else 0.02)
+    # Measured: at most 1.3 ms without states; with states 97 ms at worst of those counted. Room for a busy machine.
+    assert slowest < (0.3 if simulator.needs_decay else 0.02)
 
 
 # --- arguments -----------------------------------------------------------------------------------------------------
@@ -467,28 +468,35 @@ def test_every_file_that_is_compiled_in_is_part_of_the_cache_key(tmp_path, monke
 
 
 _FRESH = """
-import sys, time
 import numpy as np
+from numba.core import event
 from pymc_backbone.oscillator import Oscillator
-from pymc_backbone.decay import simulate_backbone
-start = time.process_time()
-result = simulate_backbone(Oscillator(1.0, "cubic_stiffness"), [100.0, 0.1, 50.0], [0.1, 0.2])
-print(time.process_time() - start, repr(float(result.frequency[0])))
+from pymc_backbone.decay import simulate_backbone, simulate_waveform
+with event.install_recorder("numba:compile") as compiled:
+    oscillator, p = Oscillator(1.0, "cubic_stiffness"), [100.0, 0.1, 50.0]
+    result = simulate_backbone(oscillator, p, [0.1, 0.2])
+    simulate_backbone(oscillator, p, [0.1, 0.2], release_amplitude=0.3)
+    simulate_waveform(oscillator, p, [0.0, 0.1], 0.2)
+print(len(compiled.buffer), repr(float(result.frequency[0])))
 """
 
 
 def _fresh_process(folder):
+    """Return how often numba compiled something in a process of its own, and a frequency found there."""
     environment = {**os.environ, "PYTHONPATH": str(folder)}
     done = subprocess.run([sys.executable, "-c", _FRESH], capture_output=True, text=True, env=environment, cwd=folder)
     assert done.returncode == 0, done.stderr
-    seconds, frequency = done.stdout.split()
-    return float(seconds), float(frequency)
+    compilations, frequency = done.stdout.split()
+    return int(compilations), float(frequency)
 
 
 def test_another_process_takes_the_machine_code_from_disk():
-    simulate_backbone(oscillator_of(()), [K, C], LEVELS)  # compiled by now, if it was not
-    seconds, _ = _fresh_process(FOLDER)
-    assert seconds < 1.0  # measured 0.1 s; compiling takes tens
+    oscillator = oscillator_of(())
+    simulate_backbone(oscillator, [K, C], LEVELS)  # compiled by now, if they were not: all three kernels
+    simulate_backbone(oscillator, [K, C], LEVELS, release_amplitude=AMPLITUDE)
+    simulate_waveform(oscillator, [K, C], [0.0, 0.1], AMPLITUDE)
+    # Counted, not timed: numba takes a second to start in a new process, whatever it then loads.
+    assert _fresh_process(FOLDER)[0] == 0
 
 
 @pytest.mark.slow
@@ -496,12 +504,12 @@ def test_an_edited_force_is_compiled_anew(tmp_path):
     package = Path(_compiled.__file__).parent
     shutil.copytree(package, tmp_path / "pymc_backbone", ignore=shutil.ignore_patterns("__pycache__", "data"))
     (tmp_path / "pymc_backbone" / "__init__.py").write_text("")  # the simulator needs nothing of the rest
-    _, before = _fresh_process(tmp_path)
-    seconds, again = _fresh_process(tmp_path)
-    assert again == before and seconds < 1.0
+    compilations, before = _fresh_process(tmp_path)
+    assert compilations > 0  # else counting them would show nothing
+    assert _fresh_process(tmp_path) == (0, before)
     force = tmp_path / "pymc_backbone" / "effects" / "cubic_stiffness.py"
     text = force.read_text()
     assert "return p[0] * x * x * x" in text
     force.write_text(text.replace("return p[0] * x * x * x", "return 2.0 * p[0] * x * x * x"))
-    _, after = _fresh_process(tmp_path)
-    assert after > before + 1e-4
+    compilations, after = _fresh_process(tmp_path)
+    assert compilations > 0 and after > before + 1e-4
