@@ -56,11 +56,12 @@ def beam(folder: Path) -> None:
     levels = np.array([0.08, 0.12, 0.2, 0.3, 0.45, 0.7])
     backbones = pb.backbones_at_levels(cycles, levels=levels / speed)
     print(f"jointed beam: {len(cycles)} records, velocity amplitude of the 122 Hz mode up to {highest:.2f} m/s")
-    print("  m/s    records   frequency [Hz]: mean, spread, standard error   damping ratio [%]: mean, spread, error")
+    print("  m/s    records   frequency [Hz]: mean, spread, standard error  damping ratio [%]: mean, spread, error")
     for k, level in enumerate(levels):
         value, error = backbones["value"].values[:, :, k], backbones["standard_error"].values[:, :, k]
         ratio = 100.0 / (2.0 * np.pi)
-        spread = [np.nanstd(value[:, o], ddof=1) if np.isfinite(value[:, o]).sum() > 1 else np.nan for o in range(2)]
+        several = np.isfinite(value[:, 0]).sum() > 1
+        spread = [np.nanstd(value[:, o], ddof=1) if several else np.nan for o in range(2)]
         print(f"  {level:4.2f}   {np.isfinite(value[:, 0]).sum():7d}   {np.nanmean(value[:, 0]):14.3f} {spread[0]:9.4f} "
               f"{np.nanmean(error[:, 0]):9.4f} {ratio * np.nanmean(value[:, 1]):28.4f} {ratio * spread[1]:9.4f} "
               f"{ratio * np.nanmean(error[:, 1]):9.4f}")  # fmt: skip
