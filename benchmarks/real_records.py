@@ -60,9 +60,9 @@ def beam(folder: Path) -> None:
     for k, level in enumerate(levels):
         value, error = backbones["value"].values[:, :, k], backbones["standard_error"].values[:, :, k]
         ratio = 100.0 / (2.0 * np.pi)
-        several = np.isfinite(value[:, 0]).sum() > 1
-        spread = [np.nanstd(value[:, o], ddof=1) if several else np.nan for o in range(2)]
-        print(f"  {level:4.2f}   {np.isfinite(value[:, 0]).sum():7d}   {np.nanmean(value[:, 0]):14.3f} {spread[0]:9.4f} "
+        count = int(np.isfinite(value[:, 0]).sum())
+        spread = [np.nanstd(value[:, o], ddof=1) if count > 1 else np.nan for o in range(2)]
+        print(f"  {level:4.2f}   {count:7d}   {np.nanmean(value[:, 0]):14.3f} {spread[0]:9.4f} "
               f"{np.nanmean(error[:, 0]):9.4f} {ratio * np.nanmean(value[:, 1]):28.4f} {ratio * spread[1]:9.4f} "
               f"{ratio * np.nanmean(error[:, 1]):9.4f}")  # fmt: skip
 
