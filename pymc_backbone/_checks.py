@@ -63,7 +63,7 @@ def check_choice(name: str, value: Any, options: Iterable[str]) -> str:
     known: Sequence[str] = list(options)
     if value in known:
         return str(value)
-    near = difflib.get_close_matches(str(value), known, n=1)
+    near = difflib.get_close_matches(str(value), known, n=1) or [name for name in known if str(value) in name and value]
     hint = f" Did you mean {near[0]!r}?" if near else ""
     raise InputError(f"`{name}` must be one of {', '.join(known)}; got {value!r}.{hint}")
 

@@ -277,7 +277,12 @@ def _add_update(commands: Any) -> None:
     sampler.add_argument(
         "--chains", type=_options.count("--chains"), default=4, metavar="N", help="number of chains (4)"
     )
-    sampler.add_argument("--step", choices=STEPS, default="metropolis", help="PyMC's step method: metropolis proposes jointly, elementwise one variable at a time (metropolis)")
+    sampler.add_argument(
+        "--step",
+        choices=STEPS,
+        default="metropolis",
+        help="PyMC's step method: metropolis proposes jointly, elementwise one variable at a time (metropolis)",
+    )
     sampler.add_argument(
         "--seed", type=_options.count("--seed", 0), default=None, metavar="N", help="repeats a run exactly"
     )
