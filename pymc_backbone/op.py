@@ -210,6 +210,13 @@ class _BackboneOp(Op):
         if isinstance(self.response, OscillatorResponse):
             _native.define_symbols()
 
+    def require_gradient(self) -> None:
+        """Raise where what is simulated is a function without a gradient."""
+        if not self.response.has_gradient:
+            raise NotImplementedError(
+                "a backbone function has no gradient: sample with a step that needs none, for example pm.Metropolis()."
+            )
+
     def without_gradient(self) -> _BackboneOp:
         """Return the variant that computes the value only."""
         return type(self)(self.response, with_gradient=False)
@@ -295,10 +302,7 @@ class BackboneLogLikelihood(_BackboneOp):
         self, inputs: Sequence[Variable], outputs: Sequence[Variable], cotangents: Sequence[Variable]
     ) -> list[Variable]:  # noqa: E501
         """Return the cotangent of the parameters: the node's own second output, times that of the value."""
-        if not self.response.has_gradient:
-            raise NotImplementedError(
-                "a backbone function has no gradient: sample with a step that needs none, for example pm.Metropolis()."
-            )
+        self.require_gradient()
         gradient = outputs[1] if self.with_gradient else BackboneLogLikelihood(self.response)(*inputs)[1]
         return [cotangents[0] * gradient, disconnected_type(), disconnected_type(), disconnected_type()]
 
@@ -346,10 +350,7 @@ class SimulatedBackbone(_BackboneOp):
         self, inputs: Sequence[Variable], outputs: Sequence[Variable], cotangents: Sequence[Variable]
     ) -> list[Variable]:  # noqa: E501
         """Return the cotangent of the parameters through the node's own second output."""
-        if not self.response.has_gradient:
-            raise NotImplementedError(
-                "a backbone function has no gradient: sample with a step that needs none, for example pm.Metropolis()."
-            )
+        self.require_gradient()
         jacobian = outputs[1] if self.with_gradient else SimulatedBackbone(self.response)(*inputs)[1]
         return [pt.tensordot(cotangents[0], jacobian, axes=[[0, 1], [0, 1]])]
 
