@@ -67,6 +67,30 @@ def beam(folder: Path) -> None:
               f"{ratio * np.nanmean(error[:, 1]):9.4f}")  # fmt: skip
 
 
+    frequency, ratio = (float(np.nanmean(backbones["value"].values[:, o, 0])) for o in range(2))
+    last = [float(np.nanmean(backbones["value"].values[:, o, -1])) for o in range(2)]
+    reach = (1.01 - levels[0]) / (levels[-1] - levels[0])
+    print(f"  straight lines through lowest and highest reach {frequency + reach * (last[0] - frequency):.2f} Hz and "
+          f"{100.0 / (2.0 * np.pi) * (ratio + reach * (last[1] - ratio)):.3f} % at 1.01 m/s")  # fmt: skip
+    print(f"  velocity of the 122 Hz mode by a fit of both modes, largest: {max(map(largest_speed, records)):.2f} m/s")
+
+
+def largest_speed(record: pb.Record) -> float:
+    """Return the largest velocity amplitude of the 122 Hz mode: least squares of two growing or decaying modes."""
+    found = []
+    for begin in (0.0, 0.02, 0.05, 0.1):
+        inside = (record.time >= begin) & (record.time < begin + 0.033)
+        t = record.time[inside] - begin
+        columns = [np.ones_like(t)]
+        for frequency in (122.1, 243.5):
+            for shape in (np.cos, np.sin):
+                wave = shape(2.0 * np.pi * frequency * t)
+                columns += [wave, t * wave]
+        fitted = np.linalg.lstsq(np.column_stack(columns), record.values[inside], rcond=None)[0]
+        found.append(float(np.hypot(fitted[1], fitted[3])))
+    return max(found)
+
+
 if __name__ == "__main__":
     if len(sys.argv) != 2:
         raise SystemExit(__doc__)
