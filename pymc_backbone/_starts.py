@@ -10,9 +10,9 @@ import pymc as pm
 from scipy.optimize import least_squares
 
 from ._checks import OBSERVABLE_UNITS, FloatArray, InputError
+from ._response import OscillatorResponse
 from .decay import Status, simulate_backbone
 from .model import Target, targets_of
-from .op import OscillatorResponse
 
 PRIOR_DRAWS = 128
 SEARCHES = 24

@@ -15,8 +15,9 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from ._checks import OBSERVABLES, FloatArray, InputError, check_choice
+from ._response import OscillatorResponse, Response, make_response
 from .density import Density, fit_density
-from .op import BackboneLogLikelihood, OscillatorResponse, Response, SimulatedBackbone, make_memory, make_response
+from .op import BackboneLogLikelihood, SimulatedBackbone, make_memory
 from .oscillator import Oscillator
 
 Source = Oscillator | Callable[[dict[str, float], FloatArray], ArrayLike]

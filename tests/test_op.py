@@ -27,7 +27,8 @@ from pymc_backbone import (
     simulate_backbone,
     simulated_backbones,
 )
-from pymc_backbone.op import make_memory, make_response
+from pymc_backbone._response import make_response
+from pymc_backbone.op import make_memory
 
 LEVELS = np.geomspace(0.004, 0.03, 5)
 DUFFING = np.array([6500.0, 1.1, 6.25e6])
@@ -231,7 +232,7 @@ def test_edited_force_changes_key_and_numbers():
 EDITED = """
 import numba, numpy as np, pytensor, pytensor.tensor as pt
 from pymc_backbone import Effect, Oscillator, Parameter, SimulatedBackbone
-from pymc_backbone.op import make_response
+from pymc_backbone._response import make_response
 
 FACTOR = {factor}
 
@@ -266,7 +267,7 @@ def test_second_process_finds_everything_compiled():
         """
         import numpy as np, pytensor, pytensor.tensor as pt
         from pymc_backbone import Oscillator, SimulatedBackbone, _native
-        from pymc_backbone.op import make_response
+        from pymc_backbone._response import make_response
         vector = pt.dvector()
         op = SimulatedBackbone(make_response(Oscillator(1.0, ["cubic_stiffness"]), [0.01, 0.02]))
         pytensor.function([vector], op(vector)[0])(np.array([6500.0, 1.1, 6.25e6]))
