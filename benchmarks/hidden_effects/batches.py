@@ -1,0 +1,293 @@
+"""One batch: a population of specimens released from rest and measured with noise, and the truth about it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from motion import Decay, simulate
+from strengths import draw_parameters, draw_strength, is_scattered, log_uniform
+from systems import pack
+from tiers import Plan, draw_amplitude, draw_plan, draw_tier
+
+LARGEST_RECORD = 12000
+"""Samples."""
+ATTEMPTS = 200
+
+
+class _RedrawError(Exception):
+    """What was drawn makes no usable records."""
+
+
+@dataclass
+class Record:
+    """One record: what was measured and what it would have been without noise.
+
+    ``displacement`` is without noise and without ``offset``; ``measured`` holds both and is rounded to the converter's
+    steps. ``noise_sd`` is the standard deviation of noise and rounding together.
+    """
+
+    time: np.ndarray
+    measured: np.ndarray
+    displacement: np.ndarray
+    offset: float
+    noise_sd: float
+    release_amplitude: float
+    release_time: float
+
+
+@dataclass
+class Batch:
+    """Records of one batch and the truth about them, ready for JSON."""
+
+    records: list[Record]
+    truth: dict[str, Any] = field(default_factory=dict)
+
+
+def make_batch(seed: int, index: int, tier: str | None = None) -> Batch:
+    """Generate one batch; it depends on ``seed``, ``index`` and ``tier`` only.
+
+    Parameters
+    ----------
+    seed, index : int
+        Not negative.
+    tier : str, optional
+        A key of `tiers.TIERS`; drawn by their shares where not given.
+
+    Returns
+    -------
+    Batch
+
+    Raises
+    ------
+    RuntimeError
+        If no attempt gave usable records.
+    """
+    rng = np.random.default_rng([seed, index])
+    chosen = draw_tier(rng)
+    tier = chosen if tier is None else tier
+    for attempt in range(ATTEMPTS):
+        # After a dozen failures the plan itself may be at fault, for example three effects that stop the motion.
+        if attempt % 12 == 0:
+            plan = draw_plan(tier, rng)
+        try:
+            batch = _draw_batch(plan, rng)
+        except (_RedrawError, FloatingPointError):
+            continue
+        batch.truth = {"index": index, "seed": seed, "tier": tier, **batch.truth}
+        return batch
+    raise RuntimeError(f"no usable records of tier {tier} with seed {seed} and index {index}.")
+
+
+def _draw_batch(plan: Plan, rng: np.random.Generator) -> Batch:
+    mass = log_uniform(rng, 0.01, 1000.0)
+    frequency = log_uniform(rng, 0.2, 200.0)
+    amplitude = draw_amplitude(plan, rng)
+    omega = 2.0 * math.pi * frequency
+    stiffness = mass * omega**2
+    damping = 2.0 * log_uniform(rng, *plan.damping_ratio) * mass * omega
+    nominal = {"mass": mass, "linear_stiffness": stiffness, "viscous_damping": damping}
+    strength: dict[str, float] = {}
+    for effect in (*plan.present, *((plan.outside,) if plan.outside else ())):
+        parameters, strength[effect] = draw_parameters(
+            effect,
+            draw_strength(effect, rng, visible=plan.visible or effect in plan.base),
+            rng,
+            mass=mass,
+            stiffness=stiffness,
+            damping=damping,
+            amplitude=amplitude,
+            narrow=plan.narrow,
+        )
+        nominal |= parameters
+
+    noise_db = rng.uniform(*plan.noise_db)
+    bits = int(rng.integers(plan.bits[0], plan.bits[1] + 1))
+    factor = 1.0 if plan.release_factor[0] == 1.0 and rng.random() < 0.3 else rng.uniform(*plan.release_factor)
+    count = int(rng.choice(plan.specimens))
+    releases = _draw_releases(amplitude, factor, count, rng)
+    cycles, actual_frequency = _usable_cycles(plan, nominal, releases, noise_db, rng)
+    per_cycle = log_uniform(rng, *plan.samples_per_cycle)
+    per_cycle = max(8.0, min(per_cycle, 0.95 * LARGEST_RECORD / (cycles + 3.0)))
+    duration = cycles / actual_frequency
+    drift = _draw_drift(plan, nominal, duration, rng)
+    second = _draw_second_mode(plan, actual_frequency, rng)
+    offset_share = 0.0 if rng.random() < 0.5 else rng.uniform(-0.2, 0.2)
+    start = str(rng.choice(("hold", "release", "fast")))
+    scatter = _draw_scatter(rng)
+
+    records, specimens = [], []
+    for number, release in enumerate(releases, start=1):
+        parameters = _draw_specimen(nominal, scatter, rng)
+        sampling = per_cycle * actual_frequency
+        held = _draw_release_time(start, actual_frequency, sampling, rng)
+        time = np.arange(int((duration + held) * sampling) + 1) / sampling
+        displacement, decay = _respond(parameters, release, time - held, second)
+        if decay.stuck and decay.turn_values.size < 8:
+            raise _RedrawError
+        offset = offset_share * amplitude
+        records.append(_measure(time, displacement, offset, noise_db, bits, release, held, rng))
+        specimens.append({"specimen": f"specimen_{number}", **parameters})
+    truth = {
+        "mass": mass,
+        "base": sorted(plan.base),
+        "hidden": sorted(plan.hidden),
+        "present": sorted(plan.present),
+        "outside": plan.outside,
+        "drift": drift,
+        "second_mode": second,
+        "strength": strength,
+        "nominal": nominal,
+        "parameters": specimens,
+        "scatter": scatter,
+        "damping_ratio": damping / (2.0 * mass * omega),
+        "noise_db": noise_db,
+        "bits": bits,
+        "cycles": cycles,
+        "samples_per_cycle": per_cycle,
+        "frequency": frequency,
+        "actual_frequency": actual_frequency,
+        "amplitude": amplitude,
+        "release_amplitudes": releases,
+        "offset": offset_share * amplitude,
+        "start": start,
+    }
+    return Batch(records, truth)
+
+
+def _draw_releases(amplitude: float, factor: float, count: int, rng: np.random.Generator) -> list[float]:
+    """Return release amplitudes between ``amplitude / factor`` and ``amplitude``, the largest among them."""
+    releases = amplitude * factor ** -rng.uniform(0.0, 1.0, count)
+    releases[int(rng.integers(count))] = amplitude
+    return [float(value) for value in releases]
+
+
+def _usable_cycles(
+    plan: Plan, nominal: dict[str, float], releases: list[float], noise_db: float, rng: np.random.Generator
+) -> tuple[float, float]:
+    """Return the number of cycles to record and their mean frequency [Hz].
+
+    The record ends at the number drawn, or where the decay has sunk into the noise and a quiet tail has passed.
+    """
+    omega = math.sqrt(nominal["linear_stiffness"] / nominal["mass"])
+    wanted = log_uniform(rng, *plan.cycles)
+    tail = rng.uniform(1.0, 1.4)
+    fewest = 10.0 if rng.random() < 0.9 else 6.0
+    lengths, frequency = [], 0.0
+    for release in (max(releases), min(releases)):
+        decay = simulate(pack(nominal), release, np.array([2.0 * math.pi * wanted / omega]))
+        floor = 1.5 * release / math.sqrt(2.0) * 10.0 ** (-noise_db / 20.0)
+        loud = int(np.count_nonzero(np.abs(decay.turn_values) > floor))
+        turns = min(loud, decay.turn_times.size)
+        if turns < 2.0 * fewest + 1.0:
+            raise _RedrawError
+        if frequency == 0.0:
+            last = turns - 1 - (turns - 1) % 2
+            frequency = 0.5 * last / decay.turn_times[last]
+        reached = 0.5 * (turns - 1)
+        lengths.append(min(wanted, tail * reached) if turns < decay.turn_times.size or decay.stuck else wanted)
+    return sum(lengths) / 2.0, float(frequency)
+
+
+def _draw_drift(
+    plan: Plan, nominal: dict[str, float], duration: float, rng: np.random.Generator
+) -> dict[str, float | str] | None:
+    """Let stiffness or damping change linearly in time by a share over the record."""
+    if plan.drift is None:
+        return None
+    share = log_uniform(rng, 0.003, 0.05) if plan.drift == "stiffness" else log_uniform(rng, 0.1, 0.5)
+    share *= 1.0 if rng.random() < 0.5 else -1.0
+    name = "linear_stiffness" if plan.drift == "stiffness" else "viscous_damping"
+    nominal[f"{name}_rate"] = share * nominal[name] / duration
+    return {"quantity": plan.drift, "share": share}
+
+
+def _draw_second_mode(plan: Plan, frequency: float, rng: np.random.Generator) -> dict[str, float] | None:
+    """Draw a second, linear mode that is released together with the first."""
+    if not plan.second_mode:
+        return None
+    if rng.random() < 0.5:
+        ratio = rng.uniform(0.8, 0.96) if rng.random() < 0.5 else rng.uniform(1.04, 1.3)
+    else:
+        ratio = rng.uniform(1.9, 3.1)
+    return {
+        "frequency": float(ratio * frequency),
+        "share": log_uniform(rng, 0.03, 0.2),
+        "damping_ratio": log_uniform(rng, 0.001, 0.03),
+    }
+
+
+def _draw_scatter(rng: np.random.Generator) -> dict[str, float]:
+    """Draw the relative standard deviations between specimens."""
+    if rng.random() < 0.1:
+        return {"stiffness": 0.0, "damping": 0.0, "effects": 0.0}
+    return {
+        "stiffness": float(rng.uniform(0.0, 0.03)),
+        "damping": float(rng.uniform(0.0, 0.10)),
+        "effects": float(rng.uniform(0.0, 0.05)),
+    }
+
+
+def _draw_specimen(nominal: dict[str, float], scatter: dict[str, float], rng: np.random.Generator) -> dict[str, float]:
+    """Return the parameters of one specimen; the mass is that of all."""
+    drawn = {}
+    for name, value in nominal.items():
+        if name.startswith("linear_stiffness"):
+            kind = "stiffness"
+        elif name.startswith("viscous_damping"):
+            kind = "damping"
+        else:
+            kind = "effects"
+        free = name != "mass" and is_scattered(name)
+        drawn[name] = float(value * (1.0 + scatter[kind] * rng.standard_normal())) if free else float(value)
+    return drawn
+
+
+def _draw_release_time(start: str, frequency: float, sampling: float, rng: np.random.Generator) -> float:
+    """Return when a record's release happens [s]; negative where the record begins after it."""
+    if start == "hold":
+        return log_uniform(rng, 0.2, 3.0) / frequency + rng.uniform(0.0, 1.0) / sampling
+    if start == "release":
+        return 0.0
+    return -rng.uniform(0.0, 1.0) / (sampling if rng.random() < 0.5 else frequency)
+
+
+def _respond(
+    parameters: dict[str, float], release: float, time: np.ndarray, second: dict[str, float] | None
+) -> tuple[np.ndarray, Decay]:
+    """Return the displacement at ``time`` after the release, without noise."""
+    share = second["share"] if second else 0.0
+    decay = simulate(pack(parameters), (1.0 - share) * release, time)
+    displacement = decay.displacement
+    if second:
+        displacement = displacement + share * release * linear_decay(
+            np.maximum(time, 0.0), second["frequency"], second["damping_ratio"]
+        )
+    return displacement, decay
+
+
+def linear_decay(time: np.ndarray, frequency: float, ratio: float) -> np.ndarray:
+    """Return the decay of a linear oscillator released from rest at one; ``frequency`` is the undamped one [Hz]."""
+    omega = 2.0 * math.pi * frequency
+    damped = omega * math.sqrt(1.0 - ratio**2)
+    return np.exp(-ratio * omega * time) * (np.cos(damped * time) + ratio * omega / damped * np.sin(damped * time))
+
+
+def _measure(
+    time: np.ndarray,
+    displacement: np.ndarray,
+    offset: float,
+    noise_db: float,
+    bits: int,
+    release: float,
+    release_time: float,
+    rng: np.random.Generator,
+) -> Record:
+    """Add offset and noise and round to the steps of the converter."""
+    noise = release / math.sqrt(2.0) * 10.0 ** (-noise_db / 20.0)
+    step = 2.0 * 1.2 * release / 2.0**bits
+    measured = step * np.round((displacement + offset + noise * rng.standard_normal(time.size)) / step)
+    total = math.hypot(noise, step / math.sqrt(12.0))
+    return Record(time, measured, displacement, offset, total, release, release_time)

@@ -1,0 +1,206 @@
+"""What a tool said about each batch, held against the truth."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.special import expit
+
+OUTCOMES = ("right", "listed", "wrong", "adequate", "unexplained", "ambiguous", "no result")
+"""``listed``: ambiguous, the truth among the sets; ``ambiguous``: the truth not among them; ``wrong``: another name,
+said with confidence. Where nothing is missing, ``adequate`` is the right answer and any name is wrong."""
+
+ALWAYS_THERE = frozenset(("linear_stiffness", "viscous_damping"))
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One batch: truth, distance to the nearest explanation without the hidden effects, and what the tool said.
+
+    Attributes
+    ----------
+    distance : float
+        Standard deviations between the data and the nearest other explanation; NaN where unknown.
+    outcome : str
+        One of `OUTCOMES`.
+    probability : float
+        Of the most probable set; NaN where the tool gave none.
+    is_top_right : bool
+        Whether the most probable set is the truth.
+    gap : dict
+        As the tool wrote it; empty where it wrote none.
+    """
+
+    folder: str
+    tier: str
+    base: tuple[str, ...]
+    hidden: tuple[str, ...]
+    is_in_library: bool
+    strength: dict[str, float]
+    distance: float
+    outcome: str
+    named: tuple[str, ...]
+    probability: float
+    is_top_right: bool
+    gap: dict[str, Any]
+    seconds: float
+
+    @property
+    def group(self) -> str:
+        """What kind of question the batch asked."""
+        if not self.is_in_library:
+            return "outside"
+        if not self.hidden:
+            return "nothing"
+        if self.base:
+            return "base plus hidden"
+        return {1: "one effect", 2: "two effects"}.get(len(self.hidden), "three effects")
+
+    @property
+    def has_empty_truth(self) -> bool:
+        """Whether nothing at all is missing."""
+        return self.group == "nothing"
+
+
+def read_outcomes(folder: Path) -> list[Outcome]:
+    """Read truth, distance and result of every batch in a folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Holds ``batch_*/truth.json`` and, where they were written, ``distance.json`` and ``result.json`` beside it.
+
+    Returns
+    -------
+    list of Outcome
+        In the order of the folders' names.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no batch.
+    """
+    paths = sorted(folder.glob("batch_*/truth.json"))
+    if not paths:
+        raise FileNotFoundError(f"{folder} holds no batch_*/truth.json. Run generate.py first.")
+    return [_judge(path.parent) for path in paths]
+
+
+def _read(path: Path) -> dict[str, Any]:
+    return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+
+
+def _number(value: Any) -> float:
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
+
+
+def _names(entries: Any, base: frozenset[str]) -> frozenset[str]:
+    """Return names of effects, given as text or as records with a name, without those that the base holds."""
+    found = (entry["name"] if isinstance(entry, dict) else str(entry) for entry in entries or ())
+    return frozenset(found) - base
+
+
+def _judge(folder: Path) -> Outcome:
+    truth, said = _read(folder / "truth.json"), _read(folder / "result.json")
+    held = frozenset(truth["base"]) | ALWAYS_THERE
+    hidden = frozenset(truth["hidden"])
+    is_in_library = not (truth.get("outside") or truth.get("drift") or truth.get("second_mode"))
+    named = _names(said.get("missing_effects"), held)
+    listed = {_names(names, held) for names in said.get("ambiguous_sets") or ()}
+    is_answerable = is_in_library or bool(hidden)
+    outcome = _classify(said.get("verdict"), named, listed, hidden, is_answerable)
+    candidates = [(_number(c.get("probability")), _names(c.get("effects"), held)) for c in said.get("candidates") or ()]
+    candidates = [candidate for candidate in candidates if not math.isnan(candidate[0])]
+    top = max(candidates, key=lambda candidate: candidate[0], default=(_number(said.get("probability")), named))
+    given = _number(said.get("probability"))
+    return Outcome(
+        folder=folder.name,
+        tier=truth["tier"],
+        base=tuple(sorted(truth["base"])),
+        hidden=tuple(sorted(hidden)),
+        is_in_library=is_in_library,
+        strength=dict(truth.get("strength") or {}),
+        distance=_number(_read(folder / "distance.json").get("distance")),
+        outcome=outcome,
+        named=tuple(sorted(named)),
+        probability=top[0] if math.isnan(given) else given,
+        is_top_right=is_answerable and top[1] == hidden,
+        gap=dict(said.get("gap") or {}),
+        seconds=_number(said.get("seconds")),
+    )
+
+
+def _classify(
+    verdict: str | None,
+    named: frozenset[str],
+    listed: set[frozenset[str]],
+    hidden: frozenset[str],
+    is_answerable: bool,
+) -> str:
+    """Return one of `OUTCOMES`."""
+    if verdict is None:
+        return "no result"
+    if verdict == "found":
+        return "right" if is_answerable and hidden and named == hidden else "wrong"
+    if verdict == "ambiguous":
+        return "listed" if is_answerable and hidden in listed else "ambiguous"
+    if verdict in ("adequate", "unexplained"):
+        return verdict
+    raise ValueError(f"`verdict` must be adequate, found, ambiguous or unexplained, got {verdict!r}.")
+
+
+def wilson_interval(successes: int, count: int, z: float = 1.96) -> tuple[float, float]:
+    """Return Wilson's 95 % interval of a share."""
+    if count == 0:
+        return math.nan, math.nan
+    share = successes / count
+    middle = share + z**2 / (2.0 * count)
+    half = z * math.sqrt(share * (1.0 - share) / count + z**2 / (4.0 * count**2))
+    scale = 1.0 + z**2 / count
+    return max(0.0, (middle - half) / scale), min(1.0, (middle + half) / scale)
+
+
+def logistic_thresholds(values: np.ndarray, successes: np.ndarray, shares: tuple[float, ...]) -> tuple[float, ...]:
+    """Return where a logistic curve in the logarithm of ``values`` reaches given shares.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n,)
+        Positive.
+    successes : ndarray of bool, shape (n,)
+    shares : tuple of float
+        Between 0 and 1.
+
+    Returns
+    -------
+    tuple of float
+        NaN where there are fewer than six batches, only one kind of outcome, or no rise.
+
+    Notes
+    -----
+    The slope has a weak normal prior (standard deviation 5 per e-fold), so that separated data give finite figures.
+    """
+    usable = np.isfinite(values) & (values > 0.0)
+    x, y = np.log(values[usable]), successes[usable].astype(float)
+    if x.size < 6 or y.min() == y.max():
+        return tuple(math.nan for _ in shares)
+    centre = float(x.mean())
+
+    def loss(theta: np.ndarray) -> float:
+        eta = theta[0] + theta[1] * (x - centre)
+        return float(np.sum(np.logaddexp(0.0, eta) - y * eta) + 0.5 * (theta[1] / 5.0) ** 2)
+
+    def slope(theta: np.ndarray) -> np.ndarray:
+        rest = expit(theta[0] + theta[1] * (x - centre)) - y
+        return np.array([rest.sum(), rest @ (x - centre) + theta[1] / 25.0])
+
+    level, rise = minimize(loss, np.array([0.0, 1.0]), jac=slope, method="BFGS").x
+    if rise <= 0.05:
+        return tuple(math.nan for _ in shares)
+    return tuple(float(math.exp(centre + (math.log(q / (1.0 - q)) - level) / rise)) for q in shares)

@@ -1,0 +1,150 @@
+"""What a batch is about: which effects act, which of them the model under test holds, how good the data are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from strengths import LIBRARY_NAMES, log_uniform
+from systems import OUTSIDE
+
+TIERS: dict[str, float] = {
+    "nothing_missing": 0.12,
+    "one_effect": 0.25,
+    "close_pairs": 0.12,
+    "few_data": 0.08,
+    "noisy_and_coarse": 0.08,
+    "two_effects": 0.08,
+    "three_effects": 0.04,
+    "base_and_hidden": 0.08,
+    "base_absent": 0.05,
+    "outside_library": 0.06,
+    "drift": 0.02,
+    "second_mode": 0.02,
+}
+"""Kinds of batches and their shares."""
+
+CLOSE_SPRINGS = ("cubic_stiffness", "quintic_stiffness", "freeplay")
+CLOSE_FRICTION = ("coulomb_friction", "jenkins")
+CLOSE_DAMPERS = ("quadratic_damping", "cubic_damping", "displacement_dependent_damping")
+
+
+@dataclass
+class Plan:
+    """What is drawn before any number of the oscillator is.
+
+    Attributes
+    ----------
+    base : tuple of str
+        Effects that the model under test holds.
+    present : tuple of str
+        Effects of the library that act; the hidden ones are those that are not in ``base``.
+    outside : str or None
+        Effect outside of the library that acts.
+    visible : bool
+        Whether strengths are drawn from the range that most records show.
+    damping_ratio, cycles, samples_per_cycle, noise_db, bits, specimens, release_factor : tuple
+        Ranges; the middle four are as good as the data are.
+    """
+
+    base: tuple[str, ...] = ()
+    present: tuple[str, ...] = ()
+    outside: str | None = None
+    visible: bool = False
+    narrow: bool = False
+    drift: str | None = None
+    second_mode: bool = False
+    damping_ratio: tuple[float, float] = (0.001, 0.03)
+    cycles: tuple[int, int] = (20, 120)
+    samples_per_cycle: tuple[float, float] = (8.0, 200.0)
+    noise_db: tuple[float, float] = (25.0, 60.0)
+    bits: tuple[int, int] = (10, 24)
+    specimens: tuple[int, ...] = (1, 2, 3, 3, 3, 4, 4, 4, 5, 5, 5, 6, 6, 6, 8, 12)
+    release_factor: tuple[float, float] = (1.0, 3.0)
+
+    @property
+    def hidden(self) -> tuple[str, ...]:
+        """Effects that act and that the model under test does not hold."""
+        return tuple(name for name in self.present if name not in self.base)
+
+
+def draw_tier(rng: np.random.Generator) -> str:
+    """Draw a kind of batch by its share."""
+    return str(rng.choice(list(TIERS), p=np.array(list(TIERS.values())) / sum(TIERS.values())))
+
+
+def _pick(rng: np.random.Generator, names: tuple[str, ...], size: int) -> tuple[str, ...]:
+    return tuple(str(name) for name in rng.choice(names, size=size, replace=False))
+
+
+def draw_plan(tier: str, rng: np.random.Generator) -> Plan:
+    """Draw what a batch of a tier is about.
+
+    Parameters
+    ----------
+    tier : str
+        A key of `TIERS`.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    Plan
+    """
+    plan = Plan()
+    if tier == "nothing_missing":
+        if rng.random() < 0.4:
+            plan.base = plan.present = _pick(rng, LIBRARY_NAMES, 1)
+            plan.visible = True
+    elif tier == "one_effect":
+        plan.present = _pick(rng, LIBRARY_NAMES, 1)
+    elif tier == "close_pairs":
+        _plan_close_pair(plan, rng)
+    elif tier == "few_data":
+        plan.present = _pick(rng, LIBRARY_NAMES, 1) if rng.random() < 0.85 else ()
+        plan.specimens, plan.cycles = (1, 2), (20, 40)
+    elif tier == "noisy_and_coarse":
+        plan.present = _pick(rng, LIBRARY_NAMES, 1) if rng.random() < 0.85 else ()
+        plan.noise_db, plan.bits, plan.samples_per_cycle = (25.0, 35.0), (10, 12), (8.0, 16.0)
+    elif tier in ("two_effects", "three_effects"):
+        plan.present = _pick(rng, LIBRARY_NAMES, 2 if tier == "two_effects" else 3)
+        plan.visible = True
+    elif tier == "base_and_hidden":
+        plan.present = _pick(rng, LIBRARY_NAMES, 2)
+        plan.base = plan.present[:1]
+    elif tier == "base_absent":
+        plan.base = _pick(rng, LIBRARY_NAMES, 1)
+    elif tier == "outside_library":
+        plan.outside = _pick(rng, tuple(OUTSIDE), 1)[0]
+        plan.visible = True
+    elif tier == "drift":
+        plan.drift = "stiffness" if rng.random() < 0.5 else "damping"
+        plan.release_factor = (1.5, 3.0)
+        plan.specimens = (3, 4, 5, 6, 8)
+    elif tier == "second_mode":
+        plan.second_mode = True
+        if rng.random() < 0.5:
+            plan.present, plan.visible = _pick(rng, LIBRARY_NAMES, 1), True
+    else:
+        raise KeyError(f"tier must be one of {', '.join(TIERS)}, got {tier!r}.")
+    return plan
+
+
+def _plan_close_pair(plan: Plan, rng: np.random.Generator) -> None:
+    """Hide an effect that another one imitates."""
+    plan.visible = True
+    group = int(rng.integers(3))
+    if group == 0:
+        # A short, lightly damped record stays in a narrow range of amplitudes.
+        plan.present = _pick(rng, CLOSE_SPRINGS, 1)
+        plan.damping_ratio, plan.cycles, plan.release_factor = (0.001, 0.003), (20, 40), (1.0, 1.2)
+    elif group == 1:
+        plan.present, plan.narrow = _pick(rng, CLOSE_FRICTION, 1), True
+    else:
+        plan.present = _pick(rng, CLOSE_DAMPERS, 1)
+
+
+def draw_amplitude(plan: Plan, rng: np.random.Generator) -> float:
+    """Draw the largest release amplitude [m]; of a pendulum an angle [rad] at which its sine matters."""
+    if "pendulum_stiffness" in (*plan.present, *plan.base):
+        return log_uniform(rng, 0.12, 1.2)
+    return log_uniform(rng, 1e-6, 0.2)
