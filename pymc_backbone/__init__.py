@@ -25,7 +25,10 @@ if TYPE_CHECKING:
     )
     from .demo import demo_folder
     from .density import Density, fit_density
+    from .diagnosis_files import write_study
     from .diagnostics import findings, summarise
+    from .discrepancy.study import Study
+    from .discrepancy.workflow import find_missing_effect
     from .effects import LIBRARY, Effect, Parameter, get_effect
     from .measured_backbones import read_backbones
     from .model import backbone_likelihood, build_model, simulated_backbone
@@ -55,7 +58,10 @@ _WHERE = {
     ),
     "demo": ("demo_folder",),
     "density": ("Density", "fit_density"),
+    "diagnosis_files": ("write_study",),
     "diagnostics": ("findings", "summarise"),
+    "discrepancy.study": ("Study",),
+    "discrepancy.workflow": ("find_missing_effect",),
     "effects": ("LIBRARY", "Effect", "Parameter", "get_effect"),
     "measured_backbones": ("read_backbones",),
     "model": ("backbone_likelihood", "build_model", "simulated_backbone"),
@@ -81,6 +87,7 @@ __all__ = [
     "Record",
     "SimulatedBackbone",
     "Status",
+    "Study",
     "WaveformResult",
     "backbone_likelihood",
     "backbones_at_levels",
@@ -88,6 +95,7 @@ __all__ = [
     "condition",
     "demo_folder",
     "extract_cycles",
+    "find_missing_effect",
     "findings",
     "fit_density",
     "get_effect",
@@ -101,6 +109,7 @@ __all__ = [
     "simulated_backbones",
     "summarise",
     "write_records",
+    "write_study",
 ]
 
 

@@ -58,6 +58,7 @@ _NEAR_LEVEL = 1e-3  # one this close by the cubic through it and the cycle befor
 _CYCLES_PER_LEVEL = 14
 _LARGEST_STEP = 1.5  # radians; between larger steps the error estimate is not to be trusted ...
 _LARGEST_SAMPLED_STEP = 0.5  # ... and here the septic between steps is good to 4e-10 of the amplitude
+_COARSE, _LARGEST_COARSE_STEP = 1e-8, 1.0  # where less is asked for, it is good to 1e-7
 _RELEASE_GROWTH = 1.25
 _CHECK_PROGRESS = 400  # after so many turning points, and then each time so many
 
@@ -372,7 +373,9 @@ def decay(
     sample_times, displacement, sample_slopes,
 ):  # fmt: skip
     """Run a whole decay, writing displacement and sensitivities at the sample times on the way."""
-    largest = _LARGEST_SAMPLED_STEP if sample_times.size > 0 else _LARGEST_STEP
+    largest = _LARGEST_STEP
+    if sample_times.size > 0:
+        largest = _LARGEST_SAMPLED_STEP if tolerance < _COARSE else _LARGEST_COARSE_STEP
     run = _prepare(user, table, stiffness, damping, n_states, mass, has_regime, p, sensitivities, tolerance, largest)
     return _whole_decay(
         run, release, virgin, stop, 0, maximum, turns, slopes, times, time_slopes, sample_times, displacement,

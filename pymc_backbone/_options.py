@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from ._checks import InputError, check_observables
+from ._checks import OBSERVABLES, InputError, check_observables
 
 
 def number(option: str) -> Callable[[str], float]:
@@ -96,6 +96,22 @@ def fixed(text: str) -> tuple[str, float]:
     if not name.strip() or value is None:
         raise argparse.ArgumentTypeError(f"expected NAME=VALUE, such as viscous_damping=0.8, got {text!r}")
     return name.strip(), value
+
+
+def tolerance(text: str) -> dict[str, float]:
+    """Read OBSERVABLE=VALUE,...: relative tolerances; 0 alone is none at all."""
+    if _float(text) == 0.0:
+        return dict.fromkeys(OBSERVABLES, 0.0)
+    result = {}
+    for part in text.split(","):
+        name, _, rest = part.partition("=")
+        value = _float(rest)
+        if name.strip() not in OBSERVABLES or value is None or value < 0.0:
+            raise argparse.ArgumentTypeError(
+                f"expected relative tolerances such as frequency=0.001,damping=0.03, or 0, got {text!r}"
+            )
+        result[name.strip()] = value
+    return result
 
 
 def once(option: str, pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
@@ -23,6 +24,8 @@ from ._units import require_unit
 
 DEFAULT_LEVELS = 8
 MINIMUM_POINTS_FOR_ERRORS = 6
+NETCDF = ".nc"
+_DIMS = ("specimen", "observable", "level")
 _ERROR_SUFFIXES = ("_error", "_standard_error", "_se", "_sd", "_std")
 
 
@@ -49,7 +52,8 @@ def read_backbones(path: str | os.PathLike[str], *, levels: ArrayLike | None = N
     ----------
     path : str or path
         A folder of ``.csv`` files (one specimen each), one such file, or one file with a further
-        column ``specimen``. Columns ``amplitude`` (m or rad, or another unit in brackets), ``frequency``
+        column ``specimen``; or a ``.nc`` file as this package writes it, which is taken as it is, with its
+        covariance. Columns ``amplitude`` (m or rad, or another unit in brackets), ``frequency``
         [Hz], optionally ``damping`` (logarithmic decrement per cycle) or ``damping_ratio``, and
         ``offset`` (mid-line over amplitude); standard errors in ``frequency_error``, ``damping_error``,
         ``offset_error`` (``_standard_error``, ``_se``, ``_sd`` and ``_std`` are understood too).
@@ -80,6 +84,8 @@ def read_backbones(path: str | os.PathLike[str], *, levels: ArrayLike | None = N
 
     A damping ratio :math:`\zeta` becomes :math:`\delta = 2\pi\zeta/\sqrt{1-\zeta^2}`.
     """
+    if Path(path).suffix.lower() == NETCDF:
+        return _read_netcdf(Path(path), None if levels is None else check_levels(levels))
     curves: dict[str, _Curve] = {}
     for file in list_tables(path):
         for curve in _curves_of(read_table(file)):
@@ -95,6 +101,31 @@ def read_backbones(path: str | os.PathLike[str], *, levels: ArrayLike | None = N
         other.fail(f"amplitude is in {other.unit} but in {ordered[0].unit} in {ordered[0].source}; use one unit.")
     chosen = _default_levels(ordered) if levels is None else check_levels(levels)
     return _dataset(ordered, chosen, units[0])
+
+
+def _read_netcdf(path: Path, levels: FloatArray | None) -> xr.Dataset:
+    """Return backbones at levels as they were written, or those at some of their levels."""
+    try:
+        with xr.open_dataset(path, engine="h5netcdf") as file:
+            data = file.load()
+    except OSError as error:
+        raise InputError(f"{path} cannot be read as NetCDF ({error.strerror or 'not such a file'}).") from None
+    dims = {"value": _DIMS, "standard_error": _DIMS, "covariance": (*_DIMS, "level_other")}
+    wrong = [name for name, wanted in dims.items() if name not in data or data[name].dims != wanted]
+    if wrong or any(name not in OBSERVABLES for name in map(str, data["observable"].values)):
+        raise InputError(
+            f"{path} does not hold backbones as `pymc-backbone` writes them ({', '.join(wrong) or 'observable'} "
+            "missing or of another shape); read the .csv file beside it."
+        )
+    notes = data.attrs.get("notes", [])
+    data.attrs["notes"] = [str(note) for note in np.atleast_1d(notes)] if len(notes) else []
+    if levels is None:
+        return data
+    held = np.asarray(data["level"], dtype=float)
+    index = np.abs(held[None] - levels[:, None]).argmin(axis=1)
+    if not np.allclose(held[index], levels, rtol=1e-9, atol=0.0):
+        raise InputError(f"{path} holds values at fixed levels; drop the levels, or read the .csv file beside it.")
+    return data.isel(level=index, level_other=index)
 
 
 def _curves_of(table: Table) -> list[_Curve]:

@@ -6,30 +6,37 @@ notebook display it. Amplitudes are drawn on the horizontal axis, the observable
 
 from __future__ import annotations
 
-import re
 from collections.abc import Hashable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import MaxNLocator
 
-from ._checks import OBSERVABLE_UNITS, FloatArray, InputError
+from ._checks import FloatArray, InputError
+from ._figures import (
+    FEW,
+    MEASURED,
+    QUIET,
+    SIMULATED,
+    TRUE,
+    amplitude_axis,
+    counted,
+    drawable,
+    engineering,
+    label_axes,
+    layout,
+    observable_label,
+    panels,
+    parameter_axis,
+    sequence,
+    smooth,
+    span,
+)
 from .density import Density
 from .diagnostics import Bounds
 
-# Okabe and Ito's colours, told apart by colour-blind readers too.
-_FEW = 12  # up to so many specimens, each backbone is drawn with its error bars
-MEASURED, SIMULATED, TRUE, QUIET = "#0072B2", "#D55E00", "#009E73", "#8C8C8C"
-CHAIN_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#000000")
-OBSERVABLE_NAMES = {
-    "frequency": "Frequency",
-    "damping": "Logarithmic decrement per cycle",
-    "offset": "Mid-line / amplitude",
-}
 MOST_PANELS = 24
 MOST_PARAMETERS = 12
 
@@ -55,17 +62,17 @@ def plot_records(records: Sequence[Any], *, most: int = MOST_PANELS) -> Figure:
     ]
     columns = min(4, len(chosen))
     rows = -(-len(chosen) // columns)
-    figure = Figure(figsize=(2.7 * columns + 0.8, 1.25 * rows + 1.1), layout=_layout())
+    figure = Figure(figsize=(2.7 * columns + 0.8, 1.25 * rows + 1.1), layout=layout())
     axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    scale, prefix = _engineering(max(float(np.nanmax(np.abs(record.values))) for record in chosen), chosen[0].unit)
+    scale, prefix = engineering(max(float(np.nanmax(np.abs(record.values))) for record in chosen), chosen[0].unit)
     for axis, record in zip(axes.flat, chosen, strict=False):
         axis.plot(record.time, np.asarray(record.values) * scale, color=MEASURED, linewidth=0.6)
-        axis.set_title(str(record.specimen), fontsize=8, pad=2)
+        axis.set_title(drawable(record.specimen), fontsize=8, pad=2)
         axis.tick_params(labelsize=8)
     for axis in axes.flat[len(chosen) :]:
         axis.set_visible(False)
     count = (
-        f"{len(chosen)} of {len(records)} records" if len(chosen) < len(records) else _counted(len(records), "record")
+        f"{len(chosen)} of {len(records)} records" if len(chosen) < len(records) else counted(len(records), "record")
     )
     figure.suptitle(f"{count}: {chosen[0].quantity}", fontsize=11)
     figure.supxlabel("Time [s]", fontsize=10)
@@ -86,11 +93,11 @@ def plot_backbones(backbones: xr.Dataset) -> Figure:
     matplotlib.figure.Figure
         One panel for each observable.
     """
-    levels, scale, amplitude_label = _levels(backbones)
+    levels, scale, amplitude_label = amplitude_axis(backbones)
     names = [str(name) for name in backbones["observable"].values]
-    figure, axes = _panels(1, len(names), width=4.6, height=3.9)
+    figure, axes = panels(1, len(names), width=4.6, height=3.9)
     specimens = backbones.sizes["specimen"]
-    colours = _sequence(specimens)
+    colours = sequence(specimens)
     for axis, name in zip(axes[0], names, strict=True):
         value = np.asarray(backbones["value"].sel(observable=name))
         error = np.asarray(backbones["standard_error"].sel(observable=name))
@@ -107,8 +114,8 @@ def plot_backbones(backbones: xr.Dataset) -> Figure:
                 capsize=1.5,
                 alpha=0.9,
             )
-        _label(axis, amplitude_label, name)
-    figure.suptitle(f"Backbones of {_counted(specimens, 'specimen')}, with one standard error", fontsize=11)
+        label_axes(axis, amplitude_label, name)
+    figure.suptitle(f"Backbones of {counted(specimens, 'specimen')}, with one standard error", fontsize=11)
     return figure
 
 
@@ -130,12 +137,12 @@ def plot_predictive(measured: xr.Dataset, simulated: xr.Dataset, *, probability:
         A column for each observable: above, the backbones; below, the spread at the lowest, middle and highest level.
         Error bars span 95 %.
     """
-    levels, scale, amplitude_label = _levels(measured)
+    levels, scale, amplitude_label = amplitude_axis(measured)
     names = [str(name) for name in measured["observable"].values]
     if not np.allclose(levels, np.asarray(simulated["level"])):
         raise InputError("`simulated` must be at the levels of `measured`; simulate it at measured['level'].")
     three = sorted({0, levels.size // 2, levels.size - 1})
-    figure, axes = _panels(2, len(names), width=4.6, height=3.4)
+    figure, axes = panels(2, len(names), width=4.6, height=3.4)
     tails = [50.0 * (1.0 - probability), 50.0, 50.0 * (1.0 + probability)]
     for column, name in enumerate(names):
         value = np.asarray(measured["value"].sel(observable=name))
@@ -145,14 +152,14 @@ def plot_predictive(measured: xr.Dataset, simulated: xr.Dataset, *, probability:
         axis = axes[0, column]
         axis.fill_between(levels * scale, low, high, color=SIMULATED, alpha=0.22, linewidth=0)
         axis.plot(levels * scale, middle, color=SIMULATED, linewidth=1.6)
-        if len(value) > _FEW:
+        if len(value) > FEW:
             axis.plot(levels * scale, value.T, color=MEASURED, linewidth=0.6, alpha=0.55)
         else:
             for one, spread in zip(value, error, strict=True):
                 axis.errorbar(
                     levels * scale, one, yerr=1.96 * spread, color=MEASURED, fmt="o-", markersize=2.5, linewidth=0.7
                 )
-        _label(axis, amplitude_label, name)
+        label_axes(axis, amplitude_label, name)
 
         axis = axes[1, column]
         for row, k in enumerate(three):
@@ -172,7 +179,7 @@ def plot_predictive(measured: xr.Dataset, simulated: xr.Dataset, *, probability:
             )
         axis.set_xticks(range(len(three)), [f"{levels[k] * scale:.3g}" for k in three])
         axis.set_xlim(-0.5, len(three) - 0.5)
-        _label(axis, amplitude_label, name)
+        label_axes(axis, amplitude_label, name)
     handles = [
         axes[0, 0].plot([], [], color=MEASURED, linewidth=1.0, label="measured")[0],
         axes[0, 0].plot(
@@ -209,11 +216,11 @@ def plot_densities(
     matplotlib.figure.Figure
         A row for each observable, a column for each level.
     """
-    levels, scale, amplitude_label = _levels(backbones)
+    levels, scale, amplitude_label = amplitude_axis(backbones)
     unit = amplitude_label.partition("[")[2].rstrip("]")
     names = [str(name) for name in backbones["observable"].values]
     chosen = np.unique(np.linspace(0, levels.size - 1, min(most, levels.size)).round().astype(int))
-    figure, axes = _panels(len(names), chosen.size, width=2.3, height=2.3)
+    figure, axes = panels(len(names), chosen.size, width=2.3, height=2.3)
     for row, name in enumerate(names):
         for column, k in enumerate(chosen):
             axis = axes[row, column]
@@ -227,16 +234,16 @@ def plot_densities(
                 bins = int(np.clip(np.sqrt(value.size) * 1.5, 4, 25))
                 axis.hist(value, bins=bins, density=True, color=MEASURED, alpha=0.35, label="measured")
             if drawn.size > 1:
-                axis.plot(*_smooth(drawn), color=SIMULATED, linewidth=1.4, label="posterior predictive")
+                axis.plot(*smooth(drawn), color=SIMULATED, linewidth=1.4, label="posterior predictive")
             if density is not None and name in density.observables:
-                x = np.linspace(*_span(np.concatenate([value, drawn])), 400)
+                x = np.linspace(*span(np.concatenate([value, drawn])), 400)
                 axis.plot(x, density.marginal(name, int(k))(x), color="black", linewidth=1.2, label="fitted density")
             axis.plot(value, np.zeros_like(value), "|", color=MEASURED, markersize=9, clip_on=False)
             axis.set_yticks([])
             axis.xaxis.set_major_locator(MaxNLocator(3, min_n_ticks=2))
             axis.tick_params(labelsize=8)
             axis.spines[["left", "top", "right"]].set_visible(False)
-            axis.set_xlabel(_observable_label(name, short=True), fontsize=8)
+            axis.set_xlabel(observable_label(name, short=True), fontsize=8)
             if row == 0:
                 axis.set_title(f"at {levels[k] * scale:.3g} {unit}", fontsize=9)
     handles, labels = axes[0, 0].get_legend_handles_labels()
@@ -276,13 +283,13 @@ def plot_prior_posterior(
     from arviz_stats import hdi
 
     names = [name for name in bounds if name in posterior["posterior"]]
-    figure, axes = _panels(len(names), 2, width=4.0, height=2.2)
+    figure, axes = panels(len(names), 2, width=4.0, height=2.2)
     for row, name in enumerate(names):
         draws = np.asarray(posterior["posterior"][name]).ravel()
-        scale, axis_label = _parameter_axis(name, draws, units)
+        scale, axis_label = parameter_axis(name, draws, units)
         draws, low, high = draws * scale, bounds[name][0] * scale, bounds[name][1] * scale
         interval = np.asarray(hdi(draws, prob=probability))
-        x, density = _smooth(draws, low, high)
+        x, density = smooth(draws, low, high)
         for column, axis in enumerate(axes[row]):
             axis.fill_between(x, density, color=MEASURED, alpha=0.3, linewidth=0)
             axis.plot(x, density, color=MEASURED, linewidth=1.3, label="posterior")
@@ -325,11 +332,14 @@ def plot_trace(
     collection = az.plot_trace_dist(
         draws,
         compact=False,
-        figure_kwargs={"figsize": (9.0, 1.9 * _scalars(draws) + 0.8), "layout": _layout()},
+        figure_kwargs={"figsize": (9.0, 1.9 * _scalars(draws) + 0.8), "layout": layout()},
         visuals={"trace": {"width": 0.4, "alpha": 0.7}, "dist": {"width": 1.0}},
         **arguments,
     )
-    return _finished(collection, "Densities and traces of the chains")
+    figure = _finished(collection, "Densities and traces of the chains")
+    for axis in figure.axes:  # the label of a specimen's parameter has two lines, longer than a row is high
+        axis.yaxis.label.set_fontsize(7)
+    return figure
 
 
 def plot_rank(
@@ -344,7 +354,7 @@ def plot_rank(
     draws, arguments = _for_arviz(posterior, names, units)
     count = _scalars(draws)
     size = (3.6 * min(count, 4) + 0.5, 2.6 * -(-count // 4) + 0.8)
-    collection = az.plot_rank(draws, figure_kwargs={"figsize": size, "layout": _layout()}, thin=True, **arguments)
+    collection = az.plot_rank(draws, figure_kwargs={"figsize": size, "layout": layout()}, thin=True, **arguments)
     return _finished(
         collection,
         "Ranks of the draws by chain (difference from uniform); p below \N{GREEK SMALL LETTER ALPHA}: they disagree",
@@ -361,7 +371,7 @@ def plot_pair(
     count = _scalars(draws)
     collection = az.plot_pair(
         draws,
-        figure_kwargs={"figsize": (2.4 * count + 0.6, 2.3 * count + 0.6), "layout": _layout()},
+        figure_kwargs={"figsize": (2.4 * count + 0.6, 2.3 * count + 0.6), "layout": layout()},
         visuals={"scatter": {"alpha": 0.25, "size": 8, "width": 0}},
         **arguments,
     )
@@ -378,9 +388,12 @@ def _for_arviz(
     dataset = _first_scalars(dataset if names is None else dataset[list(names)])
     if most is not None:
         dataset = dataset.isel(draw=slice(None, None, max(1, dataset.sizes["chain"] * dataset.sizes["draw"] // most)))
+    for name, coordinate in dataset.coords.items():
+        if coordinate.dtype.kind in "OUT":  # names from files, which end up in titles
+            dataset = dataset.assign_coords({name: (coordinate.dims, [drawable(value) for value in coordinate.values])})
     labels: dict[Hashable, Hashable] = {}
     for name, variable in dataset.data_vars.items():
-        scale, labels[name] = _parameter_axis(str(name), np.asarray(variable), units)
+        scale, labels[name] = parameter_axis(str(name), np.asarray(variable), units)
         dataset[name] = variable * scale
     arguments = {"labeller": MapLabeller(var_name_map=labels), "backend": "matplotlib"}
     return xr.DataTree.from_dict({"posterior": dataset}), arguments
@@ -406,89 +419,3 @@ def _finished(collection: Any, title: str) -> Figure:
     pyplot.close(figure)
     figure.suptitle(title, fontsize=11)
     return figure
-
-
-def _panels(rows: int, columns: int, *, width: float, height: float) -> tuple[Figure, Any]:
-    figure = Figure(figsize=(width * columns + 0.4, height * rows + 0.7), layout=_layout())
-    return figure, figure.subplots(rows, columns, squeeze=False)
-
-
-def _layout() -> ConstrainedLayoutEngine:
-    return ConstrainedLayoutEngine(w_pad=0.09, h_pad=0.07)
-
-
-def _levels(backbones: xr.Dataset) -> tuple[FloatArray, float, str]:
-    """Levels, the factor to a readable unit, and the label of the amplitude axis."""
-    levels = np.asarray(backbones["level"], dtype=float)
-    unit = str(backbones.attrs.get("amplitude_unit", "m"))
-    scale, prefix = _engineering(float(levels.max()), unit)
-    return levels, scale, f"Amplitude [{prefix}{unit}]"
-
-
-def _engineering(largest: float, unit: str) -> tuple[float, str]:
-    """Factor and prefix that bring the largest value into 1 to 1000; angles and compound units stay as they are."""
-    if unit != "m" or not np.isfinite(largest) or largest <= 0.0:
-        return 1.0, ""
-    for scale, prefix in ((1.0, ""), (1e3, "m"), (1e6, "\N{GREEK SMALL LETTER MU}")):
-        if largest * scale >= 1.0:
-            return scale, prefix
-    return 1e9, "n"
-
-
-def _observable_label(name: str, *, short: bool = False) -> str:
-    unit = OBSERVABLE_UNITS.get(name, "1")
-    text = name.capitalize() if short else OBSERVABLE_NAMES.get(name, name.capitalize())
-    return f"{text} [{'-' if unit == '1' else unit}]"
-
-
-def _parameter_axis(name: str, values: FloatArray, units: Mapping[str, str] | None) -> tuple[float, str]:
-    """Factor that brings a parameter's values near one to a thousand, and the label that says so."""
-    unit = (units or {}).get(name, "")
-    text = name.replace("_", " ").capitalize()
-    largest = float(np.max(np.abs(values), initial=0.0))
-    exponent = int(np.floor(np.log10(largest))) if largest > 0.0 and np.isfinite(largest) else 0
-    exponent = 0 if -3 < exponent < 5 else 3 * (exponent // 3)
-    unit = "-" if unit == "1" else re.sub(r"\^(-?\d+)", r"$^{\1}$", unit)
-    factor = f"$10^{{{exponent}}}$" if exponent else ""
-    inside = " ".join(part for part in (factor, "" if factor and unit == "-" else unit) if part)
-    return 10.0**-exponent, f"{text} [{inside}]" if inside else text
-
-
-def _label(axis: Axes, amplitude_label: str, observable: str) -> None:
-    axis.set_xlabel(amplitude_label)
-    axis.set_ylabel(_observable_label(observable))
-    axis.spines[["top", "right"]].set_visible(False)
-    axis.grid(alpha=0.25, linewidth=0.5)
-    axis.ticklabel_format(axis="y", useOffset=False)
-
-
-def _span(values: FloatArray) -> tuple[float, float]:
-    margin = 0.1 * float(np.ptp(values))
-    return float(values.min()) - margin, float(values.max()) + margin
-
-
-def _sequence(count: int) -> list[Any]:
-    from matplotlib import colormaps
-
-    return list(colormaps["viridis"](np.linspace(0.0, 0.9, max(count, 1))))
-
-
-def _smooth(draws: FloatArray, low: float = -np.inf, high: float = np.inf) -> tuple[FloatArray, FloatArray]:
-    """Kernel density of draws inside hard bounds, reflected at them so that it does not fall off there."""
-    spread = float(np.std(draws))
-    left, right = max(low, float(draws.min()) - 0.5 * spread), min(high, float(draws.max()) + 0.5 * spread)
-    if right <= left:
-        return np.array([left, left]), np.zeros(2)
-    edges = np.linspace(left, right, 513)
-    x = 0.5 * (edges[1:] + edges[:-1])
-    histogram = np.histogram(draws, bins=edges, density=True)[0]
-    step = x[1] - x[0]
-    bandwidth = max(0.9 * spread * draws.size ** (-0.2), step)
-    reach = int(np.ceil(4.0 * bandwidth / step))
-    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * step / bandwidth) ** 2)
-    padded = np.pad(histogram, reach, mode="symmetric")
-    return x, np.convolve(padded, kernel / kernel.sum(), mode="valid")
-
-
-def _counted(number: int, noun: str) -> str:
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

@@ -7,6 +7,7 @@ file                      what it holds
 ``summary.csv``           a row for each parameter: mean, sd, 95 % HDI, R-hat, effective draws
 ``backbones.csv``         measured backbones with standard errors: a row for each specimen and level
 ``backbones.nc``          the same with the covariance over the levels (NetCDF)
+``mean_backbone.nc``      the backbone of the mean specimen, where the posterior was sampled on it
 ``posterior.nc``          all draws and the sampler's statistics (NetCDF; ``xarray.open_datatree``)
 ``figures/*.png``         records, backbones, densities, chains, posteriors, measured against simulated
 ========================  ====================================================================================
@@ -20,7 +21,7 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -30,7 +31,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from ._checks import OBSERVABLE_UNITS, InputError
+from ._checks import OBSERVABLE_UNITS, OBSERVABLES, InputError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -43,7 +44,12 @@ RESULT, SUMMARY, BACKBONES_TABLE, BACKBONES, POSTERIOR = (
     "backbones.nc",
     "posterior.nc",
 )
+REPORT, SCRIPT, MEAN_BACKBONE = "report.html", "model.py", "mean_backbone.nc"
 FIGURES = ("records", "backbones", "densities", "prior_posterior", "trace", "rank", "pair", "predictive")
+DIAGNOSIS_FIGURES = (
+    *(f"{kind}_{observable}" for kind in ("backbones", "gap") for observable in OBSERVABLES),
+    *("candidates", "held_out_levels", "held_out_specimens", "parameters", "detectable"),
+)
 
 RESULT_KEYS = {
     "program": "'pymc-backbone'",
@@ -121,6 +127,9 @@ def write_results(
     summary: pd.DataFrame | None = None,
     posterior: xr.DataTree | None = None,
     figures: Mapping[str, Figure] | None = None,
+    texts: Mapping[str, str] | None = None,
+    mean_backbone: xr.Dataset | None = None,
+    keys: Collection[str] = RESULT_KEYS,
 ) -> list[str]:
     """Write what there is; return the names of the files, ``result.json`` last.
 
@@ -138,13 +147,19 @@ def write_results(
         What `sample` returned.
     figures : mapping of str to matplotlib.figure.Figure, optional
         Figures by name, without suffix.
+    texts : mapping of str to str, optional
+        Whole text files by name.
+    mean_backbone : xarray.Dataset, optional
+        Backbone of the mean specimen, where a posterior was sampled on it.
+    keys : collection of str, optional
+        The documented keys of ``result.json``; `RESULT_KEYS` by default.
 
     Raises
     ------
     InputError
         If a file cannot be written (no space, no permission).
     """
-    unknown = sorted(set(result) - set(RESULT_KEYS))
+    unknown = sorted(set(result) - set(keys))
     if unknown:
         raise KeyError(f"undocumented key of {RESULT}: {', '.join(unknown)}")
     writers: dict[str, Callable[[Path], Any]] = {}
@@ -153,6 +168,9 @@ def write_results(
         writers[BACKBONES_TABLE] = lambda path: table.to_csv(path, index=False, float_format="%.9g")
         portable = _portable(backbones)
         writers[BACKBONES] = lambda path: portable.to_netcdf(path, engine="h5netcdf")
+    if mean_backbone is not None:
+        mean = _portable(mean_backbone)
+        writers[MEAN_BACKBONE] = lambda path: mean.to_netcdf(path, engine="h5netcdf")
     if summary is not None:
         writers[SUMMARY] = lambda path: summary.to_csv(path, float_format="%.9g")
     if posterior is not None:
@@ -160,10 +178,12 @@ def write_results(
         writers[POSTERIOR] = lambda path: tree.to_netcdf(path, engine="h5netcdf")
     for name, figure in (figures or {}).items():
         writers[f"figures/{name}.png"] = partial(figure.savefig, dpi=150, format="png")
+    for name, content in (texts or {}).items():
+        writers[name] = partial(_write_text, content)
     files = [*writers, RESULT]
     stale = [name for name in _files_of_earlier_run(folder) if name not in files]
-    text = json.dumps(_plain({"program": PROGRAM, **result, "files": files}), indent=1, allow_nan=False)
-    writers[RESULT] = lambda path: path.write_text(text + "\n", encoding="utf-8")
+    text = json.dumps(plain({"program": PROGRAM, **result, "files": files}), indent=1, allow_nan=False)
+    writers[RESULT] = partial(_write_text, text + "\n")
     for name, write in writers.items():
         with _beside(folder / name) as temporary:
             write(temporary)
@@ -202,12 +222,24 @@ def backbone_table(backbones: xr.Dataset) -> pd.DataFrame:
 
 def _files_of_earlier_run(folder: Path) -> list[str]:
     """Names, out of those that this program writes, which an earlier run says it wrote."""
-    ours = {RESULT, SUMMARY, BACKBONES_TABLE, BACKBONES, POSTERIOR, *(f"figures/{name}.png" for name in FIGURES)}
+    ours = {RESULT, SUMMARY, BACKBONES_TABLE, BACKBONES, POSTERIOR, REPORT, SCRIPT}
+    ours |= {f"figures/{name}.png" for name in (*FIGURES, *DIAGNOSIS_FIGURES)}
     try:
         listed = read_result(folder).get("files", [])
     except InputError:
         return []
     return [name for name in listed if name in ours] if isinstance(listed, list) else []
+
+
+def package_version() -> str:
+    """Return the version of this package."""
+    from . import __version__
+
+    return str(__version__)
+
+
+def _write_text(text: str, path: Path) -> None:
+    path.write_text(text, encoding="utf-8", newline="\n")
 
 
 @contextmanager
@@ -244,17 +276,17 @@ def _attribute(value: Any) -> Any:
         return value
     if isinstance(value, list | tuple) and all(isinstance(item, str) for item in value):
         return list(value)  # ArviZ finds its sample dimensions in such a list
-    return json.dumps(_plain(value))
+    return json.dumps(plain(value))
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """Turn NumPy scalars, arrays, paths and tuples into what JSON holds; NaN and infinities become null."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple | set | frozenset):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, np.ndarray):
-        return [_plain(item) for item in value.tolist()]
+        return [plain(item) for item in value.tolist()]
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float) and not np.isfinite(value):

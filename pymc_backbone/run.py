@@ -17,7 +17,7 @@ import xarray as xr
 
 from ._checks import FloatArray, InputError, check_choice, check_levels
 from ._describe import compare, describe_batch, describe_measured, describe_result
-from .results import prepare_output, write_results
+from .results import package_version, prepare_output, write_results
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -136,7 +136,7 @@ def extract(
     say(describe_measured(measured.backbones))
     _say_warnings(measured, say)
     result: dict[str, Any] = {
-        "version": _version(),
+        "version": package_version(),
         "command": "extract",
         "settings": {"records": str(path), **measurement},
         **_measured_entries(measured),
@@ -257,7 +257,7 @@ def update(
     table = summarise(posterior, names)
     predictive = _predictive(oscillator, posterior, fixed or {}, measured.backbones, seed)
     result: dict[str, Any] = {
-        "version": _version(),
+        "version": package_version(),
         "command": command,
         "settings": {**settings, "likelihood": kind, "random_seed": seed},
         "seed": seed,
@@ -439,9 +439,3 @@ def _seconds(begin: float, read: float, sampled: float) -> dict[str, float]:
         "sampling": round(sampled - read, 2),
         "total": round(time.perf_counter() - begin, 2),
     }
-
-
-def _version() -> str:
-    from . import __version__
-
-    return str(__version__)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from pymc_backbone import cli, demo, run
+from pymc_backbone import _cli_common, _cli_update, cli, demo, run
 from pymc_backbone._checks import InputError
 from pymc_backbone.effects import LIBRARY
 from pymc_backbone.results import read_result
@@ -72,7 +72,7 @@ def test_bad_options_are_one_sentence(capsys, arguments, words):
     assert is_one_sentence(error) and words in error
 
 
-@pytest.mark.parametrize("command", [[], ["extract"], ["update"], ["effects"], ["demo"]])
+@pytest.mark.parametrize("command", [[], ["extract"], ["update"], ["diagnose"], ["effects"], ["demo"]])
 def test_help_explains_each_command(capsys, command):
     with pytest.raises(SystemExit) as stop:
         cli.main([*command, "--help"])
@@ -124,7 +124,7 @@ def test_update_hands_on_every_option(capsys, calls, tmp_path):
         "priors": {"cubic_stiffness": (-1e6, 1e7)}, "fixed": {"viscous_damping": 0.8}, "is_table": False,
         "band": (5.0, 20.0), "start": 0.25, "levels": (0.002, 0.01), "observables": ("frequency", "offset"),
         "likelihood": "population", "density": "joint", "marginal": "kde", "draws": 10, "tune": 0, "chains": 2,
-        "step": "nutpie", "random_seed": 7, "output": tmp_path, "overwrite": True, "say": cli._say,
+        "step": "nutpie", "random_seed": 7, "output": tmp_path, "overwrite": True, "say": _cli_common.say,
     }  # fmt: skip
 
 
@@ -147,9 +147,9 @@ def test_choices_are_those_of_the_modules():
     """The command line repeats them, so as not to load PyMC for its help."""
     from pymc_backbone import density, model
 
-    assert cli.LIKELIHOODS == model.LIKELIHOODS
-    assert cli.DENSITIES == density.KINDS
-    assert cli.MARGINALS[0] == "best" and set(cli.MARGINALS[1:]) == set(density.FAMILIES)
+    assert _cli_update.LIKELIHOODS == model.LIKELIHOODS
+    assert _cli_update.DENSITIES == density.KINDS
+    assert _cli_update.MARGINALS[0] == "best" and set(_cli_update.MARGINALS[1:]) == set(density.FAMILIES)
 
 
 def test_extract_hands_on_every_option(capsys, calls):
@@ -157,7 +157,7 @@ def test_extract_hands_on_every_option(capsys, calls):
     assert code == 0
     assert calls["extract"] == {
         "path": Path("r.csv"), "output": Path("o"), "overwrite": False, "band": None, "start": None, "levels": 8,
-        "observables": ("frequency",), "say": cli._say,
+        "observables": ("frequency",), "say": _cli_common.say,
     }  # fmt: skip
 
 

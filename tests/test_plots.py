@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from pymc_backbone import plots
+from pymc_backbone import _figures, plots
 from pymc_backbone._checks import InputError
 from pymc_backbone.density import fit_density
 
@@ -180,7 +180,7 @@ def test_prior_and_posterior_in_readable_units(posterior):
 
 def test_posterior_does_not_fall_off_at_a_hard_bound(rng):
     draws = np.abs(rng.normal(0.0, 1.0, 20_000))
-    x, density = plots._smooth(draws, 0.0, 10.0)
+    x, density = _figures.smooth(draws, 0.0, 10.0)
     assert x[0] > 0.0
     assert density[0] == pytest.approx(2 / np.sqrt(2 * np.pi), rel=0.06)  # half-normal at zero
 
@@ -207,4 +207,4 @@ def test_many_specimens_are_not_all_drawn(rng):
     [(0.02, "m", (1e3, "m")), (2.0, "m", (1.0, "")), (3e-6, "m", (1e6, "μ")), (0.02, "rad", (1.0, ""))],
 )
 def test_prefix_of_the_amplitude(largest, unit, expected):
-    assert plots._engineering(largest, unit) == expected
+    assert _figures.engineering(largest, unit) == expected

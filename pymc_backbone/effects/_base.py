@@ -87,6 +87,12 @@ class Effect:
         ``out[n_states, 2 + n_p + n_states]``, columns x, v, p..., z....
     references : tuple of str
         Where the force law comes from.
+    redundant : tuple of (str, float)
+        Parameters that no free decay can tell from the others, each with the value at which it is held when the
+        effect is looked for in data.
+    opposed : tuple of (str, str)
+        Parameters that are not below minus another one where the effect is looked for in data: beyond, the force is
+        no longer bounded for a bounded motion.
     """
 
     name: str
@@ -102,6 +108,8 @@ class Effect:
     state_rate: Callable[..., Any] | None = None
     state_rate_gradient: Callable[..., Any] | None = None
     references: tuple[str, ...] = ()
+    redundant: tuple[tuple[str, float], ...] = ()
+    opposed: tuple[tuple[str, str], ...] = ()
 
     def __post_init__(self) -> None:
         if not _NAME.match(self.name):
@@ -122,6 +130,9 @@ class Effect:
         names = [parameter.name for parameter in self.parameters]
         if len(set(names)) != len(names):
             raise InputError(f"effect {self.name!r} repeats a parameter name: {', '.join(names)}.")
+        for name in (*(name for name, _ in self.redundant), *(name for pair in self.opposed for name in pair)):
+            if name not in names:
+                raise InputError(f"effect {self.name!r} has no parameter {name!r} to call redundant or opposed.")
 
     @property
     def parameter_names(self) -> tuple[str, ...]:

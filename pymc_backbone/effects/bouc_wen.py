@@ -128,6 +128,8 @@ EFFECT = Effect(
     n_states=1,
     state_rate=state_rate,
     state_rate_gradient=state_rate_gradient,
+    redundant=(("bouc_wen_amplitude", 1.0), ("bouc_wen_alpha", 0.0)),
+    opposed=(("bouc_wen_gamma", "bouc_wen_beta"),),
     references=(
         "Wen Y. K. (1976) Method for random vibration of hysteretic systems. Journal of the Engineering Mechanics "
         "Division 102(2), 249-263. doi:10.1061/JMCEA3.0002106",

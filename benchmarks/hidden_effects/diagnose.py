@@ -1,0 +1,68 @@
+"""Run the search for the missing effect on every batch of a folder; each gets a ``result.json``.
+
+    python benchmarks/hidden_effects/diagnose.py DIR --workers 2
+
+The tool is given the records, the mass and the base effects, nothing else. ``--tolerance 0`` (the default here) lets
+statistics alone decide, because the strengths of the batches run down to what no record can show.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")  # one core for each worker
+
+
+def _one(task: tuple[Path, float | None, str]) -> str:
+    folder, tolerance, name = task
+    target = folder / name
+    if target.exists():
+        return folder.name
+    from pymc_backbone import InputError, Oscillator, read_records
+    from pymc_backbone.diagnosis_files import study_entries
+    from pymc_backbone.discrepancy.workflow import find_missing_effect
+    from pymc_backbone.results import plain
+
+    truth = json.loads((folder / "truth.json").read_text())
+    begin = time.perf_counter()
+    try:
+        study = find_missing_effect(
+            Oscillator(truth["mass"], truth["base"]),
+            read_records(folder / "records"),
+            quick=True,
+            tolerance=tolerance,
+            random_seed=truth["seed"] + truth["index"],
+        )
+        result = study_entries(study, "")
+    except InputError as error:
+        result = {"verdict": "refused", "sentence": str(error), "seconds": time.perf_counter() - begin}
+    text = json.dumps(plain(result), indent=1)
+    target.with_suffix(".tmp").write_text(text + "\n")
+    target.with_suffix(".tmp").replace(target)
+    return f"{folder.name} {result['verdict']}"
+
+
+def main() -> None:
+    """Diagnose all batches that have no result yet."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--tolerance", type=float, default=0.0, help="0, or -1 for the default of the tool")
+    parser.add_argument("--name", default="result.json")
+    options = parser.parse_args()
+    tolerance = None if options.tolerance < 0.0 else options.tolerance
+    folders = sorted(options.folder.glob("batch_*"))
+    with ProcessPoolExecutor(options.workers) as pool:
+        for k, line in enumerate(pool.map(_one, [(folder, tolerance, options.name) for folder in folders])):
+            print(f"{k + 1}/{len(folders)} {line}", file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    main()

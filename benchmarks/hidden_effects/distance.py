@@ -1,0 +1,125 @@
+"""How far each batch is from its nearest wrong explanation, in standard deviations of its noise.
+
+The noise-free waveforms are fitted with wrong explanations: one hidden effect less, or another effect of the library in
+the place of one. The smallest sum of squares over the noise is the squared distance. The fits use the package's
+own simulator and least squares; a fit that ends in a local minimum makes a distance too large, never too small. The fit
+of the truth itself is written beside it: it is near zero where simulator and generator agree.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import numpy as np
+
+from pymc_backbone import InputError, Oscillator, Record, condition, extract_cycles
+from pymc_backbone.discrepancy.batch import Batch, batch_of_records
+from pymc_backbone.discrepancy.joint_fit import Fit
+from pymc_backbone.discrepancy.search import Search
+from pymc_backbone.discrepancy.workflow import _candidates, _levels
+from pymc_backbone.backbone import backbones_at_levels
+
+_FLOOR = 1e-4  # of the release amplitude: noise that extraction and conditioning are given beside the true one
+
+
+def clean_batch(folder: Path) -> tuple[Batch, dict]:
+    """Return the batch of the noise-free waveforms, judged by the noise that was added."""
+    truth = json.loads((folder / "truth.json").read_text())
+    held = np.load(folder / "clean.npz")
+    unit = "rad" if "pendulum_stiffness" in truth["present"] else "m"
+    records, cycles = [], []
+    for k, row in enumerate(truth["parameters"]):
+        name = row["specimen"]
+        noise = float(held["noise_sd"][k])
+        time, values = held[f"{name}_time"], held[f"{name}_displacement"]
+        generator = np.random.default_rng(k)
+        try:
+            noisy = condition(Record(name, time, values + noise * generator.standard_normal(values.size), unit=unit))
+            extracted = extract_cycles(noisy)
+        except InputError:
+            continue
+        index = np.searchsorted(time, noisy.time - 1e-9 * time[-1])
+        clean = np.interp(noisy.time, time, values) if index[-1] >= time.size else values[np.minimum(index, time.size - 1)]
+        record = _replaced(noisy, clean, noise)
+        records.append(record)
+        cycles.append(extracted)
+    if not records:
+        raise InputError("no record of this batch can be used")
+    backbones = backbones_at_levels(cycles, _levels(cycles, None), ["frequency", "damping"], amplitude_unit=unit)
+    return batch_of_records(truth["mass"], backbones, records, cycles), truth
+
+
+def _replaced(record, values, noise):  # type: ignore[no-untyped-def]
+    from dataclasses import replace
+
+    return replace(record, displacement=values, noise=noise, noise_autocovariance=np.array([noise**2, 0.0]))
+
+
+def distance(folder: Path) -> dict:
+    """Return distance and nearest wrong explanation of one batch."""
+    batch, truth = clean_batch(folder)
+    hidden = tuple(sorted(truth["hidden"]))
+    oscillator = Oscillator(truth["mass"], truth["base"])
+    candidates = _candidates(oscillator, None, batch)
+    search = Search(batch, oscillator, candidates)
+    search.fit_set(())
+    wrong = [()] if hidden else []
+    if hidden:
+        search.fit_set(hidden)
+    if len(hidden) == 1 or not hidden:
+        wrong += [(name,) for name in candidates if (name,) != hidden] if hidden else []
+    else:
+        for out in hidden:
+            rest = tuple(name for name in hidden if name != out)
+            wrong.append(rest)
+            wrong += [tuple(sorted((*rest, name))) for name in candidates if name not in hidden]
+    if len(hidden) == 1:
+        search.fit_set(hidden)
+    for names in wrong:
+        search.fit_set(names)
+    fits: dict[tuple[str, ...], Fit] = search.fits
+    costs = {names: fits[names].cost for names in wrong if names in fits}
+    if not costs:
+        return {"distance": None, "nearest": [], "truth": None}
+    nearest = min(costs, key=lambda names: costs[names])
+    own = fits[hidden].cost if hidden in fits else 0.0
+    return {
+        "distance": float(np.sqrt(max(costs[nearest] - own, 0.0))),
+        "nearest": list(nearest),
+        "truth": float(np.sqrt(own)),
+    }
+
+
+def _one(folder: Path) -> str:
+    target = folder / "distance.json"
+    if not target.exists():
+        try:
+            found = distance(folder)
+        except Exception as error:  # one batch that cannot be judged does not end the run
+            found = {"distance": None, "nearest": [], "truth": None, "error": str(error)}
+        target.write_text(json.dumps(found, indent=1) + "\n")
+    return folder.name
+
+
+def main() -> None:
+    """Write ``distance.json`` of every batch that has a hidden effect of the library."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--workers", type=int, default=2)
+    options = parser.parse_args()
+    folders = []
+    for folder in sorted(options.folder.glob("batch_*")):
+        truth = json.loads((folder / "truth.json").read_text())
+        if truth["hidden"] and not truth["outside"]:
+            folders.append(folder)
+    with ProcessPoolExecutor(options.workers) as pool:
+        for k, name in enumerate(pool.map(_one, folders)):
+            print(f"{k + 1}/{len(folders)} {name}", file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    main()

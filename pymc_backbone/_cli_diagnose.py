@@ -1,0 +1,127 @@
+"""The command ``diagnose``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from . import _options
+from ._cli_common import add_measurement, add_output, add_sampling, hush_libraries, say
+from ._progress import ProgressBar
+
+DESCRIPTION = """\
+Find where simulation and measurement disagree, name the missing effect, add it, and show the gap shrink.
+
+The base model is mass x'' + viscous_damping x' + linear_stiffness x + the effects named with --base. Sets of effects
+of the library are added to it and compared by evidence. The verdict is one of
+
+    adequate      nothing is missing, within measurement error or the tolerance
+    found         one set of effects is missing, named with its probability
+    ambiguous     several sets explain the records, with what measurement would tell them apart
+    unexplained   something is missing that no set explains
+"""
+
+EPILOG = """\
+The folder holds report.html (begin there; one file, to be forwarded), result.json, model.py (the extended model as a
+PyMC script), backbones.csv and .nc, posterior.nc and figures/. Examples:
+  pymc-backbone diagnose ring_downs/ --mass 1.2 --out diagnosis
+  pymc-backbone diagnose ring_downs/ --mass 1.2 --base cubic_stiffness --quick --out diagnosis
+  pymc-backbone diagnose ring_downs/ --mass 1.2 --candidates coulomb_friction quadratic_damping jenkins \\
+      --tolerance frequency=0.0005,damping=0.02 --seed 4 --out diagnosis
+"""
+
+
+def add_diagnose(commands: Any) -> None:
+    """Add the command ``diagnose``."""
+    parser = commands.add_parser(
+        "diagnose",
+        help="find the effect that a model lacks",
+        description=DESCRIPTION,
+        epilog=EPILOG,
+    )
+    parser.add_argument("records", type=Path, metavar="RECORDS", help="a file, or a folder of files, one per specimen")
+    parser.add_argument(
+        "--backbones",
+        action="store_true",
+        help="RECORDS are measured backbone tables (such as backbones.csv from extract), not time histories",
+    )
+    add_measurement(parser, observables=False)
+
+    model = parser.add_argument_group("model")
+    model.add_argument(
+        "--mass", type=_options.number("--mass"), required=True, metavar="M", help="mass [kg], or inertia [kg m^2]"
+    )
+    model.add_argument(
+        "--base",
+        action="extend",
+        nargs="+",
+        default=[],
+        metavar="EFFECT",
+        help="effects that the model has already, beside linear stiffness and viscous damping",
+    )
+
+    search = parser.add_argument_group("search")
+    search.add_argument(
+        "--candidates",
+        action="extend",
+        nargs="+",
+        default=[],
+        metavar="EFFECT",
+        help="effects that may be missing (default: all; `pymc-backbone effects` lists them)",
+    )
+    search.add_argument(
+        "--max-effects",
+        type=_options.count("--max-effects"),
+        default=3,
+        metavar="N",
+        help="largest number of missing effects (3)",
+    )
+    search.add_argument(
+        "--tolerance",
+        type=_options.tolerance,
+        metavar="LIST",
+        help="relative differences that do not matter (frequency=0.001,damping=0.03); 0: statistics alone",
+    )
+    search.add_argument(
+        "--held-out", type=_options.count("--held-out", 0), metavar="N", help="number of specimens to hold out"
+    )
+    search.add_argument("--quick", action="store_true", help="stop before sampling: no posterior, intervals of the fit")
+    add_sampling(parser)
+    add_output(parser, required=True)
+    parser.set_defaults(run=_diagnose)
+
+
+def _diagnose(options: argparse.Namespace) -> None:
+    from . import run_diagnosis
+
+    hush_libraries()
+    with ProgressBar() as progress:
+
+        def say_below(text: str) -> None:
+            progress.clear()
+            say(text)
+
+        run_diagnosis.diagnose(
+            options.records,
+            mass=options.mass,
+            output=options.out,
+            base=_options.split(options.base),
+            candidates=_options.split(options.candidates) or None,
+            max_effects=options.max_effects,
+            tolerance=options.tolerance,
+            held_out=options.held_out,
+            quick=options.quick,
+            is_table=options.backbones,
+            band=options.band,
+            start=options.start,
+            levels=options.levels,
+            draws=options.draws,
+            tune=options.tune,
+            chains=options.chains,
+            step=options.step,
+            random_seed=options.seed,
+            overwrite=options.overwrite,
+            progress=progress,
+            say=say_below,
+        )

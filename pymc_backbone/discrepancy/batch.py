@@ -1,0 +1,157 @@
+"""The data of a batch as the fits see them: three witnesses for each specimen, and rough values to start from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from .._checks import FloatArray, InputError
+from .._conditioned import ConditionedRecord
+from ..cycles import Cycles
+from .witness import (
+    LevelWitness,
+    TurningWitness,
+    WaveformWitness,
+    Witness,
+    level_witness,
+    turning_witness,
+    waveform_witness,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Measured backbones with, where there are records, turning points and waveforms.
+
+    Attributes
+    ----------
+    backbones : xarray.Dataset
+        At levels.
+    records, cycles : tuples
+        As conditioned and extracted; empty where only backbones are known.
+    levels, turning, waveform : tuples of witnesses
+        One per specimen; the last two empty where only backbones are known.
+    specimens : tuple of str
+        Names, in the order of the witnesses.
+    own : (r, 5) array
+        Rough stiffness, damping, release amplitude, release instant, offset.
+    amplitude : float
+        Largest amplitude [m or rad].
+    angular_frequency : float
+        Typical [rad/s].
+    notes : tuple of str
+        What was left out and why.
+    """
+
+    backbones: xr.Dataset
+    records: tuple[ConditionedRecord, ...]
+    cycles: tuple[Cycles, ...]
+    levels: tuple[LevelWitness, ...]
+    turning: tuple[TurningWitness, ...]
+    waveform: tuple[WaveformWitness, ...]
+    specimens: tuple[str, ...]
+    own: FloatArray
+    amplitude: float
+    angular_frequency: float
+    notes: tuple[str, ...] = ()
+
+    @property
+    def deciding(self) -> Sequence[Witness]:
+        """The witness that decides: the waveform where there is one."""
+        return self.waveform or self.levels
+
+    @property
+    def has_records(self) -> bool:
+        """Whether there are waveforms."""
+        return bool(self.waveform)
+
+    @property
+    def nuisances(self) -> tuple[int, ...]:
+        """Which of a specimen's own values the deciding witness sees."""
+        return (0, 1, 2, 3, 4) if self.has_records else (0, 1)
+
+    def subset(self, specimens: Sequence[int]) -> Batch:
+        """Return the batch of some of its specimens."""
+        index = list(specimens)
+
+        def pick(items: tuple[Any, ...]) -> tuple[Any, ...]:
+            return tuple(items[i] for i in index) if items else ()
+
+        return Batch(
+            self.backbones.isel(specimen=[self._row(i) for i in index]),
+            pick(self.records), pick(self.cycles), pick(self.levels), pick(self.turning), pick(self.waveform),
+            pick(self.specimens), self.own[index], self.amplitude, self.angular_frequency,
+        )  # fmt: skip
+
+    def _row(self, specimen: int) -> int:
+        return [str(name) for name in self.backbones["specimen"].values].index(self.specimens[specimen])
+
+
+def batch_of_records(
+    mass: float,
+    backbones: xr.Dataset,
+    records: Sequence[ConditionedRecord],
+    cycles: Sequence[Cycles],
+) -> Batch:
+    """Return the batch of conditioned records, their cycles and their backbones."""
+    names = [str(name) for name in backbones["specimen"].values]
+    kept, levels, notes = [], [], []
+    for i, item in enumerate(cycles):
+        witness = level_witness(backbones, names.index(item.specimen)) if item.specimen in names else None
+        if witness is None:
+            notes.append(f"{item.specimen}: reaches none of the levels and was left out")
+            continue
+        kept.append(i)
+        levels.append(witness)
+    if not kept:
+        raise InputError("no specimen reaches the levels; choose levels within the measured amplitudes.")
+    records, cycles = [records[i] for i in kept], [cycles[i] for i in kept]
+    turning = tuple(turning_witness(record, item) for record, item in zip(records, cycles, strict=True))
+    waveform = tuple(waveform_witness(record, item) for record, item in zip(records, cycles, strict=True))
+    own = np.array([_rough(mass, item, points) for item, points in zip(cycles, turning, strict=True)])
+    amplitude = float(max(np.abs(item.values).max() for item in turning))
+    frequency = float(np.median(np.concatenate([item.frequency for item in cycles])))
+    return Batch(
+        backbones, tuple(records), tuple(cycles), tuple(levels), turning, waveform,
+        tuple(item.specimen for item in cycles), own, amplitude, 2.0 * np.pi * frequency, tuple(notes),
+    )  # fmt: skip
+
+
+def batch_of_backbones(mass: float, backbones: xr.Dataset) -> Batch:
+    """Return the batch of backbones that were measured directly."""
+    names = [str(name) for name in backbones["specimen"].values]
+    observables = [str(name) for name in backbones["observable"].values]
+    if "frequency" not in observables:
+        raise InputError("the search for a missing effect needs the observable `frequency`; give backbones with it.")
+    found = [(i, level_witness(backbones, i)) for i in range(len(names))]
+    held = [(i, witness) for i, witness in found if witness is not None and witness.levels.size > 1]
+    if not held:
+        raise InputError(
+            "the backbones need standard errors to judge a model by, at two levels or more; give them with the table."
+        )
+    value = np.asarray(backbones["value"])
+    own = np.zeros((len(held), 5))
+    for row, (i, _) in enumerate(held):
+        omega = 2.0 * np.pi * float(np.nanmedian(value[i, observables.index("frequency")]))
+        damping = 0.03
+        if "damping" in observables and np.isfinite(value[i, observables.index("damping")]).any():
+            damping = max(float(np.nanmedian(value[i, observables.index("damping")])), 1e-5)
+        own[row] = (mass * omega**2, mass * omega * damping / np.pi, 0.0, 0.0, 0.0)
+    amplitude = float(np.asarray(backbones["level"])[-1])
+    return Batch(
+        backbones, (), (), tuple(witness for _, witness in held), (), (), tuple(names[i] for i, _ in held), own,
+        amplitude, float(np.sqrt(np.median(own[:, 0]) / mass)),
+    )  # fmt: skip
+
+
+def _rough(mass: float, cycles: Cycles, points: TurningWitness) -> tuple[float, ...]:
+    """Return rough stiffness, damping, release amplitude, release instant and offset of one record."""
+    omega = 2.0 * np.pi * float(np.median(cycles.frequency))
+    damping = max(float(np.median(cycles.damping)), 1e-6)
+    half = float(points.times[1] - points.times[0])
+    release = -float(points.values[0]) * float(np.exp(min(damping / 2.0, 0.3)))
+    return mass * omega**2, mass * omega * damping / np.pi, release, float(points.times[0]) - half, 0.0

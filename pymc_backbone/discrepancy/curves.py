@@ -1,0 +1,140 @@
+"""Simulated backbones of fitted models beside the measured ones, and how well they are known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import xarray as xr
+
+from .._checks import OBSERVABLES, FloatArray
+from . import joint_fit
+from .batch import Batch
+from .joint_fit import NUISANCES, SCATTER, Fit, State, fit, linearise, parameters_of
+from .witness import LevelWitness
+
+NO_NUISANCES = np.zeros(5)  # levels see none of them
+
+
+def on_levels(batch: Batch, found: Fit, *, free_effects: bool = False) -> Fit:
+    """Return a fit brought to the backbones: each specimen's stiffness and damping, and if wanted the effects too."""
+    state = State(found.state.eta, found.state.own.copy())
+    if free_effects:
+        solved = fit(found.layout, batch.levels, state, iterations=20, nuisances=(0, 1), tolerance=0.1)
+        return found if solved is None else solved
+    rows = [one_on_levels(found, batch.levels[r], state, r) for r in range(len(batch.specimens))]
+    own = np.array(rows)
+    return replace(found, state=State(state.eta, own))
+
+
+def one_on_levels(found: Fit, witness: LevelWitness, state: State, specimen: int) -> FloatArray:
+    """Return a specimen's own values with stiffness and damping fitted to its backbone, the effects held."""
+    vector = parameters_of(found.layout, state, specimen)
+    own = state.own[specimen].copy()
+    damping = 1e-3
+    compared = witness.compare(found.layout.simulator, vector, NO_NUISANCES)
+    if compared is None:
+        return own
+    for _ in range(12):
+        residuals, slopes = compared
+        pair = slopes[:, :2]
+        scale = 1.0 / np.maximum(np.sqrt((pair**2).sum(axis=0)), 1e-300)
+        scaled = pair * scale
+        step = scale * np.linalg.solve(scaled.T @ scaled + damping * np.eye(2), scaled.T @ residuals)
+        trial = vector.copy()
+        trial[:2] += step
+        trial[1] = max(trial[1], 0.0)
+        moved = witness.compare(found.layout.simulator, trial, NO_NUISANCES) if trial[0] > 0.0 else None
+        before = float(residuals @ residuals)
+        if moved is None or float(moved[0] @ moved[0]) > before:
+            damping *= 10.0
+            if damping > 1e6:
+                break
+            continue
+        vector, compared, damping = trial, moved, damping / 10.0
+        if before - float(moved[0] @ moved[0]) < 1e-3:
+            break
+    own[:2] = vector[:2]
+    return own
+
+
+def simulate(batch: Batch, found: Fit, levels: FloatArray | None = None) -> xr.Dataset:
+    """Return the simulated backbones (specimen, observable, level) of a fit; NaN where a level cannot be simulated."""
+    names = [str(name) for name in batch.backbones["observable"].values]
+    chosen = np.asarray(batch.backbones["level"]) if levels is None else np.asarray(levels, dtype=np.float64)
+    rows = [OBSERVABLES.index(name) for name in names]
+    values = np.array(
+        [curve(found, parameters_of(found.layout, found.state, r), chosen)[rows] for r in range(len(batch.specimens))]
+    )
+    return xr.Dataset(
+        {"value": (("specimen", "observable", "level"), values)},
+        coords={"specimen": list(batch.specimens), "observable": names, "level": chosen},
+    )
+
+
+def curve(found: Fit, parameters: FloatArray, levels: FloatArray) -> FloatArray:
+    """Return frequency, damping and offset (3, l) of one parameter vector."""
+    values, status = np.empty((3, levels.size)), np.zeros(levels.size, dtype=np.int64)
+    found.layout.simulator.backbone(
+        np.ascontiguousarray(parameters), np.ascontiguousarray(levels), 0.0, True, values, np.zeros((0, 0, 0)), status
+    )
+    values[:, status != 0] = np.nan
+    return values
+
+
+def measured(batch: Batch) -> tuple[FloatArray, FloatArray]:
+    """Return measured values and standard errors (specimen, observable, level), in the order of the batch."""
+    chosen = batch.backbones.sel(specimen=list(batch.specimens))
+    return np.asarray(chosen["value"]), np.asarray(chosen["standard_error"])
+
+
+def level_chi_square(batch: Batch, found: Fit) -> float:
+    """Return the reduced chi-square of the backbones at a fit."""
+    total, count = 0.0, 0
+    for r, witness in enumerate(batch.levels):
+        compared = witness.compare(found.layout.simulator, parameters_of(found.layout, found.state, r), NO_NUISANCES)
+        if compared is None:
+            return float("inf")
+        total += float(compared[0] @ compared[0])
+        count += witness.size
+    return total / max(count - 2 * len(batch.levels), 1)
+
+
+def prediction_errors(batch: Batch, found: Fit, witnesses: list[LevelWitness], levels: FloatArray) -> FloatArray:
+    """Return standard errors (specimen, 3, l) of what a fit to ``witnesses`` predicts at ``levels``."""
+    q = found.layout.free.size
+    scatter = SCATTER if len(witnesses) > 1 else 0.0
+    active = np.zeros(NUISANCES + q, dtype=bool)
+    active[:2] = True
+    active[NUISANCES:] = scatter > 0.0
+    errors = np.zeros((len(witnesses), 3, levels.size))
+    system = linearise(found.layout, witnesses, found.state, scatter, active)
+    if system is None:
+        return errors
+    held = np.zeros(found.state.own.shape, dtype=bool)
+    eliminated = joint_fit.eliminate(system, active, 1e-9, held)
+    if eliminated is None:
+        return errors
+    shared, _, solved = eliminated
+    prior = np.diag(1.0 / found.layout.width**2) if q else np.zeros((0, 0))
+    covariance = np.linalg.pinv(shared + prior) if q else np.zeros((0, 0))
+    for r, (index, scale, reduced, _) in enumerate(solved):
+        values, status = np.empty((3, levels.size)), np.zeros(levels.size, dtype=np.int64)
+        vector = parameters_of(found.layout, found.state, r)
+        jacobian = np.zeros((3, levels.size, vector.size))
+        found.layout.simulator.backbone(vector, levels, 0.0, True, values, jacobian, status)
+        own = found.state.own[r]
+        _, slopes = found.layout.physical(found.state.eta, own[NUISANCES:], scatter)
+        effects = jacobian[:, :, found.layout.free] @ slopes
+        full = np.zeros((3, levels.size, NUISANCES + q))
+        full[:, :, :2] = jacobian[:, :, :2]
+        full[:, :, NUISANCES:] = effects * (found.state.eta * scatter)
+        local = full[:, :, index] * scale
+        block = system.own[r][np.ix_(index, index)] * np.outer(scale, scale)
+        inverse = np.linalg.pinv(block)
+        along = effects * (1.0 + scatter * own[NUISANCES:]) - local @ reduced[:, :-1]
+        variance = np.einsum("oli,ij,olj->ol", local, inverse, local)
+        if q:
+            variance = variance + np.einsum("oli,ij,olj->ol", along, covariance, along)
+        errors[r] = np.sqrt(np.maximum(np.nan_to_num(variance), 0.0))
+    return errors

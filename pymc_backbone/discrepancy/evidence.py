@@ -1,0 +1,147 @@
+"""How probable each set of effects is, honest about errors that no set explains."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import comb
+
+import numpy as np
+from scipy.special import logsumexp
+
+from .._checks import FloatArray
+from .batch import Batch
+from .joint_fit import NUISANCES, Fit, information, parameters_of
+from .witness import WaveformWitness, Witness
+
+PRIOR_OF_SIZE = (0.5, 0.445, 0.05, 0.005)
+"""Prior probability that so many effects are missing, shared evenly among the sets of that size."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Evidence of a set: logarithm relative to the base, of the posterior up to a constant, and the probability."""
+
+    log_evidence: float
+    log_posterior: float
+    probability: float
+
+
+def log_prior(size: int, candidates: int) -> float:
+    """Return the logarithm of the prior probability of one set of this size."""
+    share = PRIOR_OF_SIZE[min(size, len(PRIOR_OF_SIZE) - 1)]
+    return float(np.log(share / max(comb(candidates, size), 1)))
+
+
+def probabilities(
+    fits: Mapping[tuple[str, ...], Fit],
+    batch: Batch,
+    candidates: int,
+    bonus: Mapping[tuple[str, ...], float] | None = None,
+) -> dict[tuple[str, ...], Evidence]:
+    """Return the evidence of every fitted set.
+
+    The likelihood has the scale of its noise free, specimen by specimen: ``-n_eff/2 log(chi^2 / chi^2_best)``. Where
+    the residuals of the best set are white, ``n_eff`` is the number of samples. Where they are not, something is there
+    that no set explains; it does not repeat itself independently in every sample, and ``n_eff`` is the number of
+    independent pieces that the residuals' own correlation leaves. So a wrong set is never preferred with a certainty
+    that only the number of samples lends it. ``bonus`` is added to the logarithm of the evidence of some.
+    """
+    if not fits:
+        return {}
+    best = min(fits.values(), key=lambda item: item.cost)
+    effective = np.array([effective_size(w, best, r) for r, w in enumerate(batch.deciding)])
+    floor = np.maximum(best.chi_square, 1e-12)
+    noise = float(floor.sum() / effective.sum()) if batch.has_records else 1.0
+    logs = {}
+    for names, found in fits.items():
+        ratio = np.maximum(found.chi_square, 1e-12) / floor
+        likelihood = -0.5 * float(effective @ np.log(ratio)) - 0.5 * found.penalty
+        if not batch.has_records:
+            likelihood = -0.5 * found.cost
+        determinant = information(found.layout, found.system, found.state, found.active, noise)[0]
+        logs[names] = likelihood - 0.5 * determinant + (bonus or {}).get(names, 0.0)
+    base = logs.get((), 0.0)
+    posterior = {names: value + log_prior(len(names), candidates) for names, value in logs.items()}
+    total = logsumexp(list(posterior.values()))
+    return {
+        names: Evidence(logs[names] - base, posterior[names], float(np.exp(posterior[names] - total)))
+        for names in fits
+    }
+
+
+def residuals_of(witness: Witness, found: Fit, specimen: int) -> FloatArray:
+    """Return the standardised residuals of one specimen at a fit."""
+    own = found.state.own[specimen]
+    vector = parameters_of(found.layout, found.state, specimen)
+    compared = witness.compare(found.layout.simulator, vector, own[2:NUISANCES])
+    return np.zeros(witness.size) if compared is None else compared[0]
+
+
+def effective_size(witness: Witness, found: Fit, specimen: int) -> float:
+    """Return the number of independent pieces in the residuals of one specimen."""
+    residuals = residuals_of(witness, found, specimen)
+    n = residuals.size
+    if not isinstance(witness, WaveformWitness) or n < 16:
+        return float(n)
+    power = np.abs(np.fft.rfft(residuals, 2 * n)) ** 2
+    correlation = np.fft.irfft(power)[:n] / max(float(residuals @ residuals), 1e-300)
+    excess = float(np.sum(correlation[1:] ** 2) - 0.5)  # white noise gives 1/n on each of n lags, tapered
+    slack = 3.0 * np.sqrt(1.0 / n)
+    return n / (1.0 + 2.0 * max(excess - slack, 0.0))
+
+
+@dataclass(frozen=True)
+class LackOfFit:
+    """Whether the residuals look like a model error: variance ratio, p-value, and size over the signal."""
+
+    ratio: float
+    p_value: float
+    share: float
+
+
+def lack_of_fit(batch: Batch, found: Fit) -> LackOfFit:
+    """Return whether residuals hold more along the motion's slowly varying harmonics than beside them.
+
+    The noise level comes from the residuals beside, so that an error in its estimate does not matter.
+    """
+    from scipy.stats import chi2, f, norm
+
+    fitted = found.layout.free.size / max(len(batch.specimens), 1) + len(batch.nuisances)
+    z, ratios, shares = [], [], []
+    for r, witness in enumerate(batch.deciding):
+        residuals = residuals_of(witness, found, r)
+        if isinstance(witness, WaveformWitness) and witness.subspace:
+            inside = sum(float(((basis.T @ residuals[w]) ** 2).sum()) for w, basis in witness.subspace)
+            degrees = sum(basis.shape[1] for _, basis in witness.subspace) - fitted
+            outside = float(residuals @ residuals) - inside
+            rest = residuals.size - degrees - fitted
+            noise = outside / max(rest, 1.0)
+            ratio = inside / max(degrees, 1.0) / max(noise, 1e-300)
+            p = float(f.sf(ratio, max(degrees, 1.0), max(rest, 1.0)))
+            shares.append(np.sqrt(max(inside - degrees * noise, 0.0)) / _size_of_motion(witness))
+        else:
+            degrees = max(residuals.size - fitted, 1.0)
+            ratio = float(residuals @ residuals) / degrees
+            # the noise itself is known to some ten per cent only
+            p = float(f.sf(ratio, degrees, 60.0)) if batch.has_records else float(chi2.sf(ratio * degrees, degrees))
+            excess = max(float(residuals @ residuals) - degrees, 0.0)
+            size = _size_of_motion(witness) if isinstance(witness, WaveformWitness) else float("nan")
+            shares.append(np.sqrt(excess) / size)
+        ratios.append(ratio)
+        z.append(float(norm.isf(min(max(p, 1e-300), 1.0 - 1e-15))))
+    combined = float(norm.sf(np.sum(z) / np.sqrt(len(z)))) if z else 1.0
+    worst = min(1.0, len(z) * float(norm.sf(max(z)))) if z else 1.0
+    return LackOfFit(float(np.median(ratios)), min(1.0, 2.0 * min(combined, worst)), float(np.max(shares)))
+
+
+def residuals_scale(witness: WaveformWitness) -> float:
+    """Return the standard deviation that one standardised residual stands for [m or rad]."""
+    probe = np.random.default_rng(0).standard_normal((witness.time.size, 1))
+    return 1.0 / max(float(witness.whiten(probe).std()), 1e-300)
+
+
+def _size_of_motion(witness: WaveformWitness) -> float:
+    """Return the norm of the motion in units of the standardised residuals."""
+    motion = witness.whiten((witness.values - witness.values.mean())[:, None])
+    return max(float(np.linalg.norm(motion)), 1e-300)

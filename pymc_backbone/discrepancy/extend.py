@@ -1,0 +1,157 @@
+"""The extended model in PyMC: the backbone of the mean specimen, Uniform priors around what was found, draws."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from .._checks import FloatArray
+from ..effects import BASE_EFFECTS
+from .batch import Batch
+from .curves import curve, measured, on_levels
+from .decide import estimates_of
+from .joint_fit import Fit, parameters_of
+from .study import Estimate
+
+_REACH = 10.0  # standard deviations between an estimate and the ends of its prior
+_LEAST = {"linear_stiffness": 0.02, "viscous_damping": 0.5}
+_LEAST_SHARE = 0.5
+
+
+def mean_specimen(batch: Batch, found: Fit) -> tuple[xr.Dataset, FloatArray]:
+    """Return the backbone of the mean specimen, and the parameters (p,) it is expected to have.
+
+    Each specimen's curve is moved by the difference that its own stiffness, damping and effects make in the model,
+    and the mean is taken. Its covariance is that of the measurement or, where the moved curves scatter by more,
+    theirs.
+    """
+    brought = on_levels(batch, found)
+    levels = np.asarray(batch.backbones["level"])
+    names = [str(name) for name in batch.backbones["observable"].values]
+    from .._checks import OBSERVABLES
+
+    rows = [OBSERVABLES.index(name) for name in names]
+    vectors = np.array([parameters_of(found.layout, brought.state, r) for r in range(len(batch.specimens))])
+    mean = vectors.mean(axis=0)
+    delta = np.zeros(found.layout.free.size)
+    mean[found.layout.free] = found.layout.physical(found.state.eta, delta, 0.0)[0]
+    reference = curve(found, mean, levels)[rows]
+    values, errors = measured(batch)
+    moved = np.array([values[r] - curve(found, vectors[r], levels)[rows] + reference for r in range(len(vectors))])
+    held = np.isfinite(moved) & np.isfinite(errors)
+    count = held.sum(axis=0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        value = np.where(held, moved, 0.0).sum(axis=0) / np.where(count, count, np.nan)
+        scatter = (np.where(held, moved - value, 0.0) ** 2).sum(axis=0) / np.maximum((count - 1) * count, 1)
+    chosen = batch.backbones.sel(specimen=list(batch.specimens))
+    covariance = np.zeros((1, len(names), levels.size, levels.size))
+    for o in range(len(names)):
+        total = np.zeros((levels.size, levels.size))
+        for r in range(len(vectors)):
+            own = np.diag(np.where(held[r, o], errors[r, o], 0.0) ** 2)
+            if "covariance" in chosen:
+                given = np.asarray(chosen["covariance"])[r, o]
+                own = np.where(np.isfinite(given) & held[r, o][:, None] & held[r, o][None, :], given, own)
+            total += own
+        safe = np.maximum(count[o], 1)
+        total = total / np.outer(safe, safe)
+        wider = np.where(count[o] > 3, np.maximum(scatter[o] / np.maximum(np.diag(total), 1e-300), 1.0), 1.0)
+        covariance[0, o] = total * np.sqrt(np.outer(wider, wider))
+    keep = np.isfinite(value).all(axis=0)
+    standard = np.sqrt(np.array([np.diag(covariance[0, o]) for o in range(len(names))]))[None]
+    dataset = xr.Dataset(
+        {
+            "value": (("specimen", "observable", "level"), value[None]),
+            "standard_error": (("specimen", "observable", "level"), standard),
+            "covariance": (("specimen", "observable", "level", "level_other"), covariance),
+        },
+        coords={"specimen": ["mean specimen"], "observable": names, "level": levels, "level_other": levels},
+        attrs={"amplitude_unit": batch.backbones.attrs.get("amplitude_unit", "m"), "notes": []},
+    )
+    return dataset.isel(level=np.flatnonzero(keep), level_other=np.flatnonzero(keep)), mean
+
+
+def prior_bounds(batch: Batch, found: Fit, mean: FloatArray) -> tuple[dict[str, tuple[float, float]], dict[str, float]]:
+    """Return Uniform bounds of the parameters that are inferred, and the values of those that are redundant."""
+    oscillator = found.layout.oscillator
+    defaults = oscillator.default_bounds(batch.amplitude, batch.angular_frequency)
+    errors = {name: error for name, (_, error) in estimates_of(found).items()}
+    held = {name: value for effect in oscillator.effects for name, value in effect.redundant}
+    own = np.sqrt(np.nan_to_num(found.own_covariance[:, :2]).mean(axis=0))
+    errors |= {"linear_stiffness": float(own[0]), "viscous_damping": float(own[1])}
+    bounds = {}
+    for parameter, value in zip(oscillator.parameters, mean, strict=True):
+        if parameter.name in held:
+            continue
+        low, high = defaults[parameter.name]
+        is_shape = parameter.unit in ("-",) or parameter.name not in errors
+        reach = max(_REACH * errors.get(parameter.name, 0.0), _LEAST.get(parameter.name, _LEAST_SHARE) * abs(value))
+        if is_shape:
+            bounds[parameter.name] = (low, high)
+            continue
+        reach = max(reach, 1e-3 * (high - low))
+        bounds[parameter.name] = (max(parameter.minimum, value - reach), min(parameter.maximum, value + reach))
+    return bounds, held
+
+
+def sample_extended(
+    batch: Batch, found: Fit, backbone: xr.Dataset, mean: FloatArray, options: Mapping[str, Any]
+) -> tuple[xr.DataTree, dict[str, tuple[float, float]], dict[str, float]]:
+    """Sample the extended model on the backbone of the mean specimen; return draws, bounds and held parameters."""
+    from ..model import build_model
+    from ..sampling import sample
+
+    bounds, held = prior_bounds(batch, found, mean)
+    model = build_model(found.layout.oscillator, backbone, bounds=bounds, fixed=held, likelihood="pooled")
+    return sample(model, progressbar=False, **options), bounds, held
+
+
+def estimates_from_draws(
+    found: Fit, posterior: xr.DataTree, held: Mapping[str, float]
+) -> dict[str, dict[str, Estimate]]:
+    """Return the estimates of all parameters, by effect, from draws."""
+    import arviz as az
+
+    draws = posterior["posterior"].to_dataset()
+    result: dict[str, dict[str, Estimate]] = {}
+    for effect in found.layout.oscillator.effects:
+        group = {}
+        for parameter in effect.parameters:
+            if parameter.name in held:
+                value = held[parameter.name]
+                group[parameter.name] = Estimate(value, 0.0, value, value, parameter.unit)
+                continue
+            values = np.asarray(draws[parameter.name]).ravel()
+            low, high = (float(x) for x in np.asarray(az.hdi(values, prob=0.95)).ravel())
+            group[parameter.name] = Estimate(float(values.mean()), float(values.std(ddof=1)), low, high, parameter.unit)
+        result[effect.name] = group
+    return result
+
+
+def estimates_from_fit(batch: Batch, found: Fit) -> dict[str, dict[str, Estimate]]:
+    """Return the estimates of all parameters, by effect, from the curvature of the fit."""
+    values = estimates_of(found)
+    count = len(batch.specimens)
+    own = found.state.own[:, :2]
+    oscillator = found.layout.oscillator
+    held = {name: value for effect in oscillator.effects for name, value in effect.redundant}
+    result: dict[str, dict[str, Estimate]] = {}
+    for effect in oscillator.effects:
+        group = {}
+        for parameter in effect.parameters:
+            if effect.name in BASE_EFFECTS:
+                column = oscillator.index(parameter.name)
+                value = float(own[:, column].mean())
+                spread = float(own[:, column].std(ddof=1)) / np.sqrt(count) if count > 1 else 0.0
+                error = float(np.hypot(spread, np.sqrt(np.nan_to_num(found.own_covariance[:, column]).mean() / count)))
+            elif parameter.name in held:
+                value, error = held[parameter.name], 0.0
+            else:
+                value, error = values[parameter.name]
+            low, high = max(value - 1.96 * error, parameter.minimum), min(value + 1.96 * error, parameter.maximum)
+            group[parameter.name] = Estimate(value, error, low, high, parameter.unit)
+        result[effect.name] = group
+    return result

@@ -1,0 +1,172 @@
+"""Explanations that are no missing effect: drift with time, a second mode, specimens that are not alike."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from . import evidence
+from .batch import Batch
+from .curves import measured
+from .joint_fit import DRIFTS, NUISANCES, SCATTER, Fit, fit
+from .study import Check
+from .witness import DRIFT, WaveformWitness
+
+DRIFT_KEY = ("drift with time",)
+_LINE = 25.0  # peak of the residuals' periodogram over its median that a line has at least
+_FAR = 4.0  # bins between a line and a harmonic
+_BEATING = 0.02
+_ALIKE = 4.0
+
+
+def drift_fit(batch: Batch, base: Fit) -> Fit | None:
+    """Return the base model with a frequency and a damping that change with time, in each record as it likes."""
+    if not batch.has_records:
+        return None
+    nuisances = (*batch.nuisances, *DRIFTS)
+    turning = fit(base.layout, batch.turning, base.state, iterations=20, nuisances=nuisances, tolerance=1.0)
+    found = None
+    if turning is not None:
+        found = fit(base.layout, batch.waveform, turning.state, iterations=40, nuisances=nuisances)
+    near = fit(base.layout, batch.waveform, base.state, iterations=40, nuisances=nuisances)
+    both = [item for item in (found, near) if item is not None]
+    return min(both, key=lambda item: item.cost) if both else None
+
+
+def drift_bonus(drifting: Fit) -> float:
+    """Return by how much the drift's evidence grows where it may be alike in all records, or of one kind only.
+
+    The fit gives every record drifts of its own. Here, given these with their errors, each kind is taken as absent,
+    as common to all records up to a scatter of a fifth, or as independent, whichever is most probable.
+    """
+    bonus = 0.0
+    for column in DRIFTS:
+        value = drifting.state.own[:, column]
+        variance = np.clip(np.nan_to_num(drifting.own_covariance[:, column], nan=1.0), 1e-12, 1.0 - 1e-9)
+        noise = 1.0 / (1.0 / variance - 1.0)
+        measured_drift = value * noise / variance
+        count = value.size
+        weight = 1.0 / noise
+        mean = float((weight * measured_drift).sum() / weight.sum())
+        error = 1.0 / np.sqrt(float(weight.sum()))
+        width = min(3.0 * max(abs(mean), 3.0 * error), 1.0)
+        common = np.diag(noise + (0.2 * mean) ** 2) + width**2 * np.ones((count, count))
+        logs = [
+            _log_normal(measured_drift, np.diag(noise)),
+            _log_normal(measured_drift, common),
+            _log_normal(measured_drift, np.diag(noise + 1.0)),
+        ]
+        bonus += max(logs) - logs[-1]
+    return bonus
+
+
+def _log_normal(value: np.ndarray, covariance: np.ndarray) -> float:
+    _, determinant = np.linalg.slogdet(covariance)
+    return -0.5 * float(value @ np.linalg.solve(covariance, value)) - 0.5 * float(determinant)
+
+
+def drift_check(drifting: Fit | None, probability: float, found: bool) -> Check:
+    """Say whether a change with time explains the records as well as a change with amplitude."""
+    name = "amplitude, not time"
+    if drifting is None:
+        return Check(name, True, "not testable without records: backbones do not say when an amplitude was passed")
+    rate = DRIFT * float(np.abs(drifting.state.own[:, DRIFTS[0]]).mean())
+    if probability > 0.02 and found:
+        return Check(
+            name,
+            False,
+            f"a frequency and damping that drift with time ({rate:.2%} of the frequency over a record) explain the "
+            f"records as well as an effect of amplitude does (probability {probability:.2f}); release from other "
+            "amplitudes to tell the two apart",
+        )
+    return Check(name, True, "the same amplitude has the same frequency and damping whenever it is passed")
+
+
+def second_mode_check(batch: Batch, best: Fit) -> Check:
+    """Look for a line beside the harmonics in what the best model leaves, and in what conditioning saw."""
+    name = "no second mode"
+    worst: tuple[float, float, str] = (0.0, 0.0, "")
+    for r, witness in enumerate(batch.waveform):
+        if not witness.subspace:
+            record = batch.records[r]
+            if record.band is None and np.isfinite(record.second_mode_share) and record.second_mode_share > worst[0]:
+                worst = (float(record.second_mode_share), record.second_mode_frequency, record.specimen)
+            continue
+        # not whitened: the estimate of the noise holds a second mode too, and whitening would take most of it away
+        plain = replace(witness, whiten=lambda columns: columns)
+        share, frequency = _line(witness, evidence.residuals_of(plain, best, r), batch.records[r].frequency)
+        if share > worst[0]:
+            worst = (share, frequency, batch.specimens[r])
+    if worst[0] > _BEATING:
+        return Check(
+            name,
+            False,
+            f"{worst[2]} holds a line at {worst[1]:.4g} Hz, {worst[0]:.1%} of the motion, that no effect of a single "
+            "mode makes: a second mode beats with it; keep one mode with --band",
+        )
+    return Check(name, True, "what the model leaves holds no line beside the harmonics of the mode")
+
+
+def _line(witness: WaveformWitness, residuals: np.ndarray, frequency: float) -> tuple[float, float]:
+    """Return share of the motion and frequency [Hz] of the highest line beside the harmonics, or zeros."""
+    n = residuals.size
+    step = float(np.median(np.diff(witness.time)))
+    power = np.abs(np.fft.rfft(residuals * np.hanning(n))) ** 2
+    grid = np.fft.rfftfreq(n, step)
+    order = grid / frequency
+    beside = np.abs(order - np.round(order)) * frequency * n * step > _FAR
+    beside &= grid > 2.0 / (n * step)
+    if np.count_nonzero(beside) < 8:
+        return 0.0, 0.0
+    peak = int(np.flatnonzero(beside)[np.argmax(power[beside])])
+    level = float(np.median(power[beside]))
+    around = power[max(peak - 3, 0) : peak + 4]
+    if power[peak] < _LINE * level or power[peak] < around.max():
+        return 0.0, 0.0
+    amplitude = 4.0 * np.sqrt(power[peak]) / n
+    return float(amplitude / (np.sqrt(2.0) * witness.signal)), float(grid[peak])
+
+
+def alike_check(batch: Batch, best: Fit) -> Check:
+    """Say whether the specimens share one curve once each has its own stiffness and damping."""
+    name = "specimens alike"
+    if len(batch.specimens) < 2:
+        return Check(name, True, "one specimen only: nothing to compare")
+    delta = best.state.own[:, NUISANCES:]
+    if delta.size:
+        worst = int(np.argmax(np.abs(delta).max(axis=1)))
+        size = float(np.abs(delta[worst]).max())
+        if size > _ALIKE:
+            return Check(
+                name,
+                False,
+                f"{batch.specimens[worst]} needs an effect {size * SCATTER:.0%} off that of the batch; look at its "
+                "record, or treat it apart",
+            )
+        spread = SCATTER * float(np.sqrt((delta**2).mean()))
+        return Check(name, True, f"the effects of the specimens scatter by {spread:.1%}")
+    row = [str(item) for item in batch.backbones["observable"].values].index("frequency")
+    values = measured(batch)[0][:, row]
+    shared = values[:, np.isfinite(values).all(axis=0)]
+    if shared.shape[1] < 2:
+        return Check(name, True, "the specimens share no range of amplitude: nothing to compare")
+    scatter = float((shared / shared.mean(axis=1, keepdims=True)).std(axis=0).max())
+    return Check(name, True, f"the frequency curves agree in shape within {scatter:.2%}")
+
+
+def witnesses_check(batch: Batch, best: Fit, reduced: float, limit: float) -> Check:
+    """Say whether the backbones agree with what the waveform names."""
+    name = "two witnesses agree"
+    if not batch.has_records:
+        return Check(name, True, "backbones only: there is one witness")
+    if np.isfinite(reduced) and reduced < limit:
+        said = f"the set the waveforms want fits the backbones too (reduced chi-square {reduced:.2f})"
+        return Check(name, True, said)
+    said = f"the waveforms want this set, but it leaves the backbones at a reduced chi-square of {reduced:.3g}"
+    return Check(name, False, said)
+
+
+__all__ = [
+    "DRIFT_KEY", "alike_check", "drift_bonus", "drift_check", "drift_fit", "second_mode_check", "witnesses_check",
+]  # fmt: skip

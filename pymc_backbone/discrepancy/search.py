@@ -1,0 +1,267 @@
+"""The search over sets of effects: forward from the base, with replacement and pruning, every fit kept."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from ..oscillator import Oscillator
+from . import evidence, starts
+from .batch import Batch
+from .joint_fit import NUISANCES, Fit, Layout, State, fit, make_layout, start_state
+from .witness import Witness
+
+Set = tuple[str, ...]
+Progress = Callable[[str, float], None]
+
+_POOR = 1.5  # reduced chi-square above which the score of a fit is no guide
+_KEPT_PARENTS = 2
+_GLANCE = 10  # iterations after which only the best start goes on
+BUDGET = 3e7  # simulated values after which the search ends; only what nothing explains takes as many
+_ROUNDS = 2
+_LOOKED_BACK = 3
+_EXPLAINED = 1.1  # reduced chi-square up to which a set may be complete
+_CLOSE = 30.0  # chi-square within which a smaller set rivals the best
+_WORTH = 5.0  # fall of chi-square by which one more effect begins to earn its place
+
+
+@dataclass
+class Search:
+    """Fits of sets of effects beyond the base, each set once.
+
+    Attributes
+    ----------
+    batch : Batch
+        The data.
+    base : Oscillator
+        Mass and base effects.
+    candidates : tuple of str
+        Effects that may be missing.
+    max_effects : int
+        Largest set.
+    """
+
+    batch: Batch
+    base: Oscillator
+    candidates: tuple[str, ...]
+    max_effects: int = 3
+    progress: Progress = lambda stage, share: None
+    fits: dict[Set, Fit] = field(default_factory=dict)
+    failed: dict[Set, str] = field(default_factory=dict)
+    layouts: dict[Set, Layout] = field(default_factory=dict)
+    reference: int = 0
+    effort: float = 0.0
+    budget: float = BUDGET
+    is_cut: bool = False
+
+    def __post_init__(self) -> None:
+        spans = [w.levels[-1] / w.levels[0] if w.levels.size else 0.0 for w in self.batch.levels]
+        self.reference = int(np.argmax(spans))
+
+    def run(self) -> None:
+        """Fit the base, every single effect, and larger sets as long as they earn their place."""
+        self.progress("base model", 0.0)
+        self.fit_set(())
+        if () not in self.fits:
+            return
+        for k, name in enumerate(self.candidates):
+            self.progress("single effects", (k + 1) / len(self.candidates))
+            self.fit_set((name,))
+        self._look_back()
+        for size in range(2, self.max_effects + 1):
+            before = self.best(size - 1)
+            parents = self._parents(size - 1)
+            if not parents or (size > 2 and len(before) < size - 1 and self._is_explained()):
+                break
+            self._extend(parents, size)
+            self._look_back()
+        for _ in range(_ROUNDS):
+            if not self._replace():
+                break
+            self._look_back()
+
+    def _is_explained(self) -> bool:
+        """Return whether a set leaves hardly more than noise."""
+        count = sum(w.size for w in self.batch.deciding)
+        return min(item.cost for item in self.fits.values()) < _EXPLAINED * count
+
+    def _look_back(self) -> None:
+        """Fit the subsets of the best sets again, from where these ended: a larger set may have found a better way."""
+        for names in self.ranked()[:_LOOKED_BACK]:
+            larger = self.fits[names]
+            for smaller in combinations(names, max(len(names) - 1, 0)):
+                known = self.fits.get(smaller)
+                if not names or known is None or known.cost < larger.cost + _CLOSE:
+                    continue
+                layout = self.layout(smaller)
+                places = [larger.layout.names.index(name) for name in layout.names]
+                own = np.concatenate(
+                    [larger.state.own[:, :NUISANCES], larger.state.own[:, [NUISANCES + p for p in places]]], axis=1
+                )
+                state = State(larger.state.eta[places], own)
+                for found in self._descend(layout, [state], is_near=True, rival=known.cost):
+                    if found.cost < known.cost - 0.01:
+                        self.fits[smaller] = found
+
+    def layout(self, names: Set) -> Layout:
+        """Return the layout of the base with these effects."""
+        if names not in self.layouts:
+            self.layouts[names] = make_layout(self.base + names, self.batch.amplitude, self.batch.angular_frequency)
+        return self.layouts[names]
+
+    def reduced(self, found: Fit) -> float:
+        """Return the reduced chi-square of a fit."""
+        return float(found.chi_square.sum() / sum(w.size for w in self.batch.deciding))
+
+    def ranked(self, size: int | None = None) -> list[Set]:
+        """Return the fitted sets, of one size or all, most probable first."""
+        probability = evidence.probabilities(self.fits, self.batch, len(self.candidates))
+        names = [name for name in self.fits if size is None or len(name) == size]
+        return sorted(names, key=lambda name: -probability[name].log_posterior)
+
+    def best(self, largest: int | None = None) -> Set:
+        """Return the most probable set with at most ``largest`` effects."""
+        limit = self.max_effects if largest is None else largest
+        return next((name for name in self.ranked() if len(name) <= limit), ())
+
+    def _parents(self, size: int) -> list[Set]:
+        """Return the sets to extend: those that explain the records nearly as well as the best, else the best few."""
+        ranked = self.ranked(size)
+        count = sum(w.size for w in self.batch.deciding)
+        lowest = min(item.cost for item in self.fits.values())
+        explained = [name for name in ranked if self.fits[name].cost < min(_EXPLAINED * count, lowest + _CLOSE)]
+        if explained:
+            return explained[:_KEPT_PARENTS]
+        light = [name for name in ranked if not is_heavy(self.layout(name))][: _KEPT_PARENTS + 2 * (size == 1)]
+        return [name for name in ranked if name in light or name in ranked[:_KEPT_PARENTS]]
+
+    def _extend(self, parents: Sequence[Set], size: int) -> None:
+        sets = []
+        for parent in parents:
+            for name in self.candidates:
+                union = tuple(sorted({*parent, name}))
+                if len(union) == size and union not in sets:
+                    sets.append(union)
+        sets.sort(key=lambda names: is_heavy(self.layout(names)))
+        for k, names in enumerate(sets):
+            if self.effort > self.budget:
+                self.is_cut = True
+                break
+            self.progress(("pairs", "sets of three")[min(size - 2, 1)], (k + 1) / len(sets))
+            self.fit_set(names)
+
+    def _replace(self) -> bool:
+        """Try every other effect in the place of each of the best set; return whether that found a better one."""
+        best = self.best()
+        if len(best) < 2:
+            return False
+        for out in best:
+            rest = tuple(name for name in best if name != out)
+            self.fit_set(rest)
+            for name in self.candidates:
+                if name not in best and self.effort <= self.budget:
+                    self.fit_set(tuple(sorted((*rest, name))))
+        for smaller in combinations(best, len(best) - 1):
+            self.fit_set(tuple(sorted(smaller)))
+        if len(best) < self.max_effects:
+            self._extend([best], len(best) + 1)
+        return self.best() != best
+
+    def fit_set(self, names: Set) -> Fit | None:
+        """Return the best fit of a set, from several starts; kept for the next time.
+
+        Where a smaller set explains the records already, and a linear step says that one more effect would gain
+        nothing worth its place, the set is noted with that gain and not fitted further.
+        """
+        if names in self.fits or names in self.failed:
+            return self.fits.get(names)
+        layout = self.layout(names)
+        found: list[Fit] = []
+        parents = [] if not names else [
+            self.fits[rest] for rest in combinations(names, len(names) - 1) if rest in self.fits
+        ]
+        parents.sort(key=lambda parent: parent.cost)
+        count = sum(w.size for w in self.batch.deciding)
+        rival = min((item.cost for item in self.fits.values()), default=None) if names else None
+        for parent in parents[:2] if len(names) > 1 else parents[:1]:
+            new = next(name for name in names if name not in self._names(parent))
+            promised = starts.by_score(layout, new, parent, self.batch)
+            is_explained = parent.cost < _EXPLAINED * count
+            promised = promised[:1] if is_explained else promised
+            if is_explained and promised and promised[0][0] < _WORTH:
+                promised = promised[:1]
+                near = fit(layout, self.batch.deciding, promised[0][1], iterations=1, nuisances=self.batch.nuisances)
+                found += [] if near is None else [near]
+                continue
+            found += self._descend(layout, [state for _, state in promised], is_near=True, rival=rival)
+        lowest = min((item.cost for item in [*found, *parents[:1]]), default=np.inf)
+        is_poor = lowest > _POOR * count and (rival is None or len(names) < 2 or rival > _POOR * count)
+        if not names or not self.batch.has_records or is_poor:
+            found += self._from_backbones(names, layout, parents, rival)
+        if not found:
+            self.failed[names] = "no start could be simulated over the whole record"
+            return None
+        self.fits[names] = min(found, key=lambda item: item.cost)
+        return self.fits[names]
+
+    def _names(self, found: Fit) -> Set:
+        held = {effect.name for effect in self.base.effects}
+        return tuple(effect.name for effect in found.layout.oscillator.effects if effect.name not in held)
+
+    def _from_backbones(self, names: Set, layout: Layout, parents: list[Fit], rival: float | None) -> list[Fit]:
+        if len(names) == 0:
+            eta = starts.typical(layout)
+            scales = (1.0, 20.0) if eta.size else (1.0,)
+            states = [
+                start_state(layout, np.where(layout.is_strength, eta * scale, eta), self.batch.own) for scale in scales
+            ]
+            return self._descend(layout, states, is_near=False)
+        parent = parents[0] if parents else None
+        new = names[0] if parent is None else next(name for name in names if name not in self._names(parent))
+        states = [state for _, state in starts.by_backbone(layout, new, parent, self.batch, self.reference)]
+        return self._descend(layout, states, is_near=False, rival=rival)
+
+    def _descend(
+        self, layout: Layout, states: Sequence[State], *, is_near: bool, rival: float | None = None
+    ) -> list[Fit]:
+        """Return the minimum of the deciding witness that the best of some starts leads to.
+
+        From afar the way is by the turning points, which have no phase to lose.
+        """
+        nuisances = self.batch.nuisances
+        begun: list[Fit] = []
+        for state in states:
+            if not is_near and self.batch.has_records:
+                turning = self._fit(layout, self.batch.turning, state, iterations=20, tolerance=1.0)
+                if turning is None:
+                    continue
+                state = turning.state
+            first = self._fit(
+                layout, self.batch.deciding, state, iterations=_GLANCE, tolerance=0.03, rival=rival, nuisances=nuisances
+            )
+            begun += [] if first is None else [first]
+        if not begun:
+            return []
+        best = min(begun, key=lambda item: item.cost)
+        if best.is_converged or best.evaluations < _GLANCE:
+            return [best]
+        found = self._fit(
+            layout, self.batch.deciding, best.state, iterations=80, tolerance=0.03, rival=rival, nuisances=nuisances
+        )
+        return [best] if found is None else [found]
+
+    def _fit(self, layout: Layout, witnesses: Sequence[Witness], state: State, **options: Any) -> Fit | None:
+        """Fit, and count the effort in simulated values."""
+        found = fit(layout, witnesses, state, **options)
+        if found is not None:
+            self.effort += found.evaluations * sum(w.size for w in witnesses) * (1.0 + 4.0 * is_heavy(layout))
+        return found
+
+
+def is_heavy(layout: Layout) -> bool:
+    """Return whether the model has internal states with an equation of their own, which cost most."""
+    return bool(layout.simulator.has_own_equation)

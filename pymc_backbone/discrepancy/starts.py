@@ -1,0 +1,166 @@
+"""Where to start a fit from: a grid over what an effect can look like, judged by the score or by one backbone."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+
+from .._checks import FloatArray
+from ..effects import BASE_EFFECTS
+from . import joint_fit
+from .batch import Batch
+from .joint_fit import SCATTER, Fit, Layout, State
+
+_STRENGTHS = (0.02, 0.3)
+_TINY = 1e-4
+_SHAPES = (0.12, 0.35, 0.75)
+_SLIPS = (0.03, 0.15, 0.5)  # slip displacement over amplitude
+_TRIED = 6
+_MANY = 4  # parameters beyond which each shape has two values only
+_KEPT = 2
+
+
+def positions(layout: Layout, effect: str) -> list[int]:
+    """Return the places of an effect's parameters among the free coordinates."""
+    parameters = {name for item in layout.oscillator.effects if item.name == effect for name in item.parameter_names}
+    return [j for j, name in enumerate(layout.names) if name in parameters]
+
+
+def grid(layout: Layout, effect: str, strengths: Sequence[float]) -> list[FloatArray]:
+    """Return coordinates of one effect: each strength (a share of its prior's upper bound) with each shape."""
+    where = positions(layout, effect)
+    top = layout.width[where] * np.sqrt(12.0)
+    is_signed = layout.low[where] < 0.0
+    forces = {force for _, force in layout.slips}
+    powers = {place for place, _ in layout.powers}
+    axes: list[list[float]] = []
+    for j, place in enumerate(where[1:], start=1):
+        if place in forces:
+            axes.append(list(_SLIPS))
+        elif is_signed[j]:
+            axes.append([-0.2 * top[j], 0.25 * top[j]])
+        else:
+            low = 0.0 if place in powers or not np.isfinite(layout.low[place]) else layout.low[place]
+            shapes = _SHAPES if len(where) < _MANY else _SHAPES[::2]
+            axes.append([low + fraction * top[j] for fraction in shapes])
+    signs = (0.5, -0.5) if is_signed[0] else (1.0,)
+    leading = [share * sign * top[0] for share in strengths for sign in signs]
+    return [np.array([strength, *shape]) for strength in leading for shape in itertools.product(*axes)]
+
+
+def by_score(layout: Layout, effect: str, parent: Fit, batch: Batch) -> list[tuple[float, State]]:
+    """Return starts from a fit without the effect, with the gain a linear step promises; best first.
+
+    The effect is put in at a strength too small to matter; the derivative to its strength, with everything else that
+    is fitted eliminated, says how much the sum of squares would fall and at which strength.
+    """
+    where = positions(layout, effect)
+    eta, others = _embed(layout, parent)
+    own = np.zeros((len(batch.specimens), joint_fit.NUISANCES + layout.free.size))
+    own[:, : joint_fit.NUISANCES] = parent.state.own[:, : joint_fit.NUISANCES]
+    for here, there in others:
+        own[:, joint_fit.NUISANCES + here] = parent.state.own[:, joint_fit.NUISANCES + there]
+    scatter = SCATTER if len(batch.specimens) > 1 else 0.0
+    active = np.zeros(joint_fit.NUISANCES + layout.free.size, dtype=bool)
+    active[list(batch.nuisances)] = True
+    active[[joint_fit.NUISANCES + here for here, _ in others]] = scatter > 0.0
+    held = np.zeros(own.shape, dtype=bool)
+    held[:, 1] = own[:, 1] <= 0.0
+    found = []
+    for point in grid(layout, effect, (_TINY,)):
+        if layout.low[where[0]] < 0.0 and point[0] < 0.0:
+            continue  # the score has both signs
+        trial = eta.copy()
+        trial[where] = point
+        system = joint_fit.linearise(layout, batch.deciding, State(trial, own), scatter, active)
+        if system is None:
+            continue
+        eliminated = joint_fit.eliminate(system, active, 0.0, held)
+        if eliminated is None:
+            continue
+        shared, gradient, _ = eliminated
+        free = [where[0], *(here for here, _ in others)]
+        information, slope = shared[np.ix_(free, free)], gradient[free]
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+        step = scale * np.linalg.lstsq(information * np.outer(scale, scale), slope * scale, rcond=1e-10)[0]
+        gain = float(slope @ step)
+        strength = trial[where[0]] + step[0]
+        if layout.low[where[0]] >= 0.0 and strength <= 0.0:
+            gain, strength = 0.0, trial[where[0]]
+        limit = 0.5 * layout.width[where[0]]
+        start = trial.copy()
+        start[where[0]] = np.clip(strength, -limit, limit)
+        found.append((gain, State(start, own.copy())))
+    found.sort(key=lambda item: -item[0])
+    return found[:_KEPT]
+
+
+def by_backbone(
+    layout: Layout, effect: str | None, parent: Fit | None, batch: Batch, reference: int
+) -> list[tuple[float, State]]:
+    """Return starts from one specimen's backbone: every strength and shape fitted to it; lowest misfit first."""
+    one = [batch.levels[reference]]
+    eta = np.zeros(layout.free.size)
+    own = batch.own.copy()
+    if parent is not None:
+        eta, _ = _embed(layout, parent)
+        own = parent.state.own[:, : joint_fit.NUISANCES].copy()
+    points: list[FloatArray | None] = [None]
+    where: list[int] = []
+    if effect is not None:
+        where = positions(layout, effect)
+        points = list(grid(layout, effect, _STRENGTHS))
+        if parent is None:
+            eta = typical(layout)
+    trials: list[tuple[float, State]] = []
+    for point in points:
+        trial = eta.copy()
+        if point is not None:
+            trial[where] = point
+        start = joint_fit.start_state(layout, trial, own[[reference]])
+        glance = joint_fit.fit(layout, one, start, iterations=1, nuisances=(0, 1), has_scatter=False)
+        if glance is not None:
+            trials.append((glance.cost, glance.state))
+    trials.sort(key=lambda item: item[0])
+    found = []
+    for _, start in trials[:_TRIED]:
+        solved = joint_fit.fit(layout, one, start, iterations=12, nuisances=(0, 1), has_scatter=False, tolerance=0.3)
+        if solved is not None:
+            found.append((solved.cost, solved))
+    found.sort(key=lambda item: item[0])
+    states: list[tuple[float, State]] = []
+    for cost, solved in found:
+        if any(np.allclose(solved.state.eta, state.eta, rtol=0.05) for _, state in states):
+            continue
+        stretch = solved.state.own[0, :2] / batch.own[reference, :2]
+        moved = own.copy()
+        moved[:, :2] = batch.own[:, :2] * stretch
+        states.append((cost, joint_fit.start_state(layout, solved.state.eta, moved)))
+        if len(states) == _KEPT:
+            break
+    return states
+
+
+def typical(layout: Layout) -> FloatArray:
+    """Return small strengths and middle shapes for effects of which nothing is known yet."""
+    eta = np.zeros(layout.free.size)
+    for effect in layout.oscillator.effects:
+        if effect.name not in BASE_EFFECTS:
+            where = positions(layout, effect.name)
+            points = grid(layout, effect.name, (_STRENGTHS[0],))
+            eta[where] = points[len(points) // 2]
+    return eta
+
+
+def _embed(layout: Layout, parent: Fit) -> tuple[FloatArray, list[tuple[int, int]]]:
+    """Return the coordinates of a smaller model in a larger one, and which went where."""
+    eta = typical(layout)
+    pairs = []
+    for there, name in enumerate(parent.layout.names):
+        if name in layout.names:
+            here = layout.names.index(name)
+            eta[here] = parent.state.eta[there]
+            pairs.append((here, there))
+    return eta, pairs

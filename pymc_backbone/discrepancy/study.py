@@ -1,0 +1,259 @@
+"""What the search for a missing effect found: plain records, from which report, files and figures follow."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import xarray as xr
+
+from .._checks import FloatArray
+from ..oscillator import Oscillator
+
+VERDICTS = ("adequate", "found", "ambiguous", "unexplained")
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A parameter of the extended model.
+
+    Attributes
+    ----------
+    mean, sd, hdi_low, hdi_high : float
+        Of the posterior over the batch [``unit``]; 95 % highest-density interval.
+    unit : str
+        SI unit.
+    """
+
+    mean: float
+    sd: float
+    hdi_low: float
+    hdi_high: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One set of effects beyond the base.
+
+    Attributes
+    ----------
+    effects : tuple of str
+        The effects added to the base; empty for the base alone.
+    probability : float
+        Posterior probability among all sets that were fitted.
+    log_evidence : float
+        Natural logarithm of the evidence, relative to that of the base alone.
+    reduced_chi_square : float
+        Of the deciding witness: per sample of the waveform, or per level value where only backbones were given.
+    backbone_chi_square : float
+        Of the backbones at the levels, per level value.
+    status : {"best", "possible", "rejected", "failed"}
+        What became of it.
+    reason : str
+        Why, in one sentence.
+    parameters : mapping of str to (float, float)
+        Value over the batch and standard error, by parameter of the added effects.
+    """
+
+    effects: tuple[str, ...]
+    probability: float
+    log_evidence: float
+    reduced_chi_square: float
+    backbone_chi_square: float
+    status: str
+    reason: str
+    parameters: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class GapRange:
+    """A range of amplitude in which measurement and base model differ.
+
+    Attributes
+    ----------
+    observable : str
+        frequency, damping or offset.
+    amplitude_low, amplitude_high : float
+        First and last level of the range [m or rad].
+    gap : float
+        Measured minus simulated where it is largest, mean over the specimens [``unit``].
+    unit : str
+        Hz, or 1.
+    standard_errors : float
+        The gap there in standard errors of that mean.
+    direction : {"above", "below"}
+        Whether the measurement lies above or below the model.
+    """
+
+    observable: str
+    amplitude_low: float
+    amplitude_high: float
+    gap: float
+    unit: str
+    standard_errors: float
+    direction: str
+
+
+@dataclass(frozen=True)
+class Check:
+    """A check on the data: its name, whether it passed, and one sentence."""
+
+    check: str
+    passed: bool
+    message: str
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """The gap on data that the fit has not seen, as reduced chi-square.
+
+    Attributes
+    ----------
+    before, after : float
+        With the base model and with the extended one (NaN where there is none).
+    labels : tuple of str
+        What was left out, one entry each: a level or a specimen.
+    before_each, after_each : (n,) arrays
+        Reduced chi-square of each.
+    """
+
+    before: float
+    after: float
+    labels: tuple[str, ...]
+    before_each: FloatArray
+    after_each: FloatArray
+
+
+@dataclass(frozen=True)
+class Detectable:
+    """The smallest effect of one kind that these data would have shown.
+
+    Attributes
+    ----------
+    effect : str
+        Its name.
+    parameter : str
+        Its leading parameter.
+    value : float
+        Strength that would have been detected with about 90 % probability [``unit``].
+    unit : str
+        SI unit.
+    frequency, damping : float
+        Its largest relative change of frequency and of damping over the levels; NaN where unknown.
+    """
+
+    effect: str
+    parameter: str
+    value: float
+    unit: str
+    frequency: float
+    damping: float
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """Everything `find_missing_effect` found.
+
+    Attributes
+    ----------
+    verdict : {"adequate", "found", "ambiguous", "unexplained"}
+        The decision.
+    sentence : str
+        The verdict in one sentence of plain words.
+    base : Oscillator
+        The model that was questioned.
+    extended : Oscillator or None
+        The base with the most probable set of effects added, where that is not empty.
+    missing_effects : tuple of str
+        The named effects; empty unless the verdict is ``found``.
+    probability : float
+        Posterior probability of the most probable set.
+    candidates : tuple of Candidate
+        All sets that were fitted, most probable first.
+    ambiguous_sets : tuple of tuple of str
+        The sets that cannot be told apart; empty unless the verdict is ``ambiguous``.
+    advice : tuple of str
+        What measurement would tell them apart.
+    reasons : tuple of str
+        The naming in physical words with numbers.
+    below_tolerance : tuple of str
+        Effects that are detectable but smaller than the tolerance.
+    where : tuple of GapRange
+        Where base model and measurement differ.
+    missing_p_value : float
+        Of the test of "is anything missing at all".
+    held_out_levels, held_out_specimens : HeldOut or None
+        The gap on data that the fit has not seen; None where it cannot be measured.
+    shrink, shrink_low, shrink_high : float
+        Held-out gap before over after, with a 95 % interval; NaN where there is no extended model.
+    adequate_by : {"statistics", "tolerance"} or None
+        Why the base is adequate.
+    tolerance : mapping of str to float
+        Relative engineering tolerance by observable.
+    detectable : tuple of Detectable
+        The smallest effects that would have been seen.
+    checks : tuple of Check
+        Checks on the data.
+    backbones : xarray.Dataset
+        Measured backbones at levels (``value``, ``standard_error``; specimen, observable, level).
+    before, after : xarray.Dataset or None
+        Simulated backbones of each specimen at the same levels: base model, extended model.
+    parameters : mapping of str to Mapping of str to Estimate
+        By effect of the extended model (base effects included), then by parameter.
+    posterior : xarray.DataTree or None
+        Draws of the extended model; None where nothing was sampled.
+    posterior_bounds : mapping of str to (float, float)
+        Bounds of the Uniform priors of the sampled model.
+    posterior_backbone : xarray.Dataset or None
+        The backbone of the mean specimen that was sampled.
+    findings : tuple of str
+        What is wrong with the posterior, in words.
+    convergence : mapping of str to float
+        ``r_hat`` (largest), ``ess_bulk`` (smallest), ``draws``, ``chains``.
+    settings : mapping
+        Every setting of the run.
+    notes : tuple of str
+        What was assumed or done.
+    seconds : float
+        Of computation.
+    seed : int
+        Of everything random.
+    """
+
+    verdict: str
+    sentence: str
+    base: Oscillator
+    extended: Oscillator | None
+    missing_effects: tuple[str, ...]
+    probability: float
+    candidates: tuple[Candidate, ...]
+    ambiguous_sets: tuple[tuple[str, ...], ...]
+    advice: tuple[str, ...]
+    reasons: tuple[str, ...]
+    below_tolerance: tuple[str, ...]
+    where: tuple[GapRange, ...]
+    missing_p_value: float
+    held_out_levels: HeldOut | None
+    held_out_specimens: HeldOut | None
+    shrink: float
+    shrink_low: float
+    shrink_high: float
+    adequate_by: str | None
+    tolerance: Mapping[str, float]
+    detectable: tuple[Detectable, ...]
+    checks: tuple[Check, ...]
+    backbones: xr.Dataset
+    before: xr.Dataset
+    after: xr.Dataset | None
+    parameters: Mapping[str, Mapping[str, Estimate]]
+    posterior: xr.DataTree | None
+    posterior_bounds: Mapping[str, tuple[float, float]]
+    findings: tuple[str, ...]
+    convergence: Mapping[str, float]
+    settings: Mapping[str, Any]
+    notes: tuple[str, ...]
+    seconds: float
+    seed: int
+    posterior_backbone: xr.Dataset | None = None

@@ -1,0 +1,135 @@
+"""The gap on what a fit has not seen: levels predicted from the others, specimens predicted from the others."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .._checks import OBSERVABLES, FloatArray
+from .batch import Batch
+from .curves import curve, measured, one_on_levels, prediction_errors
+from .joint_fit import NUISANCES, SCATTER, Fit, State, fit, parameters_of
+from .study import HeldOut
+from .witness import level_witness
+
+_RESAMPLES = 2000
+
+
+def held_out_levels(batch: Batch, before: Fit, after: Fit | None) -> HeldOut | None:
+    """Leave out one level at a time, predict it from the others, and compare; the lowest and highest included."""
+    levels = np.asarray(batch.backbones["level"])
+    values, errors = measured(batch)
+    if levels.size < 4:
+        return None
+    rows = _rows(batch)
+    results = np.full((2, levels.size), np.nan)
+    for k in range(levels.size):
+        keep = np.arange(levels.size) != k
+        index = [list(map(str, batch.backbones["specimen"].values)).index(name) for name in batch.specimens]
+        witnesses = [level_witness(batch.backbones, i, keep) for i in index]
+        if any(witness is None or witness.levels.size < 3 for witness in witnesses):
+            continue
+        for m, model in enumerate((before, after)):
+            if model is None:
+                continue
+            solved = fit(model.layout, witnesses, model.state, iterations=12, nuisances=(0, 1), tolerance=0.1)  # type: ignore[arg-type]
+            if solved is None:
+                continue
+            own = prediction_errors(batch, solved, witnesses, levels[[k]])[:, rows, 0]  # type: ignore[arg-type]
+            predicted = np.array(
+                [curve(solved, solved.parameters(r), levels[[k]])[rows, 0] for r in range(len(witnesses))]
+            )
+            results[m, k] = _reduced(values[:, :, k] - predicted, errors[:, :, k], own)
+    if not np.isfinite(results[0]).any():
+        return None
+    return _held_out(results, tuple(f"{level:.6g}" for level in levels))
+
+
+def held_out_specimens(batch: Batch, before: Fit, after: Fit | None, most: int) -> HeldOut | None:
+    """Leave out one specimen at a time: only its stiffness and damping are fitted, the effects come from the others."""
+    count = len(batch.specimens)
+    if count < 2:
+        return None
+    chosen = np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))
+    values, errors = measured(batch)
+    levels = np.asarray(batch.backbones["level"])
+    rows = _rows(batch)
+    results = np.full((2, chosen.size), np.nan)
+    for c, r in enumerate(chosen):
+        rest = [i for i in range(count) if i != r]
+        others = batch.subset(rest)
+        for m, model in enumerate((before, after)):
+            if model is None:
+                continue
+            state = State(model.state.eta, model.state.own[rest])
+            solved = fit(model.layout, others.deciding, state, iterations=6, nuisances=batch.nuisances, tolerance=0.3)
+            if solved is None:
+                continue
+            alone = State(solved.state.eta, model.state.own[[r]].copy())
+            alone.own[0, NUISANCES:] = 0.0
+            own = one_on_levels(solved, batch.levels[r], alone, 0)
+            predicted_state = State(alone.eta, own[None])
+            vector = parameters_of(model.layout, predicted_state, 0)
+            predicted = curve(model, vector, levels)[rows]
+            spread = _spread(solved, len(rest), own, levels)[rows]
+            results[m, c] = _reduced(values[r] - predicted, errors[r], spread)
+    if not np.isfinite(results[0]).any():
+        return None
+    return _held_out(results, tuple(batch.specimens[r] for r in chosen))
+
+
+def _spread(solved: Fit, count: int, own: FloatArray, levels: FloatArray) -> FloatArray:
+    """Return standard errors (3, l) of a specimen's curves from what the others leave open about the effects.
+
+    What stiffness and damping can make up for is no error: they are fitted.
+    """
+    q = solved.layout.free.size
+    spread = np.zeros((3, levels.size))
+    if q == 0:
+        return spread
+    delta = solved.state.own[:, NUISANCES:]
+    scatter = SCATTER * np.sqrt((delta**2).mean(axis=0)) if count > 1 else np.zeros(q)
+    covariance = solved.covariance + np.diag((solved.state.eta * scatter) ** 2)
+    values, status = np.empty((3, levels.size)), np.zeros(levels.size, dtype=np.int64)
+    state = State(solved.state.eta, own[None])
+    vector = parameters_of(solved.layout, state, 0)
+    jacobian = np.zeros((3, levels.size, vector.size))
+    solved.layout.simulator.backbone(vector, levels, 0.0, True, values, jacobian, status)
+    _, slopes = solved.layout.physical(solved.state.eta, own[NUISANCES:], 0.0)
+    effects = np.nan_to_num(jacobian[:, :, solved.layout.free] @ slopes)
+    for o, column in ((0, 0), (1, 1)):
+        along = np.nan_to_num(jacobian[o, :, column])
+        norm = float(along @ along)
+        if norm > 0.0:
+            effects[o] = effects[o] - np.outer(along, along @ effects[o]) / norm
+    return np.sqrt(np.maximum(np.einsum("oli,ij,olj->ol", effects, np.nan_to_num(covariance), effects), 0.0))
+
+
+def _rows(batch: Batch) -> list[int]:
+    return [OBSERVABLES.index(str(name)) for name in batch.backbones["observable"].values]
+
+
+def _reduced(difference: FloatArray, errors: FloatArray, own: FloatArray) -> float:
+    variance = errors**2 + own**2
+    held = np.isfinite(difference) & np.isfinite(variance) & (variance > 0.0)
+    return float(np.mean(difference[held] ** 2 / variance[held])) if held.any() else float("nan")
+
+
+def _held_out(results: FloatArray, labels: tuple[str, ...]) -> HeldOut:
+    with np.errstate(invalid="ignore"):
+        mean = [float(np.nanmean(row)) if np.isfinite(row).any() else float("nan") for row in results]
+    return HeldOut(mean[0], mean[1], labels, results[0].copy(), results[1].copy())
+
+
+def shrink(specimens: HeldOut | None, levels: HeldOut | None, seed: int) -> tuple[float, float, float]:
+    """Return by which factor the held-out gap shrank, with a 95 % interval from resampling what was left out."""
+    chosen = specimens if specimens is not None and np.isfinite(specimens.after) else levels
+    if chosen is None or not np.isfinite(chosen.after):
+        return (float("nan"),) * 3
+    held = np.isfinite(chosen.before_each) & np.isfinite(chosen.after_each)
+    before, after = chosen.before_each[held], chosen.after_each[held]
+    if not before.size:
+        return (float("nan"),) * 3
+    index = np.random.default_rng(seed).integers(0, before.size, size=(_RESAMPLES, before.size))
+    ratios = before[index].sum(axis=1) / np.maximum(after[index].sum(axis=1), 1e-12)
+    low, high = np.quantile(ratios, (0.025, 0.975))
+    return float(before.sum() / max(after.sum(), 1e-12)), float(low), float(high)

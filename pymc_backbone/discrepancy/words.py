@@ -1,0 +1,208 @@
+"""Findings in physical words with numbers: what the gap looks like, what could have been seen, what would decide."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .._checks import OBSERVABLES, FloatArray
+from ..effects import LIBRARY
+from . import starts
+from .batch import Batch
+from .curves import curve, measured, on_levels
+from .decide import Decision, without
+from .joint_fit import Fit, State, parameters_of
+from .search import Search, Set
+from .study import Detectable
+
+_DETECTED = 5.0  # standard deviations at which an effect is named nine times in ten
+_POSSIBLE = 0.02
+_SEPARATED = 5.0  # logarithm of the odds that decides
+
+
+def reasons(batch: Batch, found: Fit, names: Set) -> tuple[str, ...]:
+    """Say for each effect how frequency and damping depart from the model without it, with the power of amplitude."""
+    sentences = []
+    brought = on_levels(batch, found)
+    for name in names:
+        parts = [
+            sentence
+            for sentence in (_power_law(batch, brought, name, row) for row in (0, 1, 2))
+            if sentence
+        ]
+        summary = LIBRARY[name].summary.rstrip(".") if name in LIBRARY else ""
+        text = "; ".join(parts) if parts else "too small to be seen in the backbones; the waveforms show it"
+        sentences.append(f"{name}: {text}. {summary}." if summary else f"{name}: {text}.")
+    return tuple(sentences)
+
+
+def _power_law(batch: Batch, found: Fit, name: str, row: int) -> str:
+    """Return how one observable exceeds the model without the effect, or nothing where that is not significant."""
+    observables = [str(item) for item in batch.backbones["observable"].values]
+    if OBSERVABLES[row] not in observables:
+        return ""
+    o = observables.index(OBSERVABLES[row])
+    off = without(found, [name])
+    levels = np.asarray(batch.backbones["level"])
+    values, errors = measured(batch)
+    excess, variance = [], []
+    for r in range(len(batch.specimens)):
+        excess.append(values[r, o] - curve(off, parameters_of(off.layout, off.state, r), levels)[row])
+        variance.append(errors[r, o] ** 2)
+    gap, spread = np.array(excess), np.array(variance)
+    held = np.isfinite(gap) & np.isfinite(spread) & (spread > 0.0)
+    weight = np.where(held, 1.0 / np.where(held, spread, 1.0), 0.0)
+    total = weight.sum(axis=0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.where(held, gap * weight, 0.0).sum(axis=0) / total
+        error = 1.0 / np.sqrt(total)
+        significance = mean / error
+    good = np.isfinite(mean) & (np.abs(significance) > 2.0)
+    if good.sum() < 3 or np.abs(significance[good]).max() < 4.0:
+        return ""
+    sign = np.sign(np.median(mean[good]))
+    good &= mean * sign > 0.0
+    if good.sum() < 3:
+        return f"{OBSERVABLES[row]} departs in both directions"
+    x, y = np.log(levels[good]), np.log(mean[good] * sign)
+    w = (mean[good] / error[good]) ** 2
+    centre = np.average(x, weights=w)
+    slope = float(np.average((x - centre) * y, weights=w) / np.average((x - centre) ** 2, weights=w))
+    slope_error = float(1.0 / np.sqrt(np.sum(w * (x - centre) ** 2)))
+    at = int(np.flatnonzero(good)[np.argmax(np.abs(mean[good]))])
+    unit = " Hz" if row == 0 else ""
+    verb = {(0, 1): "rises", (0, -1): "falls", (1, 1): "rises", (1, -1): "falls"}.get((row, int(sign)), "moves")
+    trend = "grows with amplitude" if slope > 0.0 else "grows as amplitude falls"
+    return (
+        f"{OBSERVABLES[row]} {verb}: the departure {trend}, proportional to A^({slope:.2f} +- {slope_error:.2f}), "
+        f"{mean[at]:+.3g}{unit} at {levels[at]:.3g} {batch.backbones.attrs.get('amplitude_unit', 'm')}"
+    )
+
+
+def detectable(search: Search, decision: Decision) -> tuple[Detectable, ...]:
+    """Return the smallest strength of each single effect that these data would have shown."""
+    batch, rows = search.batch, []
+    levels = np.asarray(batch.backbones["level"])
+    for name in search.candidates:
+        found = search.fits.get((name,))
+        if found is None or not np.isfinite(found.covariance).all():
+            continue
+        where = starts.positions(found.layout, name)
+        error = float(np.sqrt(max(found.covariance[where[0], where[0]], 0.0)))
+        if not error > 0.0 or error > 2.0 * found.layout.width[where[0]]:
+            rows.append(Detectable(name, found.layout.names[where[0]], float("nan"), "", float("nan"), float("nan")))
+            continue
+        eta = found.state.eta.copy()
+        eta[where[0]] = _DETECTED * error
+        strong = State(eta, found.state.own)
+        values, _ = found.layout.physical(eta, np.zeros(eta.size), 0.0)
+        on = curve(found, parameters_of(found.layout, strong, search.reference), levels)
+        eta_off = eta.copy()
+        eta_off[where[0]] = 0.0
+        off = curve(found, parameters_of(found.layout, State(eta_off, found.state.own), search.reference), levels)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            change = np.abs(on / off - 1.0)
+        place = where[0]
+        for stiffness, force in found.layout.slips:
+            place = force if stiffness == where[0] else place
+        parameter = search.layout((name,)).oscillator.parameters[int(found.layout.free[place])]
+        rows.append(
+            Detectable(
+                effect=name,
+                parameter=parameter.name,
+                value=float(values[place]),
+                unit=parameter.unit,
+                frequency=_largest(change[0]),
+                damping=_largest(change[1]),
+            )
+        )
+    return tuple(rows)
+
+
+def _largest(change: FloatArray) -> float:
+    return float(np.nanmax(change)) if np.isfinite(change).any() else float("nan")
+
+
+def advice(search: Search, decision: Decision) -> tuple[str, ...]:
+    """Say what measurement would tell the most probable set from the next that is not just a larger or smaller one."""
+    listed = [names for names in decision.listed if names != decision.best]
+    if not listed:
+        return ()
+    sentences = []
+    rival = listed[0]
+    ours, theirs = search.fits[decision.best], search.fits[rival]
+    levels = np.asarray(search.batch.backbones["level"])
+    unit = str(search.batch.backbones.attrs.get("amplitude_unit", "m"))
+    _, errors = measured(search.batch)
+    pair = f"{_named(decision.best)} and {_named(rival)}"
+    reached = None
+    for factor in (1.5, 2.0, 3.0, 5.0, 1 / 1.5, 0.5, 1 / 3.0, 0.2):
+        wide = np.sort(levels * factor)
+        outside = wide[(wide > levels[-1]) | (wide < levels[0])]
+        if not outside.size:
+            continue
+        distance = _distance(search, ours, theirs, outside, errors)
+        if distance > 9.0 * 2.0:
+            reached = (factor, outside)
+            break
+    if reached is not None:
+        factor, outside = reached
+        edge = outside[-1] if factor > 1.0 else outside[0]
+        direction = "up to" if factor > 1.0 else "down to"
+        sentences.append(
+            f"{pair} predict different backbones {direction} {edge:.3g} {unit}: measure there, with the present noise."
+        )
+    else:
+        sentences.append(f"no amplitude within a factor of five would tell {pair} apart with the present noise.")
+    gap = abs(ours.cost - theirs.cost) / 2.0
+    if gap > 0.1:
+        more = _SEPARATED / gap
+        if more > 1.0:
+            sentences.append(
+                f"at the present amplitudes it takes about {more:.1f} times as many records, or {np.sqrt(more):.1f} "
+                f"times less noise, to tell {pair} apart."
+            )
+    return tuple(sentences)
+
+
+def _distance(search: Search, ours: Fit, theirs: Fit, outside: FloatArray, errors: FloatArray) -> float:
+    """Return the squared distance between two predictions beyond the measured levels, in standard errors."""
+    total = 0.0
+    with np.errstate(all="ignore"):
+        typical = np.nanmedian(errors, axis=(0, 2))
+    for r in range(len(search.batch.specimens)):
+        a, b = (curve(item, parameters_of(item.layout, item.state, r), outside) for item in (ours, theirs))
+        for o, name in enumerate(search.batch.backbones["observable"].values):
+            row = OBSERVABLES.index(str(name))
+            difference = (a[row] - b[row]) / max(float(typical[o]), 1e-300)
+            total += float(np.nansum(difference**2))
+    return total
+
+
+def _named(names: Set) -> str:
+    return " + ".join(names) if names else "no missing effect"
+
+
+def sentence(decision: Decision, search: Search) -> str:
+    """Return the verdict in one sentence."""
+    percent = f"{100.0 * decision.probability:.0f} %" if decision.probability < 0.995 else "more than 99 %"
+    best = _named(decision.best)
+    if decision.verdict == "found":
+        below = f" ({', '.join(decision.below)} is detectable too, below the tolerance)" if decision.below else ""
+        return f"{best} is missing from the model, with a probability of {percent}{below}."
+    if decision.verdict == "ambiguous":
+        sets = "; ".join(_named(names) for names in decision.listed)
+        return f"Something is missing, but these records do not tell apart: {sets}."
+    if decision.verdict == "unexplained":
+        why = (
+            "a drift with time explains the records better than any effect of amplitude"
+            if decision.drift_probability > 0.5
+            else f"what the best set ({best}) leaves is not noise ({decision.lack.share:.2%} of the motion)"
+        )
+        return f"Something is missing, and no set of known effects explains it: {why}."
+    if decision.adequate_by == "tolerance":
+        what = _named(decision.below) if decision.below else "a drift with time"
+        return (
+            f"The model is adequate: {what} is detectable, but changes the backbones by less than "
+            "the tolerance."
+        )
+    return f"Nothing is missing: model and records agree within measurement error (p = {decision.p_missing:.2g})."

@@ -1,0 +1,112 @@
+"""Small batches of simulated records with a known truth, for the tests of the search for a missing effect."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from pymc_backbone.backbone import backbones_at_levels, default_levels
+from pymc_backbone.conditioning import condition
+from pymc_backbone.cycles import extract_cycles
+from pymc_backbone.decay import simulate_waveform
+from pymc_backbone.discrepancy.batch import Batch, batch_of_records
+from pymc_backbone.oscillator import Oscillator
+from pymc_backbone.records import Record
+
+MASS, FREQUENCY, AMPLITUDE, RATIO = 1.3, 5.0, 0.01, 0.006
+OMEGA = 2.0 * np.pi * FREQUENCY
+STIFFNESS, DAMPING = MASS * OMEGA**2, 2.0 * RATIO * MASS * OMEGA
+PER_CYCLE, CYCLES = 20, 25
+BEFORE = 1.3  # cycles for which the specimen is held before it is released
+TIME = np.arange(0, int((CYCLES + BEFORE) * PER_CYCLE)) / (PER_CYCLE * FREQUENCY)
+RELEASE_TIME = BEFORE / FREQUENCY
+
+STRENGTHS: dict[str, dict[str, float]] = {
+    "cubic_stiffness": {"cubic_stiffness": 0.08 * STIFFNESS / AMPLITUDE**2},
+    "coulomb_friction": {"friction_force": 0.0012 * STIFFNESS * AMPLITUDE},
+    "quadratic_damping": {"quadratic_damping": 0.6 * DAMPING / (OMEGA * AMPLITUDE)},
+}
+
+
+def truth_of(effects: Sequence[str], share: float = 1.0) -> dict[str, float]:
+    """Parameters of the mean specimen that holds these effects, each at ``share`` of its usual strength."""
+    truth = {"linear_stiffness": STIFFNESS, "viscous_damping": DAMPING}
+    for name in effects:
+        truth |= {key: share * value for key, value in STRENGTHS[name].items()}
+    return truth
+
+
+def make_records(
+    rng: np.random.Generator,
+    effects: Sequence[str] = (),
+    *,
+    specimens: int = 2,
+    decibels: float = 45.0,
+    share: float = 1.0,
+    scatter: float = 0.01,
+    truth: Mapping[str, float] | None = None,
+    unit: str = "m",
+    time: Any = TIME,
+    offset: float = 0.0,
+) -> list[Record]:
+    """Records of specimens whose stiffness and damping scatter; the effects are the same in all."""
+    oscillator = Oscillator(MASS, tuple(effects))
+    records = []
+    for r in range(specimens):
+        values = dict(truth or truth_of(effects, share))
+        values["linear_stiffness"] *= 1.0 + scatter * rng.standard_normal()
+        values["viscous_damping"] *= 1.0 + scatter * rng.standard_normal()
+        release = AMPLITUDE * (1.0 - 0.25 * r / max(specimens - 1, 1))
+        exact = simulate_waveform(oscillator, values, time, release, release_time=RELEASE_TIME).displacement
+        records.append(noisy(rng, f"specimen {r + 1}", time, exact + offset, decibels, unit))
+    return records
+
+
+def noisy(
+    rng: np.random.Generator, name: str, time: Any, exact: Any, decibels: float = 45.0, unit: str = "m"
+) -> Record:
+    """A record with white noise so many decibels below the release over the square root of two."""
+    noise = AMPLITUDE / np.sqrt(2.0) * 10.0 ** (-decibels / 20.0)
+    values = np.asarray(exact) + noise * rng.standard_normal(len(time))
+    return Record(name, np.asarray(time), values, "displacement", unit, "made in a test", ())
+
+
+def batch_of(records: Sequence[Record], mass: float = MASS) -> Batch:
+    """The batch of some records, as the search makes it."""
+    conditioned = [condition(record) for record in records]
+    cycles = [extract_cycles(record) for record in conditioned]
+    observables = ("frequency", "damping", "offset")
+    backbones = backbones_at_levels(
+        cycles, default_levels(cycles), observables, amplitude_unit=conditioned[0].unit
+    )
+    return batch_of_records(mass, backbones, conditioned, cycles)
+
+
+def drifting_records(rng: np.random.Generator, change: float, specimens: int = 2) -> list[Record]:
+    """Linear specimens whose stiffness changes linearly with time by ``change`` over the record, by SciPy."""
+    length = TIME[-1] - RELEASE_TIME
+    records = []
+    for r in range(specimens):
+        release = AMPLITUDE * (1.0 - 0.25 * r)
+
+        def rate(t: float, state: Any) -> list[float]:
+            stiffness = STIFFNESS * (1.0 + change * t / length)
+            return [state[1], -(stiffness * state[0] + DAMPING * state[1]) / MASS]
+
+        after = np.maximum(TIME - RELEASE_TIME, 0.0)
+        held = np.unique(after)
+        solved = solve_ivp(rate, (0.0, held[-1]), [release, 0.0], "DOP853", held, rtol=1e-10, atol=1e-14)
+        records.append(noisy(rng, f"specimen {r + 1}", TIME, np.interp(after, held, solved.y[0])))
+    return records
+
+
+def decaying_sinusoid(amplitude: float, frequency: float, ratio: float = RATIO) -> Any:
+    """A second mode at the instants `TIME`: exact free decay of a linear oscillator from rest."""
+    t = np.maximum(TIME - RELEASE_TIME, 0.0)
+    omega = 2.0 * np.pi * frequency
+    damped = omega * np.sqrt(1.0 - ratio**2)
+    envelope = amplitude * np.exp(-ratio * omega * t)
+    return envelope * (np.cos(damped * t) + ratio * omega / damped * np.sin(damped * t))

@@ -1,0 +1,238 @@
+"""From a finished study to files: keys of result.json, the HTML page, the figures."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+import xarray as xr
+from matplotlib import pyplot
+
+from pymc_backbone._checks import InputError
+from pymc_backbone._html import number, table, unit
+from pymc_backbone.diagnosis_files import DIAGNOSIS_KEYS, write_study
+from pymc_backbone.diagnosis_plots import mean_gap, percent, study_figures
+from pymc_backbone.discrepancy.study import VERDICTS
+from pymc_backbone.report import report_html
+from pymc_backbone.results import DIAGNOSIS_FIGURES, FIGURES, read_result
+
+from .study_cases import make_study
+from .test_plots import drawn_without_overlap
+
+HOSTILE = [
+    "<script>alert(1)</script>",
+    "a&b \"q\" 'x'",
+    "$x_{\\frac$",
+    "line\nbreak \x1b[31m",
+    "\N{SNOWMAN}\N{CJK UNIFIED IDEOGRAPH-6A4B}",
+]
+VOID = {"meta", "img", "br", "link", "input", "hr"}
+
+
+class Page(HTMLParser):
+    """Reads a page; fails on tags that are not closed, and keeps what it links to and shows."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.open: list[str] = []
+        self.tags: list[str] = []
+        self.links: list[str] = []
+        self.text = ""
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        names = dict(attrs)
+        assert not [name for name in names if name.startswith("on")]
+        self.links += [names[name] for name in ("src", "href", "srcset", "action") if name in names]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open and self.open.pop() == tag, f"</{tag}> closes nothing"
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] != "style":
+            self.text += data
+
+
+@pytest.fixture(scope="module")
+def studies():
+    return {verdict: make_study(verdict) for verdict in VERDICTS}
+
+
+@pytest.mark.parametrize("verdict", VERDICTS)
+def test_result_has_the_documented_keys(studies, tmp_path, verdict):
+    study = studies[verdict]
+    files = write_study(study, tmp_path / "out", command="pymc-backbone diagnose x")
+    result = read_result(tmp_path / "out")
+    assert set(result) == set(DIAGNOSIS_KEYS)
+    assert result["files"] == files and all((tmp_path / "out" / name).stat().st_size for name in files)
+    assert result["verdict"] == verdict and result["base_effects"] == ["linear_stiffness", "viscous_damping"]
+    shares = [item["probability"] for item in result["candidates"]]
+    assert shares == sorted(shares, reverse=True) and len(shares) == len(study.candidates)
+    for item in result["candidates"]:
+        assert {"effects", "probability", "reduced_chi_square", "log_evidence", "status"} <= set(item)
+        assert item["log_evidence"] is None or np.isfinite(item["log_evidence"])
+    assert any(item["status"] == "failed" and item["reduced_chi_square"] is None for item in result["candidates"])
+    for item in result["where"]:
+        assert set(item) == {
+            *("observable", "amplitude_low", "amplitude_high", "gap", "unit", "standard_errors", "direction")
+        }
+    assert {"before", "after"} <= set(result["gap"]["held_out_levels"]) & set(result["gap"]["held_out_specimens"])
+    assert {"shrink", "shrink_low", "shrink_high"} <= set(result["gap"])
+    assert all(set(check) == {"check", "passed", "message"} for check in result["data_checks"])
+    assert isinstance(result["seconds"], float) and isinstance(result["seed"], int)
+    assert bool(result["missing_effects"]) == (verdict == "found")
+    assert bool(result["ambiguous_sets"]) == (verdict == "ambiguous")
+    if verdict == "found":
+        (entry,) = result["missing_effects"]
+        assert entry["name"] == "coulomb_friction"
+        assert set(entry["parameters"]["friction_force"]) == {"mean", "sd", "hdi_low", "hdi_high", "unit"}
+    if verdict == "adequate":
+        assert result["gap"]["shrink"] is None and result["equation_after"] is None
+        assert result["adequate_by"] == "statistics"
+
+
+def test_result_is_strict_json(studies, tmp_path):
+    """NaN is no JSON: a strict reader must take the file."""
+    broken = dataclasses.replace(studies["found"], probability=np.nan, missing_p_value=np.nan)
+    write_study(broken, tmp_path / "out")
+    text = (tmp_path / "out" / "result.json").read_text(encoding="utf-8")
+
+    def fail(name):
+        raise AssertionError(name)
+
+    assert json.loads(text, parse_constant=fail)["probability"] is None
+
+
+def test_a_folder_in_use_is_left_alone(studies, tmp_path):
+    (tmp_path / "thesis.tex").write_text("years of work")
+    with pytest.raises(InputError, match="not empty"):
+        write_study(studies["adequate"], tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_a_second_study_removes_what_it_did_not_write(studies, tmp_path):
+    write_study(studies["adequate"], tmp_path / "out")
+    assert (tmp_path / "out" / "figures" / "detectable.png").exists()
+    write_study(studies["found"], tmp_path / "out", overwrite=True)
+    assert not (tmp_path / "out" / "figures" / "detectable.png").exists()
+
+
+@pytest.mark.parametrize("verdict", VERDICTS)
+def test_page_is_whole_and_holds_everything_inside(studies, verdict):
+    study = studies[verdict]
+    figures = study_figures(study)
+    text = report_html(study, figures, version="1.2.3", command="pymc-backbone diagnose 'my records' --seed 3")
+    page = Page(text)
+    assert all(link.startswith("data:image/png;base64,") for link in page.links) and len(page.links) == len(figures)
+    assert "script" not in page.tags and "url(" not in text and "@import" not in text
+    assert not re.search(r"https?:|//[a-z]", re.sub(r"base64,[A-Za-z0-9+/=]+", "", text))
+    words = page.text.replace("\N{NO-BREAK SPACE}", " ")
+    assert study.sentence in words and verdict.capitalize() in words
+    for item in study.candidates:
+        assert all(name.replace("_", " ") in words for name in item.effects)
+        assert item.reason in words
+    for sentence in (*study.reasons, *study.advice, *study.notes, *(check.message for check in study.checks)):
+        assert sentence in words
+    assert "pymc-backbone diagnose 'my records' --seed 3" in words and "1.2.3" in words
+    assert study.base.equation.splitlines()[0] in words
+    if study.extended is not None:
+        assert study.extended.equation.splitlines()[0] in words
+
+
+def test_names_from_files_cannot_become_markup():
+    study = make_study("found", names=HOSTILE)
+    text = "</style></title><img src=x onerror=alert(2)>"
+    study = dataclasses.replace(
+        study, sentence=text, notes=(text,), findings=(text,), settings={**study.settings, "records": text}
+    )
+    figures = study_figures(study)
+    for figure in figures.values():
+        figure.canvas.draw()
+    html = report_html(study, figures, version="1", command=text)
+    page = Page(html)
+    assert "script" not in page.tags and page.tags.count("img") == len(figures)
+    assert HOSTILE[0] in page.text and text in page.text and "\x1b" not in html
+
+
+def test_one_specimen_in_radians_and_three_observables():
+    study = make_study(
+        "found", specimens=1, unit="rad", amplitude=0.3, frequency=0.4, observables=("frequency", "damping", "offset")
+    )
+    figures = study_figures(study)
+    assert {"gap_offset", "backbones_offset"} <= set(figures) and "held_out_specimens" not in figures
+    assert "[rad]" in figures["gap_offset"].axes[0].get_xlabel()
+    assert "for a rotation" in Page(report_html(study, figures, version="1")).text.lower()
+
+
+@pytest.mark.parametrize(
+    ("specimens", "amplitude", "unit", "label"),
+    [
+        (1, 0.3, "rad", "[rad]"),
+        (3, 0.35, "m", "[mm]"),
+        (12, 2e-5, "m", "[\N{GREEK SMALL LETTER MU}m]"),
+        (14, 0.01, "m", "[mm]"),
+    ],
+)
+def test_figures_are_drawn_in_readable_units_without_overlap(specimens, amplitude, unit, label):
+    verdict = "unexplained" if specimens == 1 else "ambiguous"
+    figures = study_figures(make_study(verdict, specimens=specimens, amplitude=amplitude, unit=unit))
+    assert set(figures) <= {*DIAGNOSIS_FIGURES, *FIGURES}
+    assert label in figures["gap_damping"].axes[0].get_xlabel()
+    for figure in figures.values():
+        drawn_without_overlap(figure)
+        assert any(axis.lines or axis.collections or axis.patches for axis in figure.axes)
+
+
+def test_figures_of_an_adequate_model(studies):
+    figures = study_figures(studies["adequate"])
+    assert "detectable" in figures
+    assert len(figures["backbones_frequency"].axes) == 1  # there is no after
+    for figure in figures.values():
+        drawn_without_overlap(figure)
+
+
+def test_no_figure_stays_open(studies):
+    before = set(pyplot.get_fignums())
+    study_figures(studies["found"])
+    assert set(pyplot.get_fignums()) == before
+
+
+def test_gap_is_the_mean_over_the_specimens_that_are_there():
+    levels = [0.1, 0.2]
+    coordinates = {"specimen": ["a", "b"], "observable": ["frequency"], "level": levels}
+    dims = ("specimen", "observable", "level")
+    measured = xr.Dataset(
+        {
+            "value": (dims, [[[3.0, 4.0]], [[5.0, np.nan]]]),
+            "standard_error": (dims, [[[0.3, 0.3]], [[0.4, np.nan]]]),
+        },
+        coords=coordinates,
+    )
+    simulated = measured.assign(value=(dims, [[[1.0, 1.0]], [[1.0, 1.0]]]))
+    gap, error = mean_gap(measured, simulated, "frequency")
+    np.testing.assert_allclose(gap, [3.0, 3.0])
+    np.testing.assert_allclose(error, [0.25, 0.3])  # sqrt(0.3^2 + 0.4^2) / 2, and one specimen alone
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(1.0, "100 %"), (0.9999, "> 99.9 %"), (0.97, "97 %"), (1e-9, "< 0.1 %"), (0.0, "0 %"), (np.nan, "-")],
+)
+def test_probability_is_never_rounded_to_certainty(value, text):
+    assert percent(value) == text
+
+
+def test_numbers_and_units_as_html():
+    assert number(6.02e6, 3) == "6.02&thinsp;&times;&thinsp;10<sup>6</sup>"
+    assert number(-0.5) == "&minus;0.5" and number(np.nan) == "&ndash;"
+    assert unit("N s^2/m^2") == '<span class="u">N s<sup>2</sup>/m<sup>2</sup></span>'
+    assert table((("a", ""),), []) == ""
