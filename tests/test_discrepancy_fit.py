@@ -88,6 +88,20 @@ def test_coordinates_return_and_their_derivatives_are_those_of_differences(name)
         )
 
 
+@pytest.mark.parametrize("name", [name for name in EFFECTS if LIBRARY[name].opposed])
+def test_opposed_parameters_stay_within_each_other(name):
+    """A coordinate below minus its opponent is held there, and moves with the opponent alone."""
+    layout = make_layout(Oscillator(MASS, (name,)), AMPLITUDE, OMEGA)
+    eta, none = middle(layout), np.zeros(layout.free.size)
+    for j, other in layout.opposed:
+        eta[j] = -1.5 * eta[other]
+        values, slopes = layout.physical(eta, none, 0.0)
+        assert values[j] == pytest.approx(-values[other], rel=1e-12)
+        assert not slopes[:, j].any()
+        # the same factor of amplitude on both
+        assert slopes[j, other] == pytest.approx(-slopes[other, other], rel=1e-12)
+
+
 @pytest.mark.parametrize("name", EFFECTS)
 def test_an_effect_is_gone_at_zero_strength(name):
     layout = make_layout(Oscillator(MASS, (name,)), AMPLITUDE, OMEGA)

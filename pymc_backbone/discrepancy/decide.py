@@ -18,8 +18,9 @@ from .search import Search, Set
 from .study import Candidate
 
 MISSING = 0.01  # p-value of "nothing is missing" below which something is
-NAMED = 0.9  # probability from which a set is named
+NAMED = 0.88  # probability from which a set is named
 LISTED = 0.95  # probability that the sets listed as possible hold together
+DRIFT_POSSIBLE = 0.05  # probability of a drift with time from which nothing is named
 UNEXPLAINED = 1e-4  # p-value of the best set's residuals below which no set explains the records
 _MOST_LISTED = 8
 _LOOKED_AT = 40
@@ -78,7 +79,10 @@ def decide(
     ranked = [names for names in search.ranked() if names in evidences]
     best = ranked[0]
     lack = evidence.lack_of_fit(search.batch, search.fits[best])
-    p = min(max(lack.p_value, 1e-300), float(np.exp(-1.0)))
+    left = lack
+    if drifting is not None and evidences[drift_key].log_posterior > evidences[best].log_posterior:
+        left = evidence.lack_of_fit(search.batch, drifting)  # what explains the records best may be no set
+    p = min(max(left.p_value, 1e-300), float(np.exp(-1.0)))
     none = _PRIOR_NONE * _WEIGHT_OF_NOISE / (-np.e * p * np.log(p))
     explained = (1.0 - _PRIOR_NONE) / (1.0 - _PRIOR_NONE + none)
     probabilities = {names: explained * evidences[names].probability for names in search.fits}
@@ -119,7 +123,7 @@ def decide(
         if len(close) > 1 or _is_unexplained(lack, tolerance):
             decision.listed = tuple(close[:_MOST_LISTED])
             return decision
-    if decision.probability >= NAMED and drift_probability < 0.05:
+    if decision.probability >= NAMED and drift_probability < DRIFT_POSSIBLE:
         decision.verdict = "found"
         return decision
     total, listed = evidences[drift_key].probability if drifting is not None else 0.0, []

@@ -16,6 +16,8 @@ from .witness import WaveformWitness, Witness
 
 PRIOR_OF_SIZE = (0.5, 0.445, 0.05, 0.005)
 """Prior probability that so many effects are missing, shared evenly among the sets of that size."""
+UNSEEN = 0.5
+"""Prior probability that a missing effect is too small to be seen: then the records are as probable as without it."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,9 @@ def probabilities(
         determinant = information(found.layout, found.system, found.state, found.active, noise)[0]
         logs[names] = likelihood - 0.5 * determinant + (bonus or {}).get(names, 0.0)
     base = logs.get((), 0.0)
+    for names in logs:
+        if len(names) == 1 and names not in (bonus or {}):
+            logs[names] = float(np.logaddexp(np.log(UNSEEN) + base, np.log1p(-UNSEEN) + logs[names]))
     posterior = {names: value + log_prior(len(names), candidates) for names, value in logs.items()}
     total = logsumexp(list(posterior.values()))
     return {

@@ -40,7 +40,10 @@ def grid(layout: Layout, effect: str, strengths: Sequence[float]) -> list[FloatA
         if place in forces:
             axes.append(list(_SLIPS))
         elif is_signed[j]:
-            axes.append([-0.2 * top[j], 0.25 * top[j]])
+            if layout.high[place] > 0.0:
+                axes.append([-0.2 * top[j], 0.25 * top[j]])
+            else:
+                axes.append([layout.low[place] + share * top[j] for share in (0.25, 0.75)])
         else:
             low = 0.0 if place in powers or not np.isfinite(layout.low[place]) else layout.low[place]
             shapes = _SHAPES if len(where) < _MANY else _SHAPES[::2]

@@ -9,7 +9,7 @@ from ..effects import LIBRARY
 from . import starts
 from .batch import Batch
 from .curves import curve, measured, on_levels
-from .decide import Decision, without
+from .decide import DRIFT_POSSIBLE, Decision, without
 from .joint_fit import Fit, State, parameters_of
 from .search import Search, Set
 from .study import Detectable
@@ -125,9 +125,13 @@ def _largest(change: FloatArray) -> float:
 def advice(search: Search, decision: Decision) -> tuple[str, ...]:
     """Say what measurement would tell the most probable set from the next that is not just a larger or smaller one."""
     listed = [names for names in decision.listed if names != decision.best]
-    if not listed:
-        return ()
     sentences = []
+    if is_drift_possible(decision):
+        sentences.append(
+            "release from other amplitudes: a drift goes with the time since the release, an effect with the amplitude."
+        )
+    if not listed:
+        return tuple(sentences)
     rival = listed[0]
     ours, theirs = search.fits[decision.best], search.fits[rival]
     levels = np.asarray(search.batch.backbones["level"])
@@ -178,6 +182,11 @@ def _distance(search: Search, ours: Fit, theirs: Fit, outside: FloatArray, error
     return total
 
 
+def is_drift_possible(decision: Decision) -> bool:
+    """Return whether a change with time explains the records too well for an effect to be named."""
+    return decision.drift_probability >= DRIFT_POSSIBLE
+
+
 def _named(names: Set) -> str:
     return " + ".join(names) if names else "no missing effect"
 
@@ -190,7 +199,8 @@ def sentence(decision: Decision, search: Search) -> str:
         below = f" ({', '.join(decision.below)} is detectable too, below the tolerance)" if decision.below else ""
         return f"{best} is missing from the model, with a probability of {percent}{below}."
     if decision.verdict == "ambiguous":
-        sets = "; ".join(_named(names) for names in decision.listed)
+        listed = [_named(names) for names in decision.listed]
+        sets = "; ".join([*listed, "a drift with time"] if is_drift_possible(decision) else listed)
         return f"Something is missing, but these records do not tell apart: {sets}."
     if decision.verdict == "unexplained":
         why = (

@@ -271,8 +271,8 @@ def _batch(
     is_list = isinstance(data, Sequence) and not isinstance(data, str)
     if not is_list or not all(isinstance(item, Record | ConditionedRecord) for item in data):
         raise InputError(
-            f"`data` must be a list of records or a Dataset of backbones, got {type(data).__name__}; read a folder with "
-            "`read_records`."
+            f"`data` must be a list of records or a Dataset of backbones, got {type(data).__name__}; `read_records` "
+            "reads a folder."
         )
     items = list(data)
     if not items:

@@ -1,0 +1,406 @@
+"""Evidence, lack of fit, the gap, held-out data, rivals: each on data made for it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import xarray as xr
+from scipy.stats import f, kstest
+
+from pymc_backbone.discrepancy import evidence, rivals, starts, verify
+from pymc_backbone.discrepancy.curves import curve, on_levels, prediction_errors, simulate
+from pymc_backbone.discrepancy.decide import decide
+from pymc_backbone.discrepancy.joint_fit import fit, parameters_of, start_state
+from pymc_backbone.discrepancy.locate import mean_gap, where_different
+from pymc_backbone.discrepancy.search import Search
+from pymc_backbone.discrepancy.study import HeldOut
+from pymc_backbone.effects import LIBRARY
+from pymc_backbone.oscillator import Oscillator
+
+from .discrepancy_cases import (
+    AMPLITUDE,
+    MASS,
+    OMEGA,
+    RELEASE_TIME,
+    batch_of,
+    decaying_sinusoid,
+    drifting_records,
+    make_records,
+    truth_of,
+)
+
+CANDIDATES = ("cubic_stiffness", "coulomb_friction", "quadratic_damping")
+
+
+def search_of(batch, candidates=CANDIDATES, largest=2, base=()):
+    search = Search(batch, Oscillator(MASS, base), candidates, largest)
+    search.run()
+    return search
+
+
+@pytest.fixture(scope="module")
+def cubic():
+    return search_of(batch_of(make_records(np.random.default_rng(21), ("cubic_stiffness",), specimens=3)))
+
+
+@pytest.fixture(scope="module")
+def linear():
+    return search_of(batch_of(make_records(np.random.default_rng(22), (), specimens=3)))
+
+
+# evidence
+
+
+def test_probabilities_sum_to_one_and_the_right_set_leads(cubic):
+    found = evidence.probabilities(cubic.fits, cubic.batch, len(CANDIDATES))
+    assert sum(item.probability for item in found.values()) == pytest.approx(1.0, abs=1e-9)
+    assert found[()].log_evidence == 0.0
+    assert max(found, key=lambda names: found[names].probability) == ("cubic_stiffness",)
+    assert cubic.ranked()[0] == cubic.best() == ("cubic_stiffness",)
+    assert cubic.best(0) == ()
+
+
+def test_an_irrelevant_effect_costs(cubic, linear):
+    for search, right in ((cubic, ("cubic_stiffness",)), (linear, ())):
+        found = evidence.probabilities(search.fits, search.batch, len(CANDIDATES))
+        larger = [names for names in search.fits if len(names) == len(right) + 1 and set(right) < set(names)]
+        assert larger
+        for names in larger:
+            # it can be turned off; what promises nothing is noted near zero strength after one step, not at zero
+            assert search.fits[names].cost <= search.fits[right].cost + 2.0
+            assert found[names].log_evidence < found[right].log_evidence - 0.5, names
+
+
+def test_prior_is_shared_by_the_sets_of_one_size():
+    from math import comb
+
+    total = sum(comb(7, size) * np.exp(evidence.log_prior(size, 7)) for size in range(4))
+    assert total == pytest.approx(1.0, abs=1e-12)
+
+
+def test_evidence_does_not_depend_on_the_noise_that_was_assumed(cubic):
+    """Residuals twice too large everywhere: hardly another probability, because the noise level is free."""
+    found = evidence.probabilities(cubic.fits, cubic.batch, len(CANDIDATES))
+    doubled = tuple(
+        replace(item, whiten=lambda columns, old=item.whiten: 2.0 * old(columns)) for item in cubic.batch.waveform
+    )
+    search = search_of(replace(cubic.batch, waveform=doubled))
+    again = evidence.probabilities(search.fits, search.batch, len(CANDIDATES))
+    for names in ((), ("coulomb_friction",), ("cubic_stiffness", "quadratic_damping")):
+        difference = found[names].log_posterior - found[("cubic_stiffness",)].log_posterior
+        # the priors of scatter weigh differently, and where fits end: a few per cent of odds of thousands to one
+        assert again[names].log_posterior - again[("cubic_stiffness",)].log_posterior == pytest.approx(
+            difference, rel=0.1, abs=1.0
+        )
+
+
+def fake(residuals, batch, found, monkeypatch):
+    monkeypatch.setattr(evidence, "residuals_of", lambda witness, fit, specimen: residuals)
+    return evidence.effective_size(batch.waveform[0], found, 0)
+
+
+def test_effective_size_counts_independent_pieces(linear, rng, monkeypatch):
+    found, n = linear.fits[()], linear.batch.waveform[0].size
+    white = rng.standard_normal(n)
+    assert fake(white, linear.batch, found, monkeypatch) == pytest.approx(n, rel=0.02)  # the slack: three sigma
+    coherent = np.sin(OMEGA * linear.batch.waveform[0].time)[:n] + 0.1 * white
+    assert fake(coherent, linear.batch, found, monkeypatch) < 0.02 * n
+    blocks = np.repeat(rng.standard_normal(n // 10 + 1), 10)[:n]
+    # runs of ten equal values: 1 + 2 sum (1 - k/10)^2 = 6.7 values to a piece, known to a fifth from fifty runs
+    assert fake(blocks, linear.batch, found, monkeypatch) == pytest.approx(n / 6.7, rel=0.3)
+
+
+def redrawn(batch, rng, effects=()):
+    """The batch with new noise on exact waveforms of its first specimen's model, to be fitted from the truth."""
+    oscillator = Oscillator(MASS, effects)
+    layout = search_layout(oscillator)
+    vector = oscillator.pack(truth_of(effects))
+    witnesses, own = [], []
+    for item, record in zip(batch.waveform, batch.records, strict=True):
+        exact, _ = item.simulate(layout.simulator, vector, AMPLITUDE, RELEASE_TIME, item.time)
+        noise = record.noise / np.sqrt(item.together)
+        witnesses.append(replace(item, values=exact + noise * rng.standard_normal(exact.size)))
+        own.append([vector[0], vector[1], AMPLITUDE, RELEASE_TIME, 0.0])
+    return replace(batch, waveform=tuple(witnesses)), np.array(own)
+
+
+def search_layout(oscillator):
+    from pymc_backbone.discrepancy.joint_fit import make_layout
+
+    return make_layout(oscillator, AMPLITUDE, OMEGA)
+
+
+def test_lack_of_fit_is_calibrated_under_the_right_model(linear, rng):
+    layout = search_layout(Oscillator(MASS))
+    p_values, exact = [], []
+    for _ in range(40):
+        batch, own = redrawn(linear.batch.subset([0]), rng)
+        found = fit(layout, batch.waveform, start_state(layout, np.empty(0), own))
+        lack = evidence.lack_of_fit(batch, found)
+        p_values.append(lack.p_value)
+        degrees = sum(basis.shape[1] for _, basis in batch.waveform[0].subspace) - 5
+        exact.append(float(f.sf(lack.ratio, degrees, batch.waveform[0].size - degrees - 5)))
+    # forty draws: the ratio has its F distribution, and the p-value is never too small
+    assert kstest(exact, "uniform").pvalue > 1e-3
+    assert kstest(p_values, "uniform", alternative="greater").pvalue > 1e-3
+
+
+def test_lack_of_fit_sees_a_missing_effect_whatever_the_noise_was_taken_for(cubic):
+    assert evidence.lack_of_fit(cubic.batch, cubic.fits[("cubic_stiffness",)]).p_value > 1e-4
+    for factor in (1.0, 0.5):
+        weaker = tuple(
+            replace(item, whiten=lambda columns, old=item.whiten, factor=factor: factor * old(columns))
+            for item in cubic.batch.waveform
+        )
+        lack = evidence.lack_of_fit(replace(cubic.batch, waveform=weaker), cubic.fits[()])
+        assert lack.p_value < 1e-12 and lack.ratio > 5.0
+        assert 1e-3 < lack.share < 1.0
+
+
+# the gap
+
+
+def hand_made(gap, errors):
+    """A batch and a simulation whose gap (specimen, observable, level) is known."""
+    gap = np.asarray(gap, dtype=np.float64)
+    names = ["frequency", "damping"][: gap.shape[1]]
+    coordinates = {
+        "specimen": [f"s{i}" for i in range(gap.shape[0])],
+        "observable": names,
+        "level": np.arange(1.0, gap.shape[2] + 1.0),
+    }
+    dims = ("specimen", "observable", "level")
+    measured = xr.Dataset({"value": (dims, 5.0 + gap), "standard_error": (dims, np.broadcast_to(errors, gap.shape))})
+    measured = measured.assign_coords(coordinates)
+    simulated = xr.Dataset({"value": (dims, np.full(gap.shape, 5.0))}).assign_coords(coordinates)
+    return SimpleNamespace(backbones=measured, specimens=tuple(coordinates["specimen"])), simulated
+
+
+def test_mean_gap_and_its_error():
+    gap = [[[0.1, 0.2, np.nan]], [[0.3, 0.2, np.nan]]]
+    batch, simulated = hand_made(gap, 0.02)
+    mean, error = mean_gap(batch, simulated)
+    np.testing.assert_allclose(mean[0, :2], [0.2, 0.2], rtol=1e-12)
+    np.testing.assert_allclose(error[0, :2], 0.02 / np.sqrt(2.0), rtol=1e-12)
+    assert np.isnan(mean[0, 2])
+    # from three specimens on their scatter counts, where it is the larger
+    batch, simulated = hand_made([[[0.1]], [[0.3]], [[0.5]]], 0.02)
+    assert mean_gap(batch, simulated)[1][0, 0] == pytest.approx(0.2 / np.sqrt(3.0))
+
+
+def test_ranges_with_their_direction_and_significance():
+    gap = np.zeros((2, 2, 6))
+    gap[:, 0] = [0.0, 0.03, 0.08, 0.0, -0.05, -0.06]  # errors of the mean: 0.01
+    gap[:, 1] = [0.021, 0.0, 0.0, 0.0, 0.0, 0.0]  # visible, but below three standard errors
+    batch, simulated = hand_made(gap, 0.01 * np.sqrt(2.0))
+    ranges = where_different(batch, simulated)
+    assert [(r.observable, r.amplitude_low, r.amplitude_high, r.direction) for r in ranges] == [
+        ("frequency", 2.0, 3.0, "above"),
+        ("frequency", 5.0, 6.0, "below"),
+    ]
+    assert ranges[0].gap == pytest.approx(0.08) and ranges[0].unit == "Hz"
+    assert ranges[0].standard_errors == pytest.approx(8.0)
+    assert where_different(*hand_made(np.zeros((2, 2, 6)), 0.01)) == ()
+
+
+def test_ranges_end_where_the_gap_turns():
+    batch, simulated = hand_made([[[0.1, -0.1, 0.1]]], 0.01)
+    assert [r.amplitude_low for r in where_different(batch, simulated)] == [1.0, 2.0, 3.0]
+
+
+# held-out data
+
+
+@pytest.fixture(scope="module")
+def pair(cubic):
+    return on_levels(cubic.batch, cubic.fits[()]), cubic.fits[("cubic_stiffness",)]
+
+
+def test_held_out_levels(cubic, pair):
+    before, after = pair
+    held = verify.held_out_levels(cubic.batch, before, on_levels(cubic.batch, after))
+    count = cubic.batch.backbones.sizes["level"]
+    assert len(held.labels) == count == held.before_each.size
+    assert np.isfinite(held.after_each[[0, -1]]).all()  # lowest and highest included
+    # three values for each of three specimens and level, correlated along the levels
+    assert 0.1 < held.after < 2.5
+    assert held.before > 50.0 * held.after
+    alone = verify.held_out_levels(cubic.batch, before, None)
+    assert np.isnan(alone.after) and alone.before == pytest.approx(held.before, rel=1e-6)
+
+
+def test_held_out_specimens(cubic, pair):
+    before, after = pair
+    held = verify.held_out_specimens(cubic.batch, before, after, 6)
+    assert held.labels == cubic.batch.specimens
+    assert 0.1 < held.after < 2.5 and held.before > 50.0 * held.after
+    assert len(verify.held_out_specimens(cubic.batch, before, after, 2).labels) == 2
+    assert verify.held_out_specimens(cubic.batch.subset([0]), before, after, 6) is None
+
+
+def test_a_wrong_model_does_not_pass_held_out_data(cubic, pair):
+    """Negative control: an effect that is not there predicts no better than nothing."""
+    wrong = cubic.fits[("quadratic_damping",)]
+    held = verify.held_out_specimens(cubic.batch, pair[0], wrong, 6)
+    assert held.after > 10.0
+
+
+def test_shrink_and_its_interval():
+    def held(before, after):
+        before, after = np.array(before), np.array(after)
+        return HeldOut(float(before.mean()), float(after.mean()), ("a",) * before.size, before, after)
+
+    specimens = held([100.0, 140.0, 90.0, 120.0], [1.0, 1.4, 0.8, 1.2])
+    ratio, low, high = verify.shrink(specimens, None, 1)
+    assert ratio == pytest.approx(450.0 / 4.4)
+    assert low <= ratio <= high and low > 90.0 and high < 120.0  # between the smallest and largest single ratio
+    assert verify.shrink(specimens, None, 1) == (ratio, low, high)
+    levels = held([10.0, 10.0], [1.0, 1.0])
+    assert verify.shrink(None, levels, 1)[0] == pytest.approx(10.0)
+    assert np.isnan(verify.shrink(None, None, 1)).all()
+
+
+def test_errors_of_prediction_cover_what_they_should(cubic):
+    """At levels beyond those fitted, the prediction is off by its standard error, not by its tenth nor tenfold."""
+    found = cubic.fits[("cubic_stiffness",)]
+    batch = cubic.batch
+    brought = on_levels(batch, found, free_effects=True)
+    levels = np.asarray(batch.backbones["level"])
+    errors = prediction_errors(batch, brought, list(batch.levels), levels)
+    assert errors.shape == (3, 3, levels.size) and np.all(errors[:, :2] > 0.0)
+    exact = curve(found, found.layout.oscillator.pack(truth_of(("cubic_stiffness",))), levels)[0]
+    for r in range(3):
+        simulated = curve(brought, parameters_of(brought.layout, brought.state, r), levels)[0]
+        # stiffness differs between specimens by one per cent: compare how the curves bend
+        bend = (simulated / simulated.mean() - exact / exact.mean())[[0, -1]]
+        assert np.all(np.abs(bend) < 6.0 * errors[r, 0, [0, -1]] / simulated.mean() + 1e-5)
+
+
+def test_simulated_backbones_stand_beside_the_measured(cubic):
+    simulated = simulate(cubic.batch, cubic.fits[("cubic_stiffness",)])
+    assert simulated["value"].shape == cubic.batch.backbones["value"].shape
+    error = np.asarray(cubic.batch.backbones["standard_error"])
+    gap = (np.asarray(cubic.batch.backbones["value"]) - np.asarray(simulated["value"])) / error
+    assert np.nanmean(gap[:, :2] ** 2) < 5.0  # the backbones' errors, and stiffness from the waveforms
+
+
+# rivals
+
+
+def test_a_drift_is_not_taken_for_an_effect(random_seed):
+    batch = batch_of(drifting_records(np.random.default_rng(random_seed), 0.01))
+    search = search_of(batch)
+    drifting = rivals.drift_fit(batch, search.fits[()])
+    # stiffness up by 1 %: frequency by half a per cent over the record; one unit of drift stands for 5 %
+    np.testing.assert_allclose(drifting.state.own[:, 5], 0.1, rtol=0.1)
+    assert drifting.cost < min(item.cost for item in search.fits.values())
+    decision = decide(search, drifting, rivals.DRIFT_KEY, {}, rivals.drift_bonus(drifting))
+    assert decision.verdict == "unexplained" and decision.drift_probability > 0.9
+    assert not rivals.drift_check(drifting, decision.drift_probability, True).passed
+
+
+def test_no_drift_is_seen_where_there_is_none(cubic):
+    drifting = rivals.drift_fit(cubic.batch, cubic.fits[()])
+    assert drifting.cost > 2.0 * cubic.fits[("cubic_stiffness",)].cost
+    decision = decide(cubic, drifting, rivals.DRIFT_KEY, {}, rivals.drift_bonus(drifting))
+    assert decision.verdict == "found" and decision.best == ("cubic_stiffness",)
+    assert decision.drift_probability < 0.02
+    assert rivals.drift_check(drifting, decision.drift_probability, True).passed
+    assert rivals.drift_check(None, 0.0, True).passed
+
+
+@pytest.mark.parametrize("frequency", [3.1, 7.3, 12.7])
+def test_a_second_mode_is_seen(frequency, rng):
+    records = make_records(rng, ())
+    beating = decaying_sinusoid(0.08 * AMPLITUDE, frequency)
+    batch = batch_of([replace(record, values=record.values + beating) for record in records])
+    search = Search(batch, Oscillator(MASS), CANDIDATES, 1)
+    search.fit_set(())
+    check = rivals.second_mode_check(batch, search.fits[()])
+    assert not check.passed
+    said = float(check.message.split(" Hz")[0].split()[-1])
+    assert said == pytest.approx(frequency, abs=0.3)  # a bin of a record of five seconds is 0.2 Hz wide
+
+
+def test_no_second_mode_is_seen_in_noise_and_harmonics(cubic, linear):
+    assert rivals.second_mode_check(cubic.batch, cubic.fits[("cubic_stiffness",)]).passed
+    assert rivals.second_mode_check(linear.batch, linear.fits[()]).passed
+
+
+def test_specimens_alike_or_not(cubic, linear, rng):
+    assert rivals.alike_check(cubic.batch, cubic.fits[("cubic_stiffness",)]).passed
+    assert rivals.alike_check(linear.batch.subset([0]), linear.fits[()]).message.startswith("one specimen")
+    swapped = replace(linear.batch, backbones=linear.batch.backbones.isel(observable=[1, 0, 2]))
+    # the frequency is meant, wherever it stands
+    assert rivals.alike_check(swapped, linear.fits[()]) == rivals.alike_check(linear.batch, linear.fits[()])
+    records = make_records(rng, ("cubic_stiffness",), specimens=2)
+    odd = make_records(rng, ("cubic_stiffness",), specimens=1, share=2.2)[0]
+    batch = batch_of([*records, replace(odd, specimen="odd one")])
+    search = Search(batch, Oscillator(MASS), ("cubic_stiffness",), 1)
+    search.fit_set(())
+    found = search.fit_set(("cubic_stiffness",))
+    check = rivals.alike_check(batch, found)
+    assert not check.passed
+
+
+def test_witnesses_agree_or_not(cubic):
+    found = cubic.fits[("cubic_stiffness",)]
+    assert rivals.witnesses_check(cubic.batch, found, 1.2, 5.0).passed
+    assert not rivals.witnesses_check(cubic.batch, found, 12.0, 5.0).passed
+    assert not rivals.witnesses_check(cubic.batch, found, float("nan"), 5.0).passed
+
+
+# the search itself
+
+
+def test_every_set_is_kept_and_a_base_may_hold_effects():
+    batch = batch_of(make_records(np.random.default_rng(31), ("cubic_stiffness", "coulomb_friction")))
+    search = search_of(batch, ("coulomb_friction", "quadratic_damping"), base=("cubic_stiffness",))
+    assert {(), ("coulomb_friction",), ("quadratic_damping",)} <= set(search.fits) | set(search.failed)
+    assert search.best() == ("coulomb_friction",)
+    assert search.reduced(search.fits[("coulomb_friction",)]) == pytest.approx(1.0, abs=0.1)
+    layout = search.layout(("coulomb_friction",))
+    assert "cubic_stiffness" in layout.names and "friction_force" in layout.names
+
+
+def test_search_over_backbones_alone():
+    batch = batch_of(make_records(np.random.default_rng(32), ("cubic_stiffness",)))
+    from pymc_backbone.discrepancy.batch import batch_of_backbones
+
+    search = search_of(batch_of_backbones(MASS, batch.backbones))
+    assert not search.batch.has_records and search.best() == ("cubic_stiffness",)
+    assert rivals.drift_fit(search.batch, search.fits[()]) is None
+
+
+def test_a_search_ends_when_its_budget_does(cubic):
+    search = Search(cubic.batch, Oscillator(MASS), CANDIDATES, 2, budget=0.0)
+    search.run()
+    assert {()} | {(name,) for name in CANDIDATES} <= set(search.fits)
+    assert not [names for names in search.fits if len(names) == 2]
+
+
+def test_deciding_does_not_need_all_subsets_to_be_fitted(cubic):
+    """A set found by replacement may have subsets that were never fitted; the tolerance asks for them."""
+    search = Search(cubic.batch, Oscillator(MASS), CANDIDATES, 2)
+    for names in ((), ("coulomb_friction",), ("quadratic_damping",), ("coulomb_friction", "quadratic_damping")):
+        search.fit_set(names)
+    search.fit_set(("coulomb_friction", "cubic_stiffness"))
+    assert ("cubic_stiffness",) not in search.fits
+    decision = decide(search, None, rivals.DRIFT_KEY, {"frequency": 0.001, "damping": 0.03, "waveform": 0.003})
+    assert set(search.fits) == set(decision.probabilities) == set(decision.evidences)
+
+
+@pytest.mark.parametrize("name", [name for name in LIBRARY if name not in ("linear_stiffness", "viscous_damping")])
+def test_every_effect_of_the_library_can_be_started_from(name, linear):
+    layout = linear.layout((name,))
+    where = starts.positions(layout, name)
+    assert where[0] == 0 and len(where) == layout.free.size
+    for point in starts.grid(layout, name, (0.02, 0.3)):
+        assert np.all(point >= layout.low[where]) and np.all(point <= layout.high[where]) and point[0] != 0.0
+    promised = starts.by_score(layout, name, linear.fits[()], linear.batch)
+    assert promised and promised[0][0] >= promised[-1][0] >= 0.0
+    # nothing is missing: what one effect of some shape promises is noise, chi-square with at most a few degrees
+    assert promised[0][0] < 40.0

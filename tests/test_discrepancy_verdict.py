@@ -1,0 +1,335 @@
+"""`find_missing_effect` from records or backbones to a verdict, on data whose truth is known."""
+
+from __future__ import annotations
+
+import dataclasses
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import pymc_backbone as pb
+from pymc_backbone.discrepancy import decide, words
+from pymc_backbone.discrepancy.study import VERDICTS
+from pymc_backbone.discrepancy.workflow import TOLERANCE
+from pymc_backbone.effects import BASE_EFFECTS, LIBRARY
+
+from .discrepancy_cases import (
+    AMPLITUDE,
+    MASS,
+    STIFFNESS,
+    TIME,
+    batch_of,
+    decaying_sinusoid,
+    drifting_records,
+    make_records,
+    truth_of,
+)
+
+CANDIDATES = ("cubic_stiffness", "coulomb_friction", "quadratic_damping")
+LINEAR = pb.Oscillator(MASS)
+
+
+def study_of(data, base=(), **options):
+    chosen = {"candidates": CANDIDATES, "quick": True, "random_seed": 1, **options}
+    return pb.find_missing_effect(pb.Oscillator(MASS, base), data, **chosen)
+
+
+def check_whole(study):
+    """What holds for every study, whatever was found."""
+    assert study.verdict in VERDICTS and study.sentence.endswith(".")
+    probabilities = [item.probability for item in study.candidates]
+    assert probabilities == sorted(probabilities, reverse=True)
+    assert 0.0 < sum(probabilities) <= 1.0 + 1e-9
+    assert all(item.reason for item in study.candidates)
+    names = [item.effects for item in study.candidates]
+    assert len(set(names)) == len(names) and () in names
+    assert (study.missing_effects == ()) == (study.verdict != "found")
+    assert (study.ambiguous_sets == ()) == (study.verdict != "ambiguous")
+    assert (study.adequate_by is None) == (study.verdict != "adequate")
+    assert (study.extended is None) == (study.after is None)
+    assert len(study.checks) == 4 and all(item.message for item in study.checks)
+    assert study.before["value"].shape == study.backbones["value"].shape
+    assert dataclasses.is_dataclass(study) and study.seconds > 0.0
+
+
+@pytest.fixture(scope="module")
+def cubic_records():
+    return make_records(np.random.default_rng(41), ("cubic_stiffness",))
+
+
+@pytest.fixture(scope="module")
+def cubic_study(cubic_records):
+    return study_of(cubic_records)
+
+
+def test_nothing_missing_is_adequate_with_what_would_have_been_seen(rng):
+    study = study_of(make_records(rng))
+    check_whole(study)
+    assert study.verdict == "adequate" and study.adequate_by == "statistics"
+    assert study.extended is None and study.reasons == () and study.advice == ()
+    assert study.missing_p_value > 0.01
+    assert {item.effect for item in study.detectable} == set(CANDIDATES)
+    for item in study.detectable:
+        assert item.value > 0.0 and item.unit
+        assert 0.0 < np.nanmax([item.frequency, item.damping]) < 1.0
+        # these records show the strengths of the other tests, which is what makes them found
+        assert item.value < truth_of((item.effect,))[item.parameter]
+    assert np.isnan(study.shrink) and study.held_out_levels.before < 2.5
+    assert study.where == ()
+
+
+@pytest.mark.parametrize("effect", CANDIDATES)
+def test_one_missing_effect_is_found(effect, rng):
+    # among single effects: a second one that fits the noise at two standard errors makes it ambiguous, rightly so
+    # and damping that drifts over the record imitates drag where the releases differ by a quarter only: less noise
+    study = study_of(make_records(rng, (effect,), decibels=52.0), max_effects=1)
+    check_whole(study)
+    assert study.verdict == "found" and study.missing_effects == (effect,), study.sentence
+    assert study.probability > 0.9 and effect in study.sentence
+    assert study.extended.effects[-1].name == effect
+    assert study.where and study.where[0].standard_errors > 3.0
+    assert study.held_out_specimens.after < 2.5 and study.held_out_specimens.before > 3.0
+    assert study.shrink_low <= study.shrink <= study.shrink_high and study.shrink > 2.0
+    assert study.reasons[0].startswith(f"{effect}: ")
+    for name, value in truth_of((effect,)).items():
+        group = next(item for item in study.parameters.values() if name in item)
+        estimate = group[name]
+        # specimens scatter by a hundredth, so that the mean of two does; five standard errors beside
+        assert abs(estimate.mean - value) < 5.0 * estimate.sd + 0.02 * value, name
+
+
+def test_the_reason_is_in_physical_words(cubic_study):
+    """A cubic spring raises the frequency in proportion to the square of the amplitude."""
+    (reason,) = cubic_study.reasons
+    assert "frequency rises" in reason and "grows with amplitude" in reason
+    power = float(reason.split("A^(")[1].split(" ")[0])
+    assert power == pytest.approx(2.0, abs=0.15)  # 8 % of hardening bends the law by some per cent
+    assert cubic_study.where[0].observable == "frequency"
+
+
+def test_two_missing_effects_are_found_together(rng):
+    study = study_of(make_records(rng, ("cubic_stiffness", "coulomb_friction")))
+    check_whole(study)
+    assert study.verdict == "found" and study.missing_effects == ("coulomb_friction", "cubic_stiffness")
+    assert len(study.reasons) == 2
+
+
+def test_a_base_that_holds_an_effect(rng):
+    study = study_of(make_records(rng, ("cubic_stiffness", "coulomb_friction")), base=("cubic_stiffness",))
+    check_whole(study)
+    assert study.verdict == "found" and study.missing_effects == ("coulomb_friction",)
+    assert "cubic_stiffness" not in study.settings["candidates"]
+    assert {"cubic_stiffness", "coulomb_friction"} <= set(study.parameters)
+
+
+def test_a_base_whose_effect_is_not_there_is_adequate(rng):
+    study = study_of(make_records(rng), base=("cubic_stiffness",), candidates=("coulomb_friction", "quadratic_damping"))
+    assert study.verdict == "adequate"
+
+
+def test_a_weak_effect_is_named_but_below_the_tolerance(rng):
+    records = make_records(rng, ("cubic_stiffness",), share=0.02, specimens=3)
+    study = study_of(records)
+    check_whole(study)
+    # frequency changes by 3/8 of 0.16 %, less than the default tolerance, and by several standard errors
+    assert study.tolerance["frequency"] == TOLERANCE["frequency"] == 0.001
+    assert study.verdict == "adequate" and study.adequate_by == "tolerance"
+    assert study.below_tolerance == ("cubic_stiffness",) and "cubic_stiffness" in study.sentence
+    strict = study_of(records, tolerance=0)
+    check_whole(strict)
+    assert strict.verdict in ("found", "ambiguous") and strict.below_tolerance == ()
+    named = [strict.missing_effects, *strict.ambiguous_sets]
+    assert ("cubic_stiffness",) in named
+
+
+def test_backbones_alone_are_enough(cubic_records):
+    study = study_of(batch_of(cubic_records).backbones)
+    check_whole(study)
+    assert study.verdict == "found" and study.missing_effects == ("cubic_stiffness",)
+    assert study.checks[0].passed and "not testable" in study.checks[0].message
+    assert study.held_out_levels.after < 2.5
+
+
+def test_order_of_observables_says_nothing(cubic_records):
+    backbones = batch_of(cubic_records).backbones
+    swapped = study_of(backbones.isel(observable=[1, 0, 2]))
+    study = study_of(backbones)
+    assert swapped.sentence == study.sentence
+    assert swapped.where[0].observable == study.where[0].observable == "frequency"
+
+
+def test_backbones_without_anything_missing(rng):
+    study = study_of(batch_of(make_records(rng)).backbones)
+    assert study.verdict == "adequate" and study.detectable
+
+
+def test_pendulum_is_offered_for_angles_only(rng):
+    records = make_records(rng)
+    assert "pendulum_stiffness" not in study_of(records, candidates=None, max_effects=1).settings["candidates"]
+    angles = [dataclasses.replace(record, unit="rad") for record in records]
+    offered = study_of(angles, candidates=None, max_effects=1).settings["candidates"]
+    assert set(offered) == set(LIBRARY) - set(BASE_EFFECTS)
+
+
+def test_a_drift_is_not_named(rng):
+    """A stiffness that grows by 2 % over each record, in an otherwise linear system."""
+    study = study_of(drifting_records(rng, 0.02))
+    check_whole(study)
+    assert study.verdict != "found" and study.missing_effects == ()
+    failed = {item.check for item in study.checks if not item.passed}
+    assert "amplitude, not time" in failed
+    assert "drift" in study.sentence
+
+
+def test_a_beating_mode_is_reported(rng):
+    beating = decaying_sinusoid(0.08 * AMPLITUDE, 7.3)
+    records = [dataclasses.replace(record, values=record.values + beating) for record in make_records(rng)]
+    study = study_of(records)
+    assert study.verdict != "found"
+    assert "no second mode" in {item.check for item in study.checks if not item.passed}
+
+
+def test_a_sensor_offset_is_no_effect(rng):
+    study = study_of(make_records(rng, offset=0.15 * AMPLITUDE))
+    assert study.verdict == "adequate"
+
+
+def test_same_seed_same_result(cubic_records, cubic_study):
+    again = study_of(cubic_records)
+    assert again.sentence == cubic_study.sentence
+    for one, other in zip(again.candidates, cubic_study.candidates, strict=True):
+        assert one.effects == other.effects and one.probability == other.probability
+    assert (again.shrink, again.shrink_low, again.shrink_high) == (
+        cubic_study.shrink, cubic_study.shrink_low, cubic_study.shrink_high,
+    )  # fmt: skip
+    drawn = study_of(cubic_records, random_seed=None, candidates=("cubic_stiffness",), max_effects=1, held_out=0)
+    assert isinstance(drawn.seed, int) and drawn.held_out_levels is None and drawn.held_out_specimens is None
+
+
+def test_records_that_were_conditioned_already(cubic_records, cubic_study):
+    study = study_of([pb.condition(record) for record in cubic_records])
+    assert study.sentence == cubic_study.sentence
+
+
+def test_progress_is_told(cubic_records):
+    told = []
+    study_of(cubic_records, candidates=("cubic_stiffness",), progress=lambda stage, share: told.append((stage, share)))
+    assert len({stage for stage, _ in told}) >= 4
+    assert all(0.0 <= share <= 1.0 for _, share in told)
+
+
+def test_a_record_that_is_no_decay_is_left_out(cubic_records, rng):
+    noise = dataclasses.replace(cubic_records[0], specimen="noise", values=1e-5 * rng.standard_normal(TIME.size))
+    study = study_of([*cubic_records, noise], candidates=("cubic_stiffness",))
+    assert list(study.backbones["specimen"].values) == ["specimen 1", "specimen 2"]
+    assert any(note.startswith("left out: ") for note in study.notes)
+
+
+# what a user can get wrong
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"candidates": ("cubic",)}, "Did you mean"),
+        ({"candidates": ()}, "no candidate is left"),
+        ({"candidates": ("cubic_stiffness",), "base": ("cubic_stiffness",)}, "no candidate is left"),
+        ({"tolerance": float("nan")}, "`tolerance` of frequency must be a number from 0 on, got nan"),
+        ({"tolerance": -0.1}, "`tolerance` of frequency"),
+        ({"tolerance": "small"}, "got 'small'"),
+        ({"tolerance": {"frequency": None}}, "got None"),
+        ({"tolerance": {"freq": 0.1}}, "Did you mean 'frequency'"),
+        ({"max_effects": 4}, "`max_effects` must be 1, 2 or 3"),
+        ({"levels": [-1.0, 2.0]}, "`levels` must be positive"),
+    ],
+)
+def test_settings_that_cannot_be(options, said, cubic_records):
+    with pytest.raises(pb.InputError) as caught:
+        study_of(cubic_records, **options)
+    assert said in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_data_that_cannot_be(cubic_records):
+    backbones = batch_of(cubic_records).backbones
+    angle = dataclasses.replace(cubic_records[1], unit="rad")
+    for data, said in (
+        ([], "at least one record"),
+        (cubic_records[0], "must be a list of records"),
+        ("my_folder", "must be a list of records"),
+        (["a.csv"], "must be a list of records"),
+        (None, "must be a list of records"),
+        ([cubic_records[0], angle], "all be angles"),
+        (backbones.drop_vars("standard_error"), "lack `standard_error`"),
+        (backbones.drop_vars("value"), "lack `value`"),
+        (backbones.isel(observable=[1]), "needs the observable `frequency`"),
+        (backbones.assign(standard_error=0.0 * backbones["standard_error"]), "need standard errors"),
+    ):
+        with pytest.raises(pb.InputError) as caught:
+            study_of(data)
+        assert said in str(caught.value) and "\n" not in str(caught.value), str(caught.value)
+
+
+def test_mass_only_scales_forces(cubic_records):
+    study = pb.find_missing_effect(
+        pb.Oscillator(1e-3 * MASS), cubic_records, candidates=("cubic_stiffness",), quick=True, random_seed=1
+    )
+    assert study.missing_effects == ("cubic_stiffness",)
+    assert study.parameters["linear_stiffness"]["linear_stiffness"].mean == pytest.approx(1e-3 * STIFFNESS, rel=0.03)
+
+
+# words
+
+
+def test_words_of_each_verdict():
+    lack = SimpleNamespace(share=0.012)
+    for verdict, options, said in (
+        ("found", {}, "cubic_stiffness is missing from the model, with a probability of 97 %"),
+        ("ambiguous", {"listed": (("cubic_stiffness",), ("freeplay",))}, "tell apart: cubic_stiffness; freeplay."),
+        ("ambiguous", {"listed": (("freeplay",),), "drift_probability": 0.2}, "freeplay; a drift with time"),
+        ("unexplained", {}, "no set of known effects explains it"),
+        ("unexplained", {"drift_probability": 0.9}, "a drift with time explains the records better"),
+        ("adequate", {"adequate_by": "statistics", "best": ()}, "Nothing is missing"),
+        ("adequate", {"adequate_by": "tolerance", "below": ("iwan",)}, "iwan is detectable"),
+        ("adequate", {"adequate_by": "tolerance", "drift_probability": 0.9}, "a drift with time is detectable"),
+    ):
+        fields = {"verdict": verdict, "best": ("cubic_stiffness",), "probability": 0.97, "p_missing": 0.3, "lack": lack}
+        decision = decide.Decision(**{**fields, "probabilities": {}, "evidences": {}, **options})
+        assert said in words.sentence(decision, None)
+
+
+def test_ambiguous_sets_come_with_advice(rng):
+    """Gap and cubic spring at one weak strength, and much noise: told apart by other amplitudes, if at all."""
+    records = make_records(rng, ("cubic_stiffness",), share=0.02, decibels=38.0)
+    study = study_of(records, candidates=("cubic_stiffness", "quintic_stiffness", "freeplay"), tolerance=0)
+    check_whole(study)
+    assert study.verdict in ("ambiguous", "adequate")
+    if study.verdict == "ambiguous":
+        assert ("cubic_stiffness",) in study.ambiguous_sets
+        assert study.advice
+
+
+# with sampling
+
+
+def test_with_sampling_the_posterior_brackets_the_truth(random_seed):
+    records = make_records(np.random.default_rng(random_seed), ("cubic_stiffness",), scatter=0.0)
+    study = study_of(
+        records, candidates=("cubic_stiffness", "coulomb_friction"), max_effects=1, quick=False, draws=200, tune=300,
+        chains=2, held_out=0,
+    )  # fmt: skip
+    assert study.missing_effects == ("cubic_stiffness",)
+    assert isinstance(study.posterior, xr.DataTree)
+    assert dict(study.posterior["posterior"].sizes) == {"chain": 2, "draw": 200}
+    assert study.convergence["draws"] == 200 and study.convergence["chains"] == 2
+    assert list(study.posterior_backbone["specimen"].values) == ["mean specimen"]
+    for name, value in truth_of(("cubic_stiffness",)).items():
+        estimate = study.parameters[name][name]
+        low, high = study.posterior_bounds[name]
+        assert low <= estimate.hdi_low < estimate.mean < estimate.hdi_high <= high
+        # twice the 95 % interval, which few draws of a random walk know to a quarter: about four standard deviations
+        reach = estimate.hdi_high - estimate.hdi_low
+        assert estimate.hdi_low - 0.5 * reach < value < estimate.hdi_high + 0.5 * reach, name
+        assert reach < 0.5 * value
+    assert study.settings["likelihood"] == "pooled"
