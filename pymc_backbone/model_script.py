@@ -1,8 +1,8 @@
 """The extended model of a study as a short PyMC script, which the user can run and edit.
 
-The script reads the backbones it was sampled on beside it and builds, variable by variable, what `build_model` builds, so that the
-same seed gives the same draws. No text from a file gets into it as code: names are checked identifiers or written with
-``json.dumps``, sentences are comments on one line.
+The script reads the backbones it was sampled on beside it and builds, variable by variable, what `build_model` builds,
+so that the same seed gives the same draws. No text from a file gets into it as code: names are checked identifiers or
+written with ``json.dumps``, sentences are comments on one line.
 """
 
 from __future__ import annotations

@@ -17,13 +17,11 @@ from pathlib import Path
 import numpy as np
 
 from pymc_backbone import InputError, Oscillator, Record, condition, extract_cycles
+from pymc_backbone.backbone import backbones_at_levels
 from pymc_backbone.discrepancy.batch import Batch, batch_of_records
 from pymc_backbone.discrepancy.joint_fit import Fit
 from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.discrepancy.workflow import _candidates, _levels
-from pymc_backbone.backbone import backbones_at_levels
-
-_FLOOR = 1e-4  # of the release amplitude: noise that extraction and conditioning are given beside the true one
 
 
 def clean_batch(folder: Path) -> tuple[Batch, dict]:
@@ -43,7 +41,7 @@ def clean_batch(folder: Path) -> tuple[Batch, dict]:
         except InputError:
             continue
         index = np.searchsorted(time, noisy.time - 1e-9 * time[-1])
-        clean = np.interp(noisy.time, time, values) if index[-1] >= time.size else values[np.minimum(index, time.size - 1)]
+        clean = values[np.minimum(index, time.size - 1)]
         record = _replaced(noisy, clean, noise)
         records.append(record)
         cycles.append(extracted)

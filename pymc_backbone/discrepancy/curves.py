@@ -66,9 +66,11 @@ def simulate(batch: Batch, found: Fit, levels: FloatArray | None = None) -> xr.D
     values = np.array(
         [curve(found, parameters_of(found.layout, found.state, r), chosen)[rows] for r in range(len(batch.specimens))]
     )
+    dims = ("specimen", "observable", "level")
     return xr.Dataset(
-        {"value": (("specimen", "observable", "level"), values)},
+        {"value": (dims, values), "standard_error": (dims, np.zeros_like(values))},
         coords={"specimen": list(batch.specimens), "observable": names, "level": chosen},
+        attrs={"amplitude_unit": batch.backbones.attrs.get("amplitude_unit", "m")},
     )
 
 

@@ -22,8 +22,8 @@ NAMED = 0.88  # probability from which a set is named
 LISTED = 0.95  # probability that the sets listed as possible hold together
 DRIFT_POSSIBLE = 0.05  # probability of a drift with time from which nothing is named
 UNEXPLAINED = 1e-4  # p-value of the best set's residuals below which no set explains the records
-_MOST_LISTED = 8
-_LOOKED_AT = 40
+_MOST_LISTED = 16
+_LOOKED_AT = 150
 _PRIOR_NONE = 0.05  # prior probability that the library does not hold what is missing
 _WEIGHT_OF_NOISE = 0.1  # how much rarer residuals like noise are where the library lacks what is missing
 _INDEPENDENT = 8.0  # the effects of the library count as so many independent attempts
@@ -121,6 +121,7 @@ def decide(
             decision.verdict = "unexplained"
             return decision
         if len(close) > 1 or _is_unexplained(lack, tolerance):
+            decision.best, decision.probability, decision.below = close[0], probabilities[close[0]], ()
             decision.listed = tuple(close[:_MOST_LISTED])
             return decision
     if decision.probability >= NAMED and drift_probability < DRIFT_POSSIBLE:
@@ -170,7 +171,7 @@ def within_tolerance(search: Search, ranked: Sequence[Set], tolerance: Mapping[s
                 inside = inside and bool(np.all(np.nan_to_num(excess, nan=unknown) <= 0.0))
         if inside:
             close.append(names)
-    return sorted(close, key=ranked.index)
+    return sorted(close, key=lambda names: (len(names), ranked.index(names)))
 
 
 def prune(search: Search, best: Set, tolerance: Mapping[str, float]) -> tuple[Set, Set]:

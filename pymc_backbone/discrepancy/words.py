@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from .._checks import OBSERVABLES, FloatArray
@@ -12,10 +14,10 @@ from .curves import curve, measured, on_levels
 from .decide import DRIFT_POSSIBLE, Decision, without
 from .joint_fit import Fit, State, parameters_of
 from .search import Search, Set
-from .study import Detectable
+from .study import Check, Detectable
 
 _DETECTED = 5.0  # standard deviations at which an effect is named nine times in ten
-_POSSIBLE = 0.02
+_SPOKEN = 5  # sets that the sentence holds
 _SEPARATED = 5.0  # logarithm of the odds that decides
 
 
@@ -200,8 +202,10 @@ def sentence(decision: Decision, search: Search) -> str:
         return f"{best} is missing from the model, with a probability of {percent}{below}."
     if decision.verdict == "ambiguous":
         listed = [_named(names) for names in decision.listed]
-        sets = "; ".join([*listed, "a drift with time"] if is_drift_possible(decision) else listed)
-        return f"Something is missing, but these records do not tell apart: {sets}."
+        named = [*listed, "a drift with time"] if is_drift_possible(decision) else listed
+        rest = f"; and {len(named) - _SPOKEN} more" if len(named) > _SPOKEN else ""
+        sets = "; ".join(named[:_SPOKEN])
+        return f"Something is missing, but these records do not tell apart: {sets}{rest}."
     if decision.verdict == "unexplained":
         why = (
             "a drift with time explains the records better than any effect of amplitude"
@@ -216,3 +220,11 @@ def sentence(decision: Decision, search: Search) -> str:
             "the tolerance."
         )
     return f"Nothing is missing: model and records agree within measurement error (p = {decision.p_missing:.2g})."
+
+
+def with_checks(text: str, verdict: str, checks: Sequence[Check]) -> str:
+    """Return the sentence of the verdict, with a warning where a check on the data speaks against it."""
+    failed = [check.check for check in checks if not check.passed]
+    if not failed or verdict not in ("adequate", "found"):
+        return text
+    return f"{text} But a check on the data failed ({', '.join(failed)}): look at it first."

@@ -167,7 +167,7 @@ def find_missing_effect(
     before = simulate(batch, base_levels)
     return Study(
         verdict=decision.verdict,
-        sentence=words.sentence(decision, search),
+        sentence=words.with_checks(words.sentence(decision, search), decision.verdict, checks),
         base=oscillator,
         extended=None if extended is None else extended.layout.oscillator,
         missing_effects=decision.best if decision.verdict == "found" else (),
