@@ -214,7 +214,7 @@ def _extract(t, x, step, autocovariance, guess_noise, specimen, notes):  # type:
 
 def _inflation(fit: Fit, variance: float) -> FloatArray:
     """Return the factor on standard errors where local residuals exceed the noise (running over 15 windows)."""
-    kernel = np.ones(15)
+    kernel = np.ones(min(15, fit.misfit.size))  # a longer one would lengthen the result
     excess = np.convolve(fit.misfit, kernel, mode="same")
     freedom = np.convolve(np.maximum(fit.count - 3.0, 0.5), kernel, mode="same")
     prior = 30.0

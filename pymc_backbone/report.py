@@ -130,7 +130,9 @@ def _key_figures(study: Study) -> list[tuple[object, object]]:
         if np.isfinite(held_out.after):
             value = Raw(f"{value} &rarr; {number(held_out.after, 3)}")
         figures.append((value, Raw(f"reduced &chi;&sup2; on held-out {what} (1 is noise)")))
-    figures.append((Raw(f"p = {number(study.missing_p_value, 2)}"), "chance of such a gap if nothing were missing"))
+    chance = study.missing_p_value
+    shown = f"p = {number(chance, 2)}" if chance > 1e-99 else "p < 10<sup>−99</sup>"
+    figures.append((Raw(shown), "chance of such a gap if nothing were missing"))
     low, high, name = _amplitudes(study, levels[0], levels[-1])
     figures.append((Raw(f"{low} to {high} {escape(name)}"), f"amplitude, {levels.size} levels"))
     return figures

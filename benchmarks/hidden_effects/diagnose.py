@@ -43,6 +43,8 @@ def _one(task: tuple[Path, float | None, str]) -> str:
         result = study_entries(study, "")
     except InputError as error:
         result = {"verdict": "refused", "sentence": str(error), "seconds": time.perf_counter() - begin}
+    except Exception as error:  # a fault of the tool counts against it and does not end the run
+        result = {"verdict": "failed", "sentence": repr(error), "seconds": time.perf_counter() - begin}
     text = json.dumps(plain(result), indent=1)
     target.with_suffix(".tmp").write_text(text + "\n")
     target.with_suffix(".tmp").replace(target)

@@ -285,6 +285,8 @@ def fit(
             proposal = State(np.clip(state.eta + step[0], layout.low, layout.high), state.own + step[1])
             proposal.own[:, 1] = np.maximum(proposal.own[:, 1], 0.0)
             np.clip(proposal.own[:, DRIFTS[0] :], -_MOST_SCATTER, _MOST_SCATTER, out=proposal.own[:, DRIFTS[0] :])
+            if scatter > 0.0:
+                proposal = _recentred(layout, proposal, scatter)
             if np.all(proposal.own[:, 0] > 0.0) and np.isfinite(proposal.own).all():
                 accepted = linearise(layout, witnesses, proposal, scatter, active)
                 evaluations += 1
@@ -309,6 +311,21 @@ def fit(
                 converged = True
                 break
     return replace(_finish(layout, system, state, active, converged), evaluations=evaluations)
+
+
+def _recentred(layout: Layout, state: State, scatter: float) -> State:
+    """Return the same parameters of every specimen with the shared values in their middle.
+
+    Where scatter has the same sign in all specimens, it belongs to the shared value. Without this a fit could lean on
+    a limit with every specimen and find no way back.
+    """
+    values = np.clip(state.eta * (1.0 + scatter * state.own[:, NUISANCES:]), layout.low, layout.high)
+    eta = values.mean(axis=0)
+    own = state.own.copy()
+    usable = eta != 0.0
+    own[:, NUISANCES:] = np.where(usable, (values / np.where(usable, eta, 1.0) - 1.0) / scatter, own[:, NUISANCES:])
+    np.clip(own[:, NUISANCES:], -_MOST_SCATTER, _MOST_SCATTER, out=own[:, NUISANCES:])
+    return State(eta, own)
 
 
 @dataclass(frozen=True, eq=False)
