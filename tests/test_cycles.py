@@ -182,3 +182,14 @@ def test_record_objects_and_their_noise() -> None:
 def test_unusable_records_say_why(time: np.ndarray, displacement: np.ndarray, words: str) -> None:
     with pytest.raises(InputError, match=words):
         extract_cycles_from_arrays(time, displacement)
+
+
+@pytest.mark.parametrize("cycles", [5, 6, 7])
+def test_records_of_a_few_cycles_are_extracted(cycles: int, request: pytest.FixtureRequest) -> None:
+    # fewer turning points than the running mean that widens standard errors is long
+    t = np.arange(0.0, (cycles + 0.4) / FREQUENCY, 1.0 / (FREQUENCY * 40))
+    noise = 1e-3 * generator(request).standard_normal(t.size)
+    found = extract_cycles_from_arrays(t, linear_decay(t) + noise, noise=1e-3)
+    assert len(found) >= cycles - 1
+    assert found.turning_times.size <= 15
+    np.testing.assert_array_less(np.abs(found.frequency - FREQUENCY), 5.0 * found.frequency_error)

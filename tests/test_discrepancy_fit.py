@@ -13,7 +13,16 @@ from scipy.stats import chi2
 from pymc_backbone.conditioning import condition
 from pymc_backbone.cycles import extract_cycles
 from pymc_backbone.discrepancy import joint_fit, starts, witness
-from pymc_backbone.discrepancy.joint_fit import NUISANCES, SCATTER, State, fit, make_layout, parameters_of, start_state
+from pymc_backbone.discrepancy.joint_fit import (
+    NUISANCES,
+    SCATTER,
+    State,
+    _recentred,
+    fit,
+    make_layout,
+    parameters_of,
+    start_state,
+)
 from pymc_backbone.discrepancy.witness import first_turning_point, level_witness
 from pymc_backbone.effects import BASE_EFFECTS, LIBRARY
 from pymc_backbone.oscillator import Oscillator
@@ -446,3 +455,15 @@ def test_score_promises_what_the_full_fit_gains(rng):
         make_layout(Oscillator(MASS, ("coulomb_friction",)), AMPLITUDE, OMEGA), "coulomb_friction", without, batch
     )[0]
     assert none < 0.2 * gain  # negative control: friction moves no frequency
+
+
+def test_scatter_of_one_sign_moves_into_the_shared_value():
+    layout = make_layout(Oscillator(MASS, "cubic_stiffness"), AMPLITUDE, OMEGA)
+    eta = np.array([0.1 * STIFFNESS / AMPLITUDE**2])
+    own = np.zeros((3, NUISANCES + 1))
+    own[:, -1] = (3.0, 4.0, 5.0)
+    moved = _recentred(layout, State(eta, own), SCATTER)
+    np.testing.assert_allclose(
+        moved.eta * (1.0 + SCATTER * moved.own[:, -1]), eta * (1.0 + SCATTER * own[:, -1]), rtol=1e-12
+    )  # the specimens keep their values
+    np.testing.assert_allclose(moved.own[:, -1].mean(), 0.0, atol=1e-12)

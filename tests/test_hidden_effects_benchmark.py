@@ -128,7 +128,7 @@ def test_files_and_noise_are_what_the_truth_says(tmp_path: Path) -> None:
     for index, entry in enumerate(truth["parameters"]):
         name = entry["specimen"]
         lines = (tmp_path / "records" / f"{name}.csv").read_text(encoding="utf-8").splitlines()
-        assert lines[0] == "time,displacement"
+        assert lines[0] == "time,displacement [m]"
         time, displacement = np.loadtxt(lines[1:], delimiter=",", unpack=True)
         assert 100 < time.size <= 12000
         np.testing.assert_allclose(time, clean[f"{name}_time"], rtol=1e-11, atol=0.0)
