@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -44,7 +44,7 @@ class Decision:
     below: tuple[str, ...] = ()
     adequate_by: str | None = None
     drift_probability: float = 0.0
-    reports: list[str] = field(default_factory=list)
+    has_second_mode: bool = False
 
 
 def p_nothing_missing(search: Search) -> float:
@@ -135,6 +135,19 @@ def decide(
             break
     decision.listed = tuple(listed)
     return decision
+
+
+def mind_second_mode(decision: Decision) -> None:
+    """Take back what cannot be said of records in which a second mode beats.
+
+    Its line is no effect of a single mode, and the estimate of the noise holds it: "nothing is missing" is not true,
+    and a name rests on a misfit that the second mode may have made.
+    """
+    decision.has_second_mode = True
+    if decision.verdict == "adequate":
+        decision.verdict, decision.adequate_by = "unexplained", None
+    elif decision.verdict == "found":
+        decision.verdict, decision.listed = "ambiguous", (decision.best,)
 
 
 def _complete(search: Search) -> None:

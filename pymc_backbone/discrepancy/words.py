@@ -203,9 +203,14 @@ def sentence(decision: Decision, search: Search) -> str:
     if decision.verdict == "ambiguous":
         listed = [_named(names) for names in decision.listed]
         named = [*listed, "a drift with time"] if is_drift_possible(decision) else listed
+        if decision.has_second_mode:
+            named = [*named, "a second mode"]
         rest = f"; and {len(named) - _SPOKEN} more" if len(named) > _SPOKEN else ""
         sets = "; ".join(named[:_SPOKEN])
         return f"Something is missing, but these records do not tell apart: {sets}{rest}."
+    if decision.verdict == "unexplained" and decision.has_second_mode and decision.drift_probability <= 0.5:
+        partial = f"; beside it the best explanation is {best}" if decision.best else ""
+        return f"Something is in the records that the model does not have: a second mode beats with it{partial}."
     if decision.verdict == "unexplained":
         why = (
             "a drift with time explains the records better than any effect of amplitude"

@@ -21,7 +21,7 @@ from ..records import Record
 from . import rivals, words
 from .batch import Batch, batch_of_backbones, batch_of_records
 from .curves import level_chi_square, on_levels, simulate
-from .decide import Decision, candidates_of, decide
+from .decide import Decision, candidates_of, decide, mind_second_mode
 from .extend import estimates_from_draws, estimates_from_fit, mean_specimen, sample_extended
 from .joint_fit import make_layout
 from .locate import where_different
@@ -125,6 +125,11 @@ def find_missing_effect(
     bonus = 0.0 if drifting is None else rivals.drift_bonus(drifting)
     decision = decide(search, drifting, rivals.DRIFT_KEY, limits, bonus)
     _settle_listed(decision)
+    second_mode = Check("no second mode", True, "not testable without records")
+    if batch.has_records:
+        second_mode = rivals.second_mode_check(batch, search.fits[decision.best])
+        if not second_mode.passed:
+            mind_second_mode(decision)
     extended = search.fits[decision.best] if decision.best else None
     say("verifying on held-out data", 0.0)
     base_levels = on_levels(batch, search.fits[()], free_effects=search.fits[()].layout.free.size > 0)
@@ -157,9 +162,7 @@ def find_missing_effect(
     reduced = level_chi_square(batch, base_levels if after_levels is None else after_levels)
     checks = (
         rivals.drift_check(drifting, decision.drift_probability, bool(decision.best)),
-        rivals.second_mode_check(batch, search.fits[decision.best])
-        if batch.has_records
-        else Check("no second mode", True, "not testable without records"),
+        second_mode,
         rivals.alike_check(batch, search.fits[decision.best]),
         rivals.witnesses_check(batch, search.fits[decision.best], reduced, _AGREE),
     )
