@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import expit
 
-OUTCOMES = ("right", "listed", "wrong", "adequate", "unexplained", "ambiguous", "no result")
+OUTCOMES = ("right", "listed", "wrong", "adequate", "unexplained", "ambiguous", "refused", "no result")
 """``listed``: ambiguous, the truth among the sets; ``ambiguous``: the truth not among them; ``wrong``: another name,
 said with confidence. Where nothing is missing, ``adequate`` is the right answer and any name is wrong."""
 
@@ -152,6 +152,8 @@ def _classify(
         return "listed" if is_answerable and hidden in listed else "ambiguous"
     if verdict in ("adequate", "unexplained"):
         return verdict
+    if verdict in ("refused", "failed"):  # one sentence instead of a verdict, or a fault of the tool
+        return "refused"
     raise ValueError(f"`verdict` must be adequate, found, ambiguous or unexplained, got {verdict!r}.")
 
 
