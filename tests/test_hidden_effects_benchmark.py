@@ -190,7 +190,7 @@ def test_the_scorer_on_batches_with_known_figures(tmp_path: Path, capsys: pytest
         _write_case(tmp_path / f"batch_{number:04d}", truth, result, distance)
     found = figures.score(outcomes.read_outcomes(tmp_path))
     total = dict(right=3, listed=1, wrong=2, adequate=3, unexplained=0, ambiguous=0)
-    assert found["tiers"]["all"] == total | {"no result": 1}
+    assert found["tiers"]["all"] == total | {"refused": 0, "no result": 1}
     assert (found["false_alarms"]["all"]["hits"], found["false_alarms"]["all"]["count"]) == (1, 2)
     assert found["false_alarms"]["base holds an effect that is not there"]["share"] == 1.0
     assert (found["wrong"]["hits"], found["wrong"]["count"]) == (2, 9)
