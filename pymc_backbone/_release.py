@@ -8,11 +8,13 @@ from scipy.signal import fftconvolve
 
 from ._checks import FloatArray
 from ._tracking import Track
+from ._turning import rough_noise
 
 _LEVEL = 0.97
 _QUIET = 0.5
 _WINDOW = 0.65
 _PLATEAU_FALL = 0.06
+_SPAN_OF_NOISE = 6.0  # standard deviations that the noise of a flat start spans at most
 
 
 def envelope(values: FloatArray, sampling_rate: float, frequency: float, integrations: int = 0) -> FloatArray:
@@ -46,14 +48,17 @@ def end_of_rest(values: FloatArray, sampling_rate: float, frequency: float) -> i
 
     Before a release or an impact the record hardly moves: over 0.65 of a cycle before it, it spans less than half
     the later amplitude, where a free oscillation spans at least its amplitude (1.45 times it, and 1.0 at ten samples
-    per cycle). That places the release to a fraction of a cycle.
+    per cycle). That places the release to a fraction of a cycle. A hold that began less than that before the release is
+    seen by its flatness.
     """
     period = sampling_rate / frequency
     level = envelope(values, sampling_rate, frequency)
     top = int(np.argmax(level))
     first, _ = _plateau(level, top)
     quiet = _last_quiet(values, period, float(level[top]), int(first + period))
-    return quiet + 1 if quiet is not None and quiet > first - 3.0 * period else None
+    if quiet is None:
+        return _end_of_flat_start(values, period, float(level[top]))
+    return quiet + 1 if quiet > first - 3.0 * period else None
 
 
 def end_of_drive(values: FloatArray, sampling_rate: float, frequency: float, integrations: int) -> int | None:
@@ -119,6 +124,24 @@ def _last_quiet(values: FloatArray, period: float, highest: float, until: int) -
     span[: window - 1] = np.inf
     still = np.flatnonzero(span < _QUIET * highest)
     return int(still[-1]) if still.size else None
+
+
+def _end_of_flat_start(values: FloatArray, period: float, highest: float) -> int | None:
+    """Return the first sample after a hold too short to span a window, or None where the start is not flat for long.
+
+    A cosine stays within a small span ``s`` of its amplitude for at most ``2 acos(1 - s / 2 A) / 2 pi`` of a cycle.
+    """
+    smoothing = max(int(period / 16.0), 1)
+    begin = values[: max(int(2.0 * period), 8)]
+    smooth = uniform_filter1d(begin, smoothing, mode="nearest")
+    noise = rough_noise(values) / np.sqrt(smoothing)
+    span = 0.02 * highest + _SPAN_OF_NOISE * noise
+    if not span < 0.3 * highest:
+        return None
+    moved = np.maximum.accumulate(smooth) - np.minimum.accumulate(smooth) > span
+    flat = int(np.argmax(moved)) if moved.any() else 0
+    free = np.arccos(1.0 - span / highest) / np.pi * period
+    return flat if flat > 1.4 * free + smoothing + 1.0 else None
 
 
 def end_of_motion(track: Track, floor: float) -> float:

@@ -8,6 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
+from .._checks import FloatArray
 from . import evidence
 from .batch import Batch
 from .curves import curve, level_chi_square, on_levels, simulate
@@ -45,6 +46,8 @@ class Decision:
     adequate_by: str | None = None
     drift_probability: float = 0.0
     has_second_mode: bool = False
+    is_approximate: bool = False
+    left_by_best: float = 0.0
 
 
 def p_nothing_missing(search: Search) -> float:
@@ -120,21 +123,49 @@ def decide(
         if not close:
             decision.verdict = "unexplained"
             return decision
-        if len(close) > 1 or _is_unexplained(lack, tolerance):
-            decision.best, decision.probability, decision.below = close[0], probabilities[close[0]], ()
-            decision.listed = tuple(close[:_MOST_LISTED])
-            return decision
+        chances = by_model_error(search, close)
+        decision.best = max(chances, key=lambda names: chances[names])
+        decision.probability, decision.below = chances[decision.best], ()
+        decision.probabilities = {names: chances.get(names, 0.0) for names in search.fits}
+        left = evidence.lack_of_fit(search.batch, search.fits[decision.best])
+        decision.is_approximate, decision.left_by_best = True, left.share
+        decision.listed = _listed(chances, drift_probability)
+        return decision
     if decision.probability >= NAMED and drift_probability < DRIFT_POSSIBLE:
         decision.verdict = "found"
         return decision
-    total, listed = evidences[drift_key].probability if drifting is not None else 0.0, []
-    for names in ranked:
+    total = evidences[drift_key].probability if drifting is not None else 0.0
+    decision.listed = _listed({names: evidences[names].probability for names in ranked}, total)
+    return decision
+
+
+def _listed(chances: Mapping[Set, float], total: float) -> tuple[Set, ...]:
+    """Return the most probable sets that together with ``total`` hold most of the probability."""
+    listed: list[Set] = []
+    for names in sorted(chances, key=lambda names: -chances[names]):
         listed.append(names)
-        total += evidences[names].probability
+        total += chances[names]
         if total > LISTED or len(listed) >= _MOST_LISTED:
             break
-    decision.listed = tuple(listed)
-    return decision
+    return tuple(listed)
+
+
+def by_model_error(search: Search, close: Sequence[Set]) -> dict[Set, float]:
+    """Return the probability of each of some sets, none of which is exact, that it is the best description.
+
+    What a set leaves is taken for a model error of unknown size that is alike in all specimens and smooth over
+    amplitude: it has as many independent pieces as there are levels, however many samples show it. The logarithm of
+    the evidence is ``-n/2 log chi^2`` with Schwarz' price for each parameter.
+    """
+    pieces = float(np.asarray(search.batch.backbones["level"]).size)
+    logs = []
+    for names in close:
+        found = search.fits[names]
+        price = 0.5 * found.layout.free.size * np.log(pieces)
+        prior = evidence.log_prior(len(names), len(search.candidates))
+        logs.append(prior - price - 0.5 * pieces * float(np.log(found.cost)))
+    weights = np.exp(np.array(logs) - max(logs))
+    return dict(zip(close, (weights / weights.sum()).tolist(), strict=True))
 
 
 def mind_second_mode(decision: Decision) -> None:
@@ -166,25 +197,45 @@ def _is_unexplained(lack: LackOfFit, tolerance: Mapping[str, float]) -> bool:
 
 
 def within_tolerance(search: Search, ranked: Sequence[Set], tolerance: Mapping[str, float]) -> list[Set]:
-    """Return the smallest sets whose backbones follow the measured ones within the tolerance or their errors."""
+    """Return the smallest sets that describe the backbones within the tolerance, or as well as the best of these.
+
+    A set does when its curves follow the measured ones within the tolerance and twice their errors. Then so does every
+    set whose curves follow those of the likeliest such set: the two cannot be told apart by what matters.
+    """
+    curves: dict[Set, FloatArray] = {}
+    looked_at = sorted(ranked[:_LOOKED_AT], key=len)
     close: list[Set] = []
-    for names in sorted(ranked[:_LOOKED_AT], key=len):
-        if any(set(other) <= set(names) for other in close):
-            continue
+    mean, error = np.empty(0), np.empty(0)
+    for names in looked_at:
         found = search.fits[names]
         brought = on_levels(search.batch, found, free_effects=found.layout.free.size > 0)
         simulated = simulate(search.batch, brought)
         mean, error = mean_gap(search.batch, simulated)
-        value = np.nanmean(np.asarray(simulated["value"]), axis=0)
-        inside = True
-        for o, key in enumerate(str(name) for name in simulated["observable"].values):
-            if key in tolerance and key != "waveform":
-                excess = np.abs(mean[o]) - 2.0 * error[o] - tolerance[key] * np.abs(value[o])
-                unknown = 1.0 if np.isnan(value[o]).any() else 0.0
-                inside = inside and bool(np.all(np.nan_to_num(excess, nan=unknown) <= 0.0))
-        if inside:
+        curves[names] = np.nanmean(np.asarray(simulated["value"]), axis=0)
+        if _is_within(search.batch, mean, error, curves[names], tolerance):
             close.append(names)
-    return sorted(close, key=lambda names: (len(names), ranked.index(names)))
+    if not close:
+        return []
+    leader = min(close, key=ranked.index)
+    alike = [
+        names
+        for names in looked_at
+        if names in close or _is_within(search.batch, curves[names] - curves[leader], error, curves[leader], tolerance)
+    ]
+    return [names for names in alike if not any(set(other) < set(names) for other in alike)]
+
+
+def _is_within(
+    batch: Batch, gap: FloatArray, error: FloatArray, value: FloatArray, tolerance: Mapping[str, float]
+) -> bool:
+    """Return whether a gap (observable, level) is nowhere larger than the tolerance and twice its error."""
+    for o, key in enumerate(str(name) for name in batch.backbones["observable"].values):
+        if key in tolerance:
+            excess = np.abs(gap[o]) - 2.0 * error[o] - tolerance[key] * np.abs(value[o])
+            unknown = 1.0 if np.isnan(value[o]).any() else 0.0
+            if np.any(np.nan_to_num(excess, nan=unknown) > 0.0):
+                return False
+    return True
 
 
 def prune(search: Search, best: Set, tolerance: Mapping[str, float]) -> tuple[Set, Set]:

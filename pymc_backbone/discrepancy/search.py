@@ -215,7 +215,7 @@ class Search:
     def _from_backbones(self, names: Set, layout: Layout, parents: list[Fit], rival: float | None) -> list[Fit]:
         if len(names) == 0:
             eta = starts.typical(layout)
-            scales = (1.0, 20.0) if eta.size else (1.0,)
+            scales = (0.05, 1.0, 20.0) if eta.size else (1.0,)
             states = [
                 start_state(layout, np.where(layout.is_strength, eta * scale, eta), self.batch.own) for scale in scales
             ]

@@ -101,7 +101,7 @@ def by_score(layout: Layout, effect: str, parent: Fit, batch: Batch) -> list[tup
 
 
 def by_backbone(
-    layout: Layout, effect: str | None, parent: Fit | None, batch: Batch, reference: int
+    layout: Layout, effect: str, parent: Fit | None, batch: Batch, reference: int
 ) -> list[tuple[float, State]]:
     """Return starts from one specimen's backbone: every strength and shape fitted to it; lowest misfit first."""
     one = [batch.levels[reference]]
@@ -110,18 +110,13 @@ def by_backbone(
     if parent is not None:
         eta, _ = _embed(layout, parent)
         own = parent.state.own[:, : joint_fit.NUISANCES].copy()
-    points: list[FloatArray | None] = [None]
-    where: list[int] = []
-    if effect is not None:
-        where = positions(layout, effect)
-        points = list(grid(layout, effect, _STRENGTHS))
-        if parent is None:
-            eta = typical(layout)
+    else:
+        eta = typical(layout)
+    where = positions(layout, effect)
     trials: list[tuple[float, State]] = []
-    for point in points:
+    for point in grid(layout, effect, _STRENGTHS):
         trial = eta.copy()
-        if point is not None:
-            trial[where] = point
+        trial[where] = point
         start = joint_fit.start_state(layout, trial, own[[reference]])
         glance = joint_fit.fit(layout, one, start, iterations=1, nuisances=(0, 1), has_scatter=False)
         if glance is not None:

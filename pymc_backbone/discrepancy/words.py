@@ -205,9 +205,15 @@ def sentence(decision: Decision, search: Search) -> str:
         named = [*listed, "a drift with time"] if is_drift_possible(decision) else listed
         if decision.has_second_mode:
             named = [*named, "a second mode"]
+        if decision.is_approximate and len(named) == 1:
+            return (
+                f"Something is missing; of the known effects {best} alone follows the backbones within the tolerance, "
+                f"but it is not exact: it leaves {decision.left_by_best:.2%} of the motion."
+            )
         rest = f"; and {len(named) - _SPOKEN} more" if len(named) > _SPOKEN else ""
         sets = "; ".join(named[:_SPOKEN])
-        return f"Something is missing, but these records do not tell apart: {sets}{rest}."
+        exact = "; within the tolerance each follows the backbones, none is exact" if decision.is_approximate else ""
+        return f"Something is missing, but these records do not tell apart: {sets}{rest}{exact}."
     if decision.verdict == "unexplained" and decision.has_second_mode and decision.drift_probability <= 0.5:
         partial = f"; beside it the best explanation is {best}" if decision.best else ""
         return f"Something is in the records that the model does not have: a second mode beats with it{partial}."
