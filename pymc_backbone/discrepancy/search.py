@@ -21,11 +21,13 @@ Progress = Callable[[str, float], None]
 _POOR = 1.5  # reduced chi-square above which the score of a fit is no guide
 _KEPT_PARENTS = 2
 _GLANCE = 10  # iterations after which only the best start goes on
+_PATIENT = 300  # iterations for the base model, from which all others start
 BUDGET = 3e7  # simulated values after which the search ends; only what nothing explains takes as many
 _ROUNDS = 2
 _LOOKED_BACK = 3
 _EXPLAINED = 1.1  # reduced chi-square up to which a set may be complete
 _CLOSE = 30.0  # chi-square within which a smaller set rivals the best
+_NOISE = 0.01  # p-value of the residuals from which they are taken for noise
 _WORTH = 5.0  # fall of chi-square by which one more effect begins to earn its place
 
 
@@ -53,6 +55,7 @@ class Search:
     fits: dict[Set, Fit] = field(default_factory=dict)
     failed: dict[Set, str] = field(default_factory=dict)
     layouts: dict[Set, Layout] = field(default_factory=dict)
+    by_levels: dict[Set, list[tuple[float, State]]] = field(default_factory=dict)
     reference: int = 0
     effort: float = 0.0
     budget: float = BUDGET
@@ -71,6 +74,7 @@ class Search:
         for k, name in enumerate(self.candidates):
             self.progress("single effects", (k + 1) / len(self.candidates))
             self.fit_set((name,))
+        self._look_again()
         self._look_back()
         for size in range(2, self.max_effects + 1):
             before = self.best(size - 1)
@@ -84,10 +88,32 @@ class Search:
                 break
             self._look_back()
 
+    def _is_costly(self, names: Set) -> bool:
+        """Return whether a set takes much longer than the base does."""
+        return is_heavy(self.layout(names)) and not is_heavy(self.layout(()))
+
+    def _is_settled(self) -> bool:
+        """Return whether the most probable set is a simple one that leaves nothing but noise."""
+        best = self.best()
+        return not self._is_costly(best) and evidence.lack_of_fit(self.batch, self.fits[best]).p_value > _NOISE
+
     def _is_explained(self) -> bool:
         """Return whether a set leaves hardly more than noise."""
         count = sum(w.size for w in self.batch.deciding)
         return min(item.cost for item in self.fits.values()) < _EXPLAINED * count
+
+    def _look_again(self) -> None:
+        """Fit single effects that have a shape, and lag behind, from their look in the backbones as well."""
+        lowest = min(item.cost for item in self.fits.values())
+        for name in self.candidates:
+            known = self.fits.get((name,))
+            layout = self.layout((name,))
+            has_shape = len(starts.positions(layout, name)) > 1 and not is_heavy(layout)
+            if known is None or not has_shape or known.cost < lowest + _CLOSE or (name,) in self.by_levels:
+                continue
+            for found in self._from_backbones((name,), layout, lowest):
+                if found.cost < self.fits[(name,)].cost:
+                    self.fits[(name,)] = found
 
     def _look_back(self) -> None:
         """Fit the subsets of the best sets again, from where these ended: a larger set may have found a better way."""
@@ -134,9 +160,11 @@ class Search:
         count = sum(w.size for w in self.batch.deciding)
         lowest = min(item.cost for item in self.fits.values())
         explained = [name for name in ranked if self.fits[name].cost < min(_EXPLAINED * count, lowest + _CLOSE)]
-        if explained:
-            return explained[:_KEPT_PARENTS]
         light = [name for name in ranked if not is_heavy(self.layout(name))][: _KEPT_PARENTS + 2 * (size == 1)]
+        if explained:
+            # what many parameters explain, two simple effects may explain as well
+            simple = light[:_KEPT_PARENTS] if size == 1 and is_heavy(self.layout(explained[0])) else []
+            return list(dict.fromkeys([*explained[:_KEPT_PARENTS], *simple]))
         return [name for name in ranked if name in light or name in ranked[:_KEPT_PARENTS]]
 
     def _extend(self, parents: Sequence[Set], size: int) -> None:
@@ -146,10 +174,20 @@ class Search:
                 union = tuple(sorted({*parent, name}))
                 if len(union) == size and union not in sets:
                     sets.append(union)
-        sets.sort(key=lambda names: is_heavy(self.layout(names)))
+        if min(self.reduced(self.fits[parent]) for parent in parents) > _POOR and self.batch.has_records:
+            # far from the noise the backbones tell cheaply which sets are worth a closer look
+            misfit = {
+                names: min((cost for cost, _ in self._level_starts(names)), default=np.inf)
+                for names in sets
+                if not self._is_costly(names)
+            }
+            sets.sort(key=lambda names: misfit.get(names, np.inf))
+        sets.sort(key=self._is_costly)
         for k, names in enumerate(sets):
             if self.effort > self.budget:
                 self.is_cut = True
+                break
+            if self._is_costly(names) and self._is_settled():
                 break
             self.progress(("pairs", "sets of three")[min(size - 2, 1)], (k + 1) / len(sets))
             self.fit_set(names)
@@ -201,7 +239,7 @@ class Search:
         lowest = min((item.cost for item in [*found, *parents[:1]]), default=np.inf)
         is_poor = lowest > _POOR * count and (rival is None or len(names) < 2 or rival > _POOR * count)
         if not names or not self.batch.has_records or is_poor:
-            found += self._from_backbones(names, layout, parents, rival)
+            found += self._from_backbones(names, layout, rival)
         if not found:
             self.failed[names] = "no start could be simulated over the whole record"
             return None
@@ -212,18 +250,29 @@ class Search:
         held = {effect.name for effect in self.base.effects}
         return tuple(effect.name for effect in found.layout.oscillator.effects if effect.name not in held)
 
-    def _from_backbones(self, names: Set, layout: Layout, parents: list[Fit], rival: float | None) -> list[Fit]:
+    def _from_backbones(self, names: Set, layout: Layout, rival: float | None) -> list[Fit]:
         if len(names) == 0:
             eta = starts.typical(layout)
             scales = (0.05, 1.0, 20.0) if eta.size else (1.0,)
             states = [
                 start_state(layout, np.where(layout.is_strength, eta * scale, eta), self.batch.own) for scale in scales
             ]
+            held = [effect.name for effect in layout.oscillator.effects if starts.positions(layout, effect.name)]
+            for name in held:
+                found = starts.by_backbone(layout, name, None, self.batch, self.reference)
+                states += [state for _, state in found]
             return self._descend(layout, states, is_near=False)
-        parent = parents[0] if parents else None
-        new = names[0] if parent is None else next(name for name in names if name not in self._names(parent))
-        states = [state for _, state in starts.by_backbone(layout, new, parent, self.batch, self.reference)]
+        states = [state for _, state in self._level_starts(names)]
         return self._descend(layout, states, is_near=False, rival=rival)
+
+    def _level_starts(self, names: Set) -> list[tuple[float, State]]:
+        """Return starts from the look of a set in one backbone, with their misfit there; kept for the next time."""
+        if names not in self.by_levels:
+            parents = [self.fits[rest] for rest in combinations(names, len(names) - 1) if rest in self.fits]
+            parent = min(parents, key=lambda item: item.cost, default=None)
+            new = names[0] if parent is None else next(name for name in names if name not in self._names(parent))
+            self.by_levels[names] = starts.by_backbone(self.layout(names), new, parent, self.batch, self.reference)
+        return self.by_levels[names]
 
     def _descend(
         self, layout: Layout, states: Sequence[State], *, is_near: bool, rival: float | None = None
@@ -250,8 +299,9 @@ class Search:
         if best.is_converged or best.evaluations < _GLANCE:
             return [best]
         found = self._fit(
-            layout, self.batch.deciding, best.state, iterations=80, tolerance=0.03, rival=rival, nuisances=nuisances
-        )
+            layout, self.batch.deciding, best.state, iterations=80 if rival is not None else _PATIENT,
+            tolerance=0.03, rival=rival, nuisances=nuisances,
+        )  # fmt: skip
         return [best] if found is None else [found]
 
     def _fit(self, layout: Layout, witnesses: Sequence[Witness], state: State, **options: Any) -> Fit | None:
