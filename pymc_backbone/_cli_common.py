@@ -6,11 +6,43 @@ import argparse
 import logging
 import warnings
 from pathlib import Path
+from typing import Any
 
 from . import _options
 from ._checks import OBSERVABLES
 
 STEPS = ("metropolis", "elementwise", "demetropolisz", "slice", "nuts", "nutpie")
+
+
+def add_records(parser: argparse.ArgumentParser, *, tables: bool = True) -> None:
+    """Add the argument that names the records, and whether they are tables of backbones."""
+    parser.add_argument("records", type=Path, metavar="RECORDS", help="a file, or a folder of files, one per specimen")
+    if tables:
+        parser.add_argument(
+            "--backbones",
+            action="store_true",
+            help="RECORDS are measured backbone tables (such as backbones.csv from extract), not time histories",
+        )
+
+
+def add_model(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
+    """Add the group of options of the model, with the mass, and return it."""
+    group = parser.add_argument_group("model")
+    group.add_argument(
+        "--mass", type=_options.number("--mass"), required=True, metavar="M", help="mass [kg], or inertia [kg m^2]"
+    )
+    return group
+
+
+def measurement_of(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the options of reading and conditioning as keyword arguments."""
+    return {name: getattr(options, name) for name in ("band", "start", "levels")}
+
+
+def sampling_of(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the options of the sampler as keyword arguments."""
+    chosen = {name: getattr(options, name) for name in ("draws", "tune", "chains", "step")}
+    return {**chosen, "random_seed": options.seed}
 
 
 def add_measurement(parser: argparse.ArgumentParser, *, observables: bool = True) -> None:

@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import Any
 
 from . import _options
-from ._cli_common import add_measurement, add_output, add_sampling, hush_libraries, say
+from ._cli_common import (
+    add_measurement,
+    add_model,
+    add_output,
+    add_records,
+    add_sampling,
+    hush_libraries,
+    measurement_of,
+    sampling_of,
+    say,
+)
 from ._progress import ProgressBar
 
 DESCRIPTION = """\
@@ -40,18 +49,10 @@ def add_diagnose(commands: Any) -> None:
         description=DESCRIPTION,
         epilog=EPILOG,
     )
-    parser.add_argument("records", type=Path, metavar="RECORDS", help="a file, or a folder of files, one per specimen")
-    parser.add_argument(
-        "--backbones",
-        action="store_true",
-        help="RECORDS are measured backbone tables (such as backbones.csv from extract), not time histories",
-    )
+    add_records(parser)
     add_measurement(parser, observables=False)
 
-    model = parser.add_argument_group("model")
-    model.add_argument(
-        "--mass", type=_options.number("--mass"), required=True, metavar="M", help="mass [kg], or inertia [kg m^2]"
-    )
+    model = add_model(parser)
     model.add_argument(
         "--base",
         action="extend",
@@ -113,14 +114,8 @@ def _diagnose(options: argparse.Namespace) -> None:
             held_out=options.held_out,
             quick=options.quick,
             is_table=options.backbones,
-            band=options.band,
-            start=options.start,
-            levels=options.levels,
-            draws=options.draws,
-            tune=options.tune,
-            chains=options.chains,
-            step=options.step,
-            random_seed=options.seed,
+            **measurement_of(options),
+            **sampling_of(options),
             overwrite=options.overwrite,
             progress=progress,
             say=say_below,

@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import Any
 
 from . import _options
-from ._cli_common import add_measurement, add_output, add_sampling, hush_libraries, say
+from ._cli_common import (
+    add_measurement,
+    add_model,
+    add_output,
+    add_records,
+    add_sampling,
+    hush_libraries,
+    measurement_of,
+    sampling_of,
+    say,
+)
 
 LIKELIHOODS = ("auto", "population", "specimen", "pooled")
 DENSITIES = ("product", "joint")
@@ -57,7 +66,7 @@ def add_extract(commands: Any) -> None:
         description=EXTRACT_DESCRIPTION,
         epilog=EXTRACT_EPILOG,
     )
-    parser.add_argument("records", type=Path, metavar="RECORDS", help="a file, or a folder of files, one per specimen")
+    add_records(parser, tables=False)
     add_measurement(parser)
     add_output(parser, required=True)
     parser.set_defaults(run=_extract)
@@ -71,18 +80,10 @@ def add_update(commands: Any) -> None:
         description=UPDATE_DESCRIPTION,
         epilog=UPDATE_EPILOG,
     )
-    parser.add_argument("records", type=Path, metavar="RECORDS", help="a file, or a folder of files, one per specimen")
-    parser.add_argument(
-        "--backbones",
-        action="store_true",
-        help="RECORDS are measured backbone tables (such as backbones.csv from extract), not time histories",
-    )
+    add_records(parser)
     add_measurement(parser)
 
-    model = parser.add_argument_group("model")
-    model.add_argument(
-        "--mass", type=_options.number("--mass"), required=True, metavar="M", help="mass [kg], or inertia [kg m^2]"
-    )
+    model = add_model(parser)
     model.add_argument(
         "--effect",
         action="append",
@@ -141,9 +142,7 @@ def _extract(options: argparse.Namespace) -> None:
         options.records,
         output=options.out,
         overwrite=options.overwrite,
-        band=options.band,
-        start=options.start,
-        levels=options.levels,
+        **measurement_of(options),
         observables=options.observables,
         say=say,
     )
@@ -160,18 +159,12 @@ def _update(options: argparse.Namespace) -> None:
         priors=_options.once("--prior", options.prior),
         fixed=_options.once("--fix", options.fix),
         is_table=options.backbones,
-        band=options.band,
-        start=options.start,
-        levels=options.levels,
+        **measurement_of(options),
         observables=options.observables,
         likelihood=options.likelihood,
         density=options.density,
         marginal=options.marginal,
-        draws=options.draws,
-        tune=options.tune,
-        chains=options.chains,
-        step=options.step,
-        random_seed=options.seed,
+        **sampling_of(options),
         output=options.out,
         overwrite=options.overwrite,
         say=say,

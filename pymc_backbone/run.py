@@ -86,18 +86,14 @@ def measure(
     from .records import read_records
 
     records = read_records(path)  # before the compiled modules are loaded: errors in the files come at once
+    from ._extraction import extract_all
     from .backbone import backbones_at_levels, default_levels
-    from .conditioning import condition
-    from .cycles import extract_cycles
 
-    conditioned = [condition(record, band=band, start=start) for record in records]
-    cycles = [extract_cycles(record) for record in conditioned]
-    units = sorted({record.unit for record in conditioned})
-    if len(units) > 1:
-        raise InputError(f"The records must all be displacements or all be angles, got both {' and '.join(units)}.")
+    extraction = extract_all(records, band=band, start=start)
+    cycles = extraction.cycles
     chosen = default_levels(cycles, levels) if isinstance(levels, int) else levels
-    backbones = backbones_at_levels(cycles, chosen, observables or DEFAULT_OBSERVABLES, amplitude_unit=units[0])
-    backbones.attrs["notes"] = _notes(cycles, backbones)
+    backbones = backbones_at_levels(cycles, chosen, observables or DEFAULT_OBSERVABLES, amplitude_unit=extraction.unit)
+    backbones.attrs["notes"] = extraction.notes(backbones.attrs.get("notes", []))
     frequency = float(np.median(np.concatenate([item.frequency for item in cycles])))
     return Measured(backbones, 2.0 * np.pi * frequency, records)
 
@@ -307,16 +303,6 @@ def _measure_tables(
             check_choice("observables", name, held)
         backbones = backbones.sel(observable=list(observables))
     return Measured(backbones, 2.0 * np.pi * frequency)
-
-
-def _notes(cycles: Sequence[Any], backbones: xr.Dataset) -> list[str]:
-    """Put the specimen that a note is about in front of it."""
-    notes, about_one = [], set()
-    for item in cycles:
-        for note in item.notes:
-            about_one.add(note)
-            notes.append(note if note.startswith(f"{item.specimen}:") else f"{item.specimen}: {note}")
-    return notes + [note for note in backbones.attrs.get("notes", []) if note not in about_one]
 
 
 def _say_warnings(measured: Measured, say: Say) -> None:

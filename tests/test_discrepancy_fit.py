@@ -12,18 +12,19 @@ from scipy.stats import chi2
 
 from pymc_backbone.conditioning import condition
 from pymc_backbone.cycles import extract_cycles
-from pymc_backbone.discrepancy import joint_fit, starts, witness
+from pymc_backbone.discrepancy import joint_fit, starts, whitening
 from pymc_backbone.discrepancy.joint_fit import (
     NUISANCES,
     SCATTER,
     State,
     _recentred,
     fit,
-    make_layout,
     parameters_of,
     start_state,
 )
-from pymc_backbone.discrepancy.witness import first_turning_point, level_witness
+from pymc_backbone.discrepancy.layout import make_layout
+from pymc_backbone.discrepancy.record_witness import first_turning_point
+from pymc_backbone.discrepancy.witness import level_witness
 from pymc_backbone.effects import BASE_EFFECTS, LIBRARY
 from pymc_backbone.oscillator import Oscillator
 
@@ -254,18 +255,18 @@ def test_means_of_samples_follow_from_the_middles(together):
     values = np.cos(2.0 * np.pi * time + 0.3)
     means = values.reshape(-1, together).mean(axis=1)
     middles = time.reshape(-1, together).mean(axis=1)
-    got = witness._average(np.cos(2.0 * np.pi * middles + 0.3)[:, None], together)[:, 0]
+    got = whitening.average(np.cos(2.0 * np.pi * middles + 0.3)[:, None], together)[:, 0]
     # exact up to the sixth power of the angle of a step: 0.26^6 times a few thousandths
     np.testing.assert_allclose(got, means[2:-2], atol=1e-6)
     polynomial = np.polynomial.Polynomial([0.3, -1.0, 0.7, 0.2, -0.4, 0.1])
     means = polynomial(time[: 40 * together]).reshape(-1, together).mean(axis=1)
-    got = witness._average(polynomial(middles[:40])[:, None], together)[:, 0]
+    got = whitening.average(polynomial(middles[:40])[:, None], together)[:, 0]
     np.testing.assert_allclose(got, means[2:-2], rtol=1e-12)  # rounding
 
 
 @pytest.mark.parametrize("together", [2, 3, 7])
 def test_autocovariance_of_means(together, rng):
-    white = witness._of_means(np.array([4.0, 0.0]), together)
+    white = whitening.of_means(np.array([4.0, 0.0]), together)
     np.testing.assert_allclose(white, [4.0 / together, *np.zeros(white.size - 1)], atol=1e-12)
     moving = np.array([1.0, 0.6, 0.3])  # a moving average of second order
     full = np.convolve(moving, moving[::-1])[2:]
@@ -273,7 +274,7 @@ def test_autocovariance_of_means(together, rng):
                            for i in range(3 * together)])  # fmt: skip
     block = np.kron(np.eye(3), np.ones((1, together)) / together)
     expected = (block @ covariance @ block.T)[0]
-    got = witness._of_means(np.append(full, 0.0), together)
+    got = whitening.of_means(np.append(full, 0.0), together)
     count = min(got.size, 3)
     np.testing.assert_allclose(got[:count], expected[:count], rtol=1e-12)
 
@@ -297,7 +298,7 @@ def test_whitening_makes_coloured_noise_white_from_the_first_sample_on(kind, ord
     impulse[0] = 1.0
     response = lfilter(*taps, impulse)
     autocovariance = np.array([response[: 400 - lag] @ response[lag:] for lag in range(60)])
-    whiten = witness._whitener(2.5**2 * autocovariance)
+    whiten = whitening.whitener(2.5**2 * autocovariance)
     noise = 2.5 * lfilter(*taps, rng.standard_normal((2000, 500)), axis=0)[500:]
     white = whiten(noise)
     # half a million values: variance known to 0.1 %; the rest is for lags beyond those used and 1e-3 on lag zero
@@ -312,7 +313,7 @@ def test_whitening_makes_coloured_noise_white_from_the_first_sample_on(kind, ord
 
 def test_white_noise_is_only_scaled(rng):
     columns = rng.standard_normal((50, 2))
-    np.testing.assert_array_equal(witness._whitener(np.array([4.0, 0.0]))(columns), columns * 0.5)
+    np.testing.assert_array_equal(whitening.whitener(np.array([4.0, 0.0]))(columns), columns * 0.5)
 
 
 def test_level_witness_whitens_with_the_covariance_given(rng):

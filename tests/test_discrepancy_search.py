@@ -13,7 +13,7 @@ from scipy.stats import f, kstest
 from pymc_backbone.discrepancy import evidence, rivals, starts, verify
 from pymc_backbone.discrepancy.curves import curve, on_levels, prediction_errors, simulate
 from pymc_backbone.discrepancy.decide import decide
-from pymc_backbone.discrepancy.joint_fit import fit, parameters_of, start_state
+from pymc_backbone.discrepancy.joint_fit import fit, start_state
 from pymc_backbone.discrepancy.locate import mean_gap, where_different
 from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.discrepancy.study import HeldOut
@@ -128,7 +128,7 @@ def redrawn(batch, rng, effects=()):
 
 
 def search_layout(oscillator):
-    from pymc_backbone.discrepancy.joint_fit import make_layout
+    from pymc_backbone.discrepancy.layout import make_layout
 
     return make_layout(oscillator, AMPLITUDE, OMEGA)
 
@@ -273,7 +273,7 @@ def test_errors_of_prediction_cover_what_they_should(cubic):
     assert errors.shape == (3, 3, levels.size) and np.all(errors[:, :2] > 0.0)
     exact = curve(found, found.layout.oscillator.pack(truth_of(("cubic_stiffness",))), levels)[0]
     for r in range(3):
-        simulated = curve(brought, parameters_of(brought.layout, brought.state, r), levels)[0]
+        simulated = curve(brought, brought.parameters(r), levels)[0]
         # stiffness differs between specimens by one per cent: compare how the curves bend
         bend = (simulated / simulated.mean() - exact / exact.mean())[[0, -1]]
         assert np.all(np.abs(bend) < 6.0 * errors[r, 0, [0, -1]] / simulated.mean() + 1e-5)

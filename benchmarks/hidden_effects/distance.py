@@ -21,7 +21,7 @@ from pymc_backbone.backbone import backbones_at_levels
 from pymc_backbone.discrepancy.batch import Batch, batch_of_records
 from pymc_backbone.discrepancy.joint_fit import Fit
 from pymc_backbone.discrepancy.search import Search
-from pymc_backbone.discrepancy.workflow import _candidates, _levels
+from pymc_backbone.discrepancy.workflow import levels_within, possible_effects
 
 
 def clean_batch(folder: Path) -> tuple[Batch, dict]:
@@ -47,7 +47,7 @@ def clean_batch(folder: Path) -> tuple[Batch, dict]:
         cycles.append(extracted)
     if not records:
         raise InputError("no record of this batch can be used")
-    backbones = backbones_at_levels(cycles, _levels(cycles, None), ["frequency", "damping"], amplitude_unit=unit)
+    backbones = backbones_at_levels(cycles, levels_within(cycles, None), ["frequency", "damping"], amplitude_unit=unit)
     return batch_of_records(truth["mass"], backbones, records, cycles), truth
 
 
@@ -62,7 +62,7 @@ def distance(folder: Path) -> dict:
     batch, truth = clean_batch(folder)
     hidden = tuple(sorted(truth["hidden"]))
     oscillator = Oscillator(truth["mass"], truth["base"])
-    candidates = _candidates(oscillator, None, batch)
+    candidates = possible_effects(oscillator, None, batch)
     search = Search(batch, oscillator, candidates)
     search.fit_set(())
     wrong = [()] if hidden else []

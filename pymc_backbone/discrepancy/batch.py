@@ -12,15 +12,8 @@ import xarray as xr
 from .._checks import FloatArray, InputError
 from .._conditioned import ConditionedRecord
 from ..cycles import Cycles
-from .witness import (
-    LevelWitness,
-    TurningWitness,
-    WaveformWitness,
-    Witness,
-    level_witness,
-    turning_witness,
-    waveform_witness,
-)
+from .record_witness import turning_witness, waveform_witness
+from .witness import LevelWitness, TurningWitness, WaveformWitness, Witness, level_witness
 
 
 @dataclass(frozen=True, eq=False)

@@ -64,7 +64,7 @@ def simulate(batch: Batch, found: Fit, levels: FloatArray | None = None) -> xr.D
     chosen = np.asarray(batch.backbones["level"]) if levels is None else np.asarray(levels, dtype=np.float64)
     rows = [OBSERVABLES.index(name) for name in names]
     values = np.array(
-        [curve(found, parameters_of(found.layout, found.state, r), chosen)[rows] for r in range(len(batch.specimens))]
+        [curve(found, found.parameters(r), chosen)[rows] for r in range(len(batch.specimens))]
     )
     dims = ("specimen", "observable", "level")
     return xr.Dataset(
@@ -94,7 +94,7 @@ def level_chi_square(batch: Batch, found: Fit) -> float:
     """Return the reduced chi-square of the backbones at a fit."""
     total, count = 0.0, 0
     for r, witness in enumerate(batch.levels):
-        compared = witness.compare(found.layout.simulator, parameters_of(found.layout, found.state, r), NO_NUISANCES)
+        compared = witness.compare(found.layout.simulator, found.parameters(r), NO_NUISANCES)
         if compared is None:
             return float("inf")
         total += float(compared[0] @ compared[0])
@@ -122,7 +122,7 @@ def prediction_errors(batch: Batch, found: Fit, witnesses: list[LevelWitness], l
     covariance = np.linalg.pinv(shared + prior) if q else np.zeros((0, 0))
     for r, (index, scale, reduced, _) in enumerate(solved):
         values, status = np.empty((3, levels.size)), np.zeros(levels.size, dtype=np.int64)
-        vector = parameters_of(found.layout, found.state, r)
+        vector = found.parameters(r)
         jacobian = np.zeros((3, levels.size, vector.size))
         found.layout.simulator.backbone(vector, levels, 0.0, True, values, jacobian, status)
         own = found.state.own[r]

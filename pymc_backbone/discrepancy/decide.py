@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 
 from .._checks import FloatArray
-from . import evidence
+from . import evidence, starts
 from .batch import Batch
 from .curves import curve, level_chi_square, on_levels, simulate
 from .evidence import Evidence, LackOfFit
-from .joint_fit import Fit, State, parameters_of
+from .joint_fit import Fit, State
 from .locate import mean_gap
 from .search import Search, Set
 from .study import Candidate
@@ -271,7 +271,7 @@ def relative_change(batch: Batch, larger: Fit, smaller: Fit) -> dict[str, float]
     worst = {"frequency": 0.0, "damping": 0.0}
     for r, witness in enumerate(batch.levels):
         inside = levels[(levels >= witness.levels[0] * 0.999) & (levels <= witness.levels[-1] * 1.001)]
-        a, b = (curve(item, parameters_of(item.layout, item.state, r), inside) for item in (first, second))
+        a, b = (curve(item, item.parameters(r), inside) for item in (first, second))
         for row, key in ((0, "frequency"), (1, "damping")):
             with np.errstate(invalid="ignore", divide="ignore"):
                 change = np.abs(a[row] - b[row]) / np.abs(a[row])
@@ -279,7 +279,7 @@ def relative_change(batch: Batch, larger: Fit, smaller: Fit) -> dict[str, float]
     return worst
 
 
-def candidates_of(search: Search, decision: Decision, drift_key: Set) -> tuple[Candidate, ...]:
+def candidates_of(search: Search, decision: Decision) -> tuple[Candidate, ...]:
     """Return the table of all sets, most probable first, each with what became of it and why."""
     rows = []
     count = sum(w.size for w in search.batch.deciding)
@@ -341,10 +341,6 @@ def estimates_of(found: Fit) -> dict[str, tuple[float, float]]:
 
 def without(found: Fit, names: Sequence[str]) -> Fit:
     """Return a fit with some effects turned off, everything else as it was."""
-    from dataclasses import replace
-
-    from . import starts
-
     eta = found.state.eta.copy()
     for name in names:
         where = starts.positions(found.layout, name)

@@ -11,7 +11,7 @@ from scipy.special import logsumexp
 
 from .._checks import FloatArray
 from .batch import Batch
-from .joint_fit import NUISANCES, Fit, information, parameters_of
+from .joint_fit import NUISANCES, Fit, information
 from .witness import WaveformWitness, Witness
 
 PRIOR_OF_SIZE = (0.5, 0.445, 0.05, 0.005)
@@ -78,7 +78,7 @@ def probabilities(
 def residuals_of(witness: Witness, found: Fit, specimen: int) -> FloatArray:
     """Return the standardised residuals of one specimen at a fit."""
     own = found.state.own[specimen]
-    vector = parameters_of(found.layout, found.state, specimen)
+    vector = found.parameters(specimen)
     compared = witness.compare(found.layout.simulator, vector, own[2:NUISANCES])
     return np.zeros(witness.size) if compared is None else compared[0]
 

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from .._checks import FloatArray
+from .._checks import OBSERVABLES, FloatArray
 from ..effects import BASE_EFFECTS
 from .batch import Batch
 from .curves import curve, measured, on_levels
 from .decide import estimates_of
-from .joint_fit import Fit, parameters_of
+from .joint_fit import Fit
 from .study import Estimate
 
 _REACH = 10.0  # standard deviations between an estimate and the ends of its prior
@@ -31,10 +31,8 @@ def mean_specimen(batch: Batch, found: Fit) -> tuple[xr.Dataset, FloatArray]:
     brought = on_levels(batch, found)
     levels = np.asarray(batch.backbones["level"])
     names = [str(name) for name in batch.backbones["observable"].values]
-    from .._checks import OBSERVABLES
-
     rows = [OBSERVABLES.index(name) for name in names]
-    vectors = np.array([parameters_of(found.layout, brought.state, r) for r in range(len(batch.specimens))])
+    vectors = np.array([brought.parameters(r) for r in range(len(batch.specimens))])
     mean = vectors.mean(axis=0)
     delta = np.zeros(found.layout.free.size)
     mean[found.layout.free] = found.layout.physical(found.state.eta, delta, 0.0)[0]

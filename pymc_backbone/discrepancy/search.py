@@ -12,7 +12,8 @@ import numpy as np
 from ..oscillator import Oscillator
 from . import evidence, starts
 from .batch import Batch
-from .joint_fit import NUISANCES, Fit, Layout, State, fit, make_layout, start_state
+from .joint_fit import NUISANCES, Fit, State, fit, start_state
+from .layout import Layout, make_layout
 from .witness import Witness
 
 Set = tuple[str, ...]
@@ -232,7 +233,9 @@ class Search:
             promised = promised[:1] if is_explained else promised
             if is_explained and promised and promised[0][0] < _WORTH:
                 promised = promised[:1]
-                near = fit(layout, self.batch.deciding, promised[0][1], iterations=1, nuisances=self.batch.nuisances)
+                near = self._fit(
+                    layout, self.batch.deciding, promised[0][1], iterations=1, nuisances=self.batch.nuisances
+                )
                 found += [] if near is None else [near]
                 continue
             found += self._descend(layout, [state for _, state in promised], is_near=True, rival=rival)

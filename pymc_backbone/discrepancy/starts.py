@@ -11,7 +11,8 @@ from .._checks import FloatArray
 from ..effects import BASE_EFFECTS
 from . import joint_fit
 from .batch import Batch
-from .joint_fit import SCATTER, Fit, Layout, State
+from .joint_fit import SCATTER, Fit, State
+from .layout import Layout
 
 _STRENGTHS = (0.02, 0.3)
 _TINY = 1e-4

@@ -22,9 +22,10 @@ def held_out_levels(batch: Batch, before: Fit, after: Fit | None) -> HeldOut | N
         return None
     rows = _rows(batch)
     results = np.full((2, levels.size), np.nan)
+    names = [str(name) for name in batch.backbones["specimen"].values]
+    index = [names.index(name) for name in batch.specimens]
     for k in range(levels.size):
         keep = np.arange(levels.size) != k
-        index = [list(map(str, batch.backbones["specimen"].values)).index(name) for name in batch.specimens]
         witnesses = [level_witness(batch.backbones, i, keep) for i in index]
         if any(witness is None or witness.levels.size < 3 for witness in witnesses):
             continue

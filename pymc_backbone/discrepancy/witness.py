@@ -11,20 +11,13 @@ from typing import Any, Protocol
 
 import numpy as np
 import xarray as xr
-from scipy.linalg import solve_toeplitz, solve_triangular, toeplitz
-from scipy.signal import lfilter
 
-from .._checks import FloatArray
-from .._conditioned import ConditionedRecord
-from ..cycles import Cycles
+from .._checks import OBSERVABLES, FloatArray
 from ..decay import Simulator
+from .whitening import EDGE, average
 
-MOST_LAGS = 32
 DRIFT = 0.05  # relative change of frequency over a record that one unit of drift stands for
 TOLERANCE = 1e-7  # of one integration step: waveforms to 3e-6 of the amplitude, far below any noise here
-_COLLAPSED_HARMONICS = 3
-_DENSE = 24  # samples per cycle that hold all there is to know; more are averaged
-_EDGE = 2
 _MARGIN = 60  # turning points beyond those of the record
 
 
@@ -96,8 +89,6 @@ class LevelWitness:
 
 def level_witness(backbones: xr.Dataset, specimen: int, keep: Any = None) -> LevelWitness | None:
     """Return the witness of one specimen of a Dataset of backbones, or None where it reaches none of the levels."""
-    from .._checks import OBSERVABLES
-
     chosen = backbones.isel(specimen=specimen)
     names = [str(name) for name in chosen["observable"].values]
     value, error = np.asarray(chosen["value"]), np.asarray(chosen["standard_error"])
@@ -275,165 +266,9 @@ class WaveformWitness:
         columns[:, p + 4] = -share * displacement
         columns[:, p + 5] = offset + displacement
         if self.together > 1:
-            columns = _average(columns, self.together)
-            columns[:, p + 5] = self.values[_EDGE:-_EDGE] - columns[:, p + 5]
+            columns = average(columns, self.together)
+            columns[:, p + 5] = self.values[EDGE:-EDGE] - columns[:, p + 5]
         else:
             columns[:, p + 5] = self.values - columns[:, p + 5]
         whitened = self.whiten(columns)
         return whitened[:, -1], whitened[:, :-1]
-
-
-def first_turning_point(record: ConditionedRecord, cycles: Cycles) -> int:
-    """Return which turning point is the first after the release: the second, where the first is the release itself.
-
-    A record that begins at the release, or while the specimen is still held, begins near an extreme value.
-    """
-    start, extreme = float(record.displacement[:3].mean()), float(cycles.turning_values[0])
-    return int(start * extreme > 0.0 and abs(start) > 0.5 * abs(extreme))
-
-
-def turning_witness(record: ConditionedRecord, cycles: Cycles) -> TurningWitness:
-    """Return the witness of the turning points of one record."""
-    count = min(2 * len(cycles) + 1, cycles.turning_times.size)
-    kept = slice(first_turning_point(record, cycles), count)
-    times, values = cycles.turning_times[kept], cycles.turning_values[kept]
-    time_errors, value_errors = cycles.turning_time_errors[kept], cycles.turning_value_errors[kept]
-    return TurningWitness(
-        times.copy(),
-        values.copy(),
-        np.maximum(time_errors, 1e-12 * np.abs(times).max() + 1e-300),
-        np.maximum(value_errors, 1e-300),
-    )
-
-
-def waveform_witness(record: ConditionedRecord, cycles: Cycles) -> WaveformWitness:
-    """Return the witness of the samples of one record, from half a cycle before its first turning point on."""
-    half = float(np.median(np.diff(cycles.turning_times)))
-    begin = cycles.turning_times[first_turning_point(record, cycles)]
-    first = int(np.searchsorted(record.time, begin - 0.9 * half))
-    last = int(np.searchsorted(record.time, cycles.turning_times[-1] + 0.9 * half))
-    time, values = record.time[first:last], record.displacement[first:last]
-    phase = _phase(time, cycles)
-    is_reduced = not (record.quantity == "displacement" and record.band is None)
-    windows = _windows(phase, 1.0 if is_reduced else 4.0)
-    per_cycle = record.sampling_rate * 2.0 * half
-    signal = float(np.sqrt(np.mean((values - values.mean()) ** 2)))
-    if is_reduced:
-        harmonics = 1 if record.band is not None else int(np.clip(0.35 * per_cycle, 1, _COLLAPSED_HARMONICS))
-        first_order = 0 if record.offset_is_measured else 1
-        bases = [(window, _harmonics(phase[window], harmonics, first_order, 0)) for window in windows]
-
-        def reduce(columns: FloatArray) -> FloatArray:
-            return np.concatenate([basis.T @ columns[window] for window, basis in bases]) / record.noise
-
-        size = sum(basis.shape[1] for _, basis in bases)
-        return WaveformWitness(time, values, reduce, size, [], signal)
-    together = int(per_cycle / _DENSE)
-    autocovariance = record.noise_autocovariance
-    is_averaged = together > 1
-    if is_averaged:
-        count = time.size // together
-        time, values = time[: count * together], values[: count * together]
-        time = time.reshape(count, together).mean(axis=1)
-        values = values.reshape(count, together).mean(axis=1)
-        autocovariance = _of_means(autocovariance, together)
-        per_cycle /= together
-        phase = _phase(time[_EDGE:-_EDGE], cycles)
-        windows = _windows(phase, 4.0)
-    harmonics = int(np.clip(0.5 * per_cycle - 1.5, 1, 4))
-    subspace = [(window, _harmonics(phase[window], harmonics, 0, 1)) for window in windows]
-    size = time.size - 2 * _EDGE if is_averaged else time.size
-    return WaveformWitness(time, values, _whitener(autocovariance), size, subspace, signal, max(together, 1))
-
-
-def _average(columns: FloatArray, together: int) -> FloatArray:
-    """Return means over each step from values at the middle of the steps; two steps at either end are lost."""
-    weights = _mean_weights(together)
-    kept = columns.shape[0] - 2 * _EDGE
-    return np.asarray(sum(weight * columns[k : kept + k] for k, weight in enumerate(weights)))
-
-
-def _mean_weights(together: int) -> FloatArray:
-    """Return weights (5,) on the middles of neighbouring steps that give the mean of a step's ``together`` samples.
-
-    Exact for polynomials of degree five. A mean of few samples is not the mean over the step: for two samples of a
-    sinusoid the integral would be 7e-4 off, which shows in long records.
-    """
-    place = (np.arange(together) - 0.5 * (together - 1)) / together
-    second, fourth = float(np.mean(place**2)), float(np.mean(place**4))
-    outer = (fourth - second) / 24.0
-    inner = 0.5 * second - 4.0 * outer
-    return np.array([outer, inner, 1.0 - 2.0 * (outer + inner), inner, outer])
-
-
-def _of_means(autocovariance: FloatArray, together: int) -> FloatArray:
-    """Return the autocovariance of means over so many neighbouring samples."""
-    size = autocovariance.size
-    lags = int(np.ceil((size - 1) / together)) + 1
-    weights = together - np.abs(np.arange(-together + 1, together))
-    padded = np.zeros((lags + 2) * together + size)
-    padded[:size] = autocovariance
-    result = np.empty(max(lags, 2))
-    for lag in range(result.size):
-        at = np.abs(lag * together + np.arange(-together + 1, together))
-        result[lag] = float(weights @ padded[at]) / together**2
-    return result
-
-
-def _phase(time: FloatArray, cycles: Cycles) -> FloatArray:
-    """Return the phase in cycles, from the turning points, carried on at both ends."""
-    at, half = cycles.turning_times, 0.5 * np.arange(cycles.turning_times.size)
-    inner = np.interp(time, at, half)
-    before, after = time < at[0], time > at[-1]
-    inner[before] = (time[before] - at[0]) * 0.5 / (at[1] - at[0])
-    inner[after] = half[-1] + (time[after] - at[-1]) * 0.5 / (at[-1] - at[-2])
-    return inner
-
-
-def _windows(phase: FloatArray, length: float) -> list[slice]:
-    """Return windows of about ``length`` cycles."""
-    count = max(1, int(round((phase[-1] - phase[0]) / length)))
-    edges = np.searchsorted(phase, np.linspace(phase[0], phase[-1], count + 1))
-    edges[-1] = phase.size
-    return [slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True) if b - a >= 4]
-
-
-def _harmonics(phase: FloatArray, harmonics: int, first_order: int, degree: int) -> FloatArray:
-    """Return an orthonormal basis of harmonics with polynomials of ``degree`` for amplitudes."""
-    u = np.linspace(-1.0, 1.0, phase.size)
-    columns = []
-    for order in range(first_order, harmonics + 1):
-        angle = 2.0 * np.pi * order * phase
-        for power in range(degree + 1):
-            columns.append(np.cos(angle) * u**power)
-            if order:
-                columns.append(np.sin(angle) * u**power)
-    basis = np.column_stack(columns[: max(1, int(0.6 * phase.size))])
-    return np.linalg.qr(basis)[0]
-
-
-def _whitener(autocovariance: FloatArray) -> Callable[[FloatArray], FloatArray]:
-    """Return the filter that makes noise with this autocovariance white, of unit variance."""
-    significant = np.abs(autocovariance[1:]) > 0.03 * autocovariance[0]
-    if not significant.any():
-        scale = 1.0 / np.sqrt(autocovariance[0])
-        return lambda columns: columns * scale
-    order = min(int(np.flatnonzero(significant)[-1]) + 1, MOST_LAGS)
-    row = np.zeros(order + 1)
-    row[: min(order + 1, autocovariance.size)] = autocovariance[: order + 1]
-    row[0] *= 1.0 + 1e-3
-    prediction = solve_toeplitz(row[:-1], row[1:])
-    variance = float(row[0] - prediction @ row[1:])
-    taps = np.concatenate([[1.0], -prediction]) / np.sqrt(max(variance, 1e-6 * row[0]))
-    try:
-        start = np.linalg.cholesky(toeplitz(row[:-1]))
-    except np.linalg.LinAlgError:  # what was estimated is no autocovariance
-        return lambda columns: lfilter(taps, 1.0, columns, axis=0)  # type: ignore[call-overload]
-
-    def whiten(columns: FloatArray) -> FloatArray:
-        filtered = np.asarray(lfilter(taps, 1.0, columns, axis=0))  # type: ignore[call-overload]
-        first = min(order, columns.shape[0])  # samples whose past is not in the record
-        filtered[:first] = solve_triangular(start[:first, :first], columns[:first], lower=True)
-        return filtered
-
-    return whiten

@@ -48,7 +48,7 @@ def _power_law(batch: Batch, found: Fit, name: str, row: int) -> str:
     values, errors = measured(batch)
     excess, variance = [], []
     for r in range(len(batch.specimens)):
-        excess.append(values[r, o] - curve(off, parameters_of(off.layout, off.state, r), levels)[row])
+        excess.append(values[r, o] - curve(off, off.parameters(r), levels)[row])
         variance.append(errors[r, o] ** 2)
     gap, spread = np.array(excess), np.array(variance)
     held = np.isfinite(gap) & np.isfinite(spread) & (spread > 0.0)
@@ -80,7 +80,7 @@ def _power_law(batch: Batch, found: Fit, name: str, row: int) -> str:
     )
 
 
-def detectable(search: Search, decision: Decision) -> tuple[Detectable, ...]:
+def detectable(search: Search) -> tuple[Detectable, ...]:
     """Return the smallest strength of each single effect that these data would have shown."""
     batch, rows = search.batch, []
     levels = np.asarray(batch.backbones["level"])
@@ -176,7 +176,7 @@ def _distance(search: Search, ours: Fit, theirs: Fit, outside: FloatArray, error
     with np.errstate(all="ignore"):
         typical = np.nanmedian(errors, axis=(0, 2))
     for r in range(len(search.batch.specimens)):
-        a, b = (curve(item, parameters_of(item.layout, item.state, r), outside) for item in (ours, theirs))
+        a, b = (curve(item, item.parameters(r), outside) for item in (ours, theirs))
         for o, name in enumerate(search.batch.backbones["observable"].values):
             row = OBSERVABLES.index(str(name))
             difference = (a[row] - b[row]) / max(float(typical[o]), 1e-300)

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 
 from .._checks import FloatArray, InputError, check_choice
 from .._conditioned import ConditionedRecord
+from .._extraction import extract_all
 from ..backbone import backbones_at_levels, default_levels
-from ..conditioning import condition
-from ..cycles import Cycles, extract_cycles
+from ..cycles import Cycles
 from ..effects import BASE_EFFECTS, LIBRARY
 from ..oscillator import Oscillator
 from ..records import Record
@@ -23,7 +23,7 @@ from .batch import Batch, batch_of_backbones, batch_of_records
 from .curves import level_chi_square, on_levels, simulate
 from .decide import Decision, candidates_of, decide, mind_second_mode
 from .extend import estimates_from_draws, estimates_from_fit, mean_specimen, sample_extended
-from .joint_fit import make_layout
+from .layout import make_layout
 from .locate import where_different
 from .search import BUDGET, Search, is_heavy
 from .study import Check, Study
@@ -109,7 +109,7 @@ def find_missing_effect(
     seed = int(np.random.default_rng().integers(2**31)) if random_seed is None else int(random_seed)
     say("reading backbones", 0.0)
     batch, notes = _batch(oscillator, data, band, start, levels)
-    chosen = _candidates(oscillator, candidates, batch)
+    chosen = possible_effects(oscillator, candidates, batch)
     if not 1 <= int(max_effects) <= 3:
         raise InputError(f"`max_effects` must be 1, 2 or 3, got {max_effects}; look for more in a second study.")
     search = Search(
@@ -137,7 +137,7 @@ def find_missing_effect(
     most = 6 if held_out is None else int(held_out)
     level_gap = specimen_gap = None
     if most > 0:
-        level_gap = held_out_levels(batch, base_levels, None if extended is None else on_levels(batch, extended))
+        level_gap = held_out_levels(batch, base_levels, after_levels)
         say("verifying on held-out data", 0.5)
         specimen_gap = held_out_specimens(batch, base_levels, extended, most)
     posterior, backbone = None, None
@@ -175,7 +175,7 @@ def find_missing_effect(
         extended=None if extended is None else extended.layout.oscillator,
         missing_effects=decision.best if decision.verdict == "found" else (),
         probability=decision.probability,
-        candidates=candidates_of(search, decision, rivals.DRIFT_KEY),
+        candidates=candidates_of(search, decision),
         ambiguous_sets=decision.listed if decision.verdict == "ambiguous" else (),
         advice=words.advice(search, decision) if decision.verdict == "ambiguous" else (),
         reasons=words.reasons(batch, extended, decision.best) if extended is not None else (),
@@ -189,7 +189,7 @@ def find_missing_effect(
         shrink_high=high,
         adequate_by=decision.adequate_by,
         tolerance=limits,
-        detectable=words.detectable(search, decision) if decision.verdict == "adequate" else (),
+        detectable=words.detectable(search) if decision.verdict == "adequate" else (),
         checks=checks,
         backbones=batch.backbones.sel(specimen=list(batch.specimens)),
         before=before,
@@ -234,7 +234,7 @@ def _tolerances(tolerance: Mapping[str, float] | float | None) -> dict[str, floa
     return limits
 
 
-def _candidates(oscillator: Oscillator, candidates: Sequence[str] | None, batch: Batch) -> tuple[str, ...]:
+def possible_effects(oscillator: Oscillator, candidates: Sequence[str] | None, batch: Batch) -> tuple[str, ...]:
     """Return the effects that may be missing, the costly ones last."""
     held = {effect.name for effect in oscillator.effects}
     unit = str(batch.backbones.attrs.get("amplitude_unit", "m"))
@@ -280,34 +280,17 @@ def _batch(
     items = list(data)
     if not items:
         raise InputError("`data` must hold at least one record; check the folder.")
-    conditioned: list[ConditionedRecord] = []
-    cycles: list[Cycles] = []
-    refused: list[str] = []
-    for item in items:
-        try:
-            record = condition(item, band=band, start=start) if isinstance(item, Record) else item
-            extracted = extract_cycles(record)
-        except InputError as error:
-            refused.append(str(error))
-            continue
-        conditioned.append(record)
-        cycles.append(extracted)
-    if not conditioned:
-        raise InputError(refused[0])
-    units = sorted({record.unit for record in conditioned})
-    if len(units) > 1:
-        raise InputError(f"the records must all be displacements or all be angles, got both {' and '.join(units)}.")
+    extraction = extract_all(items, band=band, start=start, is_strict=False)
     observables = ["frequency", "damping"]
-    if all(record.offset_is_measured for record in conditioned):
+    if all(record.offset_is_measured for record in extraction.records):
         observables.append("offset")
-    backbones = backbones_at_levels(cycles, _levels(cycles, levels), observables, amplitude_unit=units[0])
-    notes = [f"left out: {sentence}" for sentence in refused]
-    for record in conditioned:
-        notes += [note if note.startswith(record.specimen) else f"{record.specimen}: {note}" for note in record.notes]
-    return batch_of_records(oscillator.mass, backbones, conditioned, cycles), notes
+    chosen = levels_within(extraction.cycles, levels)
+    backbones = backbones_at_levels(extraction.cycles, chosen, observables, amplitude_unit=extraction.unit)
+    batch = batch_of_records(oscillator.mass, backbones, extraction.records, extraction.cycles)
+    return batch, extraction.notes()
 
 
-def _levels(cycles: Sequence[Cycles], levels: int | ArrayLike | None) -> FloatArray:
+def levels_within(cycles: Sequence[Cycles], levels: int | ArrayLike | None) -> FloatArray:
     """Return the levels: those that all specimens reach or, where there are none, over all that any reaches."""
     if levels is not None and np.ndim(levels) > 0:
         return np.asarray(levels, dtype=np.float64)
