@@ -14,6 +14,7 @@ from scipy.interpolate import make_interp_spline
 
 from pymc_backbone._checks import InputError
 from pymc_backbone.conditioning import ConditionedRecord, condition
+from pymc_backbone.cycles import extract_cycles
 from pymc_backbone.records import Record, read_records
 
 Array = NDArray[np.float64]
@@ -243,6 +244,32 @@ def test_held_position_is_dropped_and_first_turning_point_kept() -> None:
     first = decay.time[np.argmin(decay.displacement)]
     assert first == pytest.approx(1.0 + 0.5 / FREQUENCY, abs=2.0 / 800.0)  # half a cycle after the release at 1 s
     assert first - decay.time[0] == pytest.approx(0.25 / FREQUENCY, abs=0.05 / FREQUENCY)
+
+
+@pytest.mark.parametrize("hold", [0.25, 0.4, 0.6])
+@pytest.mark.parametrize("noise", [0.0, 0.01, 0.03])
+def test_short_hold_is_dropped(hold: float, noise: float, rng: np.random.Generator) -> None:
+    per_cycle = 40
+    _, (x, _, _) = simulated(damping=0.02, per_cycle=per_cycle)
+    values = np.concatenate([np.full(int(hold * per_cycle), x[0]), x])
+    values = values + noise * np.abs(x).max() * rng.normal(size=values.size)
+    stamps = np.arange(values.size) / (per_cycle * FREQUENCY)
+    decay = condition(record(stamps, values))
+    late = decay.time[0] * FREQUENCY - hold
+    assert -0.06 <= late <= 0.3, late
+    assert any("at rest" in note for note in decay.notes)
+    assert extract_cycles(decay).frequency[0] == pytest.approx(FREQUENCY, rel=0.02)
+
+
+@pytest.mark.parametrize("phase", np.linspace(0.0, 0.9, 10))
+@pytest.mark.parametrize("noise", [0.0, 0.03])
+def test_free_motion_is_not_taken_for_a_short_hold(phase: float, noise: float, rng: np.random.Generator) -> None:
+    per_cycle = 40
+    _, (x, _, _) = simulated(damping=0.01, per_cycle=per_cycle)
+    values = x[int(phase * per_cycle) :]
+    values = values + noise * np.abs(x).max() * rng.normal(size=values.size)
+    decay = condition(record(np.arange(values.size) / (per_cycle * FREQUENCY), values))
+    assert not any("at rest" in note for note in decay.notes)
 
 
 def test_record_that_begins_in_free_motion_keeps_its_first_sample() -> None:

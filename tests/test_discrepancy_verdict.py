@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import xarray as xr
+from scipy.integrate import solve_ivp
 
 import pymc_backbone as pb
 from pymc_backbone.discrepancy import decide, words
@@ -17,6 +18,7 @@ from pymc_backbone.effects import BASE_EFFECTS, LIBRARY
 
 from .discrepancy_cases import (
     AMPLITUDE,
+    DAMPING,
     MASS,
     STIFFNESS,
     TIME,
@@ -288,6 +290,17 @@ def test_words_of_each_verdict():
         ("found", {}, "cubic_stiffness is missing from the model, with a probability of 97 %"),
         ("ambiguous", {"listed": (("cubic_stiffness",), ("freeplay",))}, "tell apart: cubic_stiffness; freeplay."),
         ("ambiguous", {"listed": (("freeplay",),), "drift_probability": 0.2}, "freeplay; a drift with time"),
+        ("ambiguous", {"listed": (("cubic_stiffness",),)}, "is the only explanation that remains"),
+        (
+            "ambiguous",
+            {"listed": (("cubic_stiffness",),), "is_approximate": True, "left_by_best": 0.0021},
+            "alone follows the backbones within the tolerance, but it is not exact: it leaves 0.21% of the motion",
+        ),
+        (
+            "ambiguous",
+            {"listed": (("cubic_stiffness",), ("freeplay",)), "is_approximate": True},
+            "within the tolerance each follows the backbones, none is exact",
+        ),
         ("unexplained", {}, "no set of known effects explains it"),
         ("unexplained", {"drift_probability": 0.9}, "a drift with time explains the records better"),
         ("adequate", {"adequate_by": "statistics", "best": ()}, "Nothing is missing"),
@@ -297,6 +310,41 @@ def test_words_of_each_verdict():
         fields = {"verdict": verdict, "best": ("cubic_stiffness",), "probability": 0.97, "p_missing": 0.3, "lack": lack}
         decision = decide.Decision(**{**fields, "probabilities": {}, "evidences": {}, **options})
         assert said in words.sentence(decision, None)
+
+
+def test_model_errors_count_once_for_each_level_not_for_each_sample():
+    """Chi-square 4 times as large at 8 levels: 2^-8 as probable, by hand; more parameters have Schwarz' price."""
+
+    def fit_of(cost, parameters):
+        return SimpleNamespace(cost=cost, layout=SimpleNamespace(free=np.zeros(parameters)))
+
+    fits = {("a",): fit_of(4e6, 1), ("b",): fit_of(1e6, 1), ("c",): fit_of(1e6, 3)}
+    levels = {"level": np.arange(1.0, 9.0)}
+    search = SimpleNamespace(fits=fits, candidates=("a", "b", "c"), batch=SimpleNamespace(backbones=levels))
+    chances = decide.by_model_error(search, list(fits))
+    assert sum(chances.values()) == pytest.approx(1.0)
+    assert chances[("a",)] / chances[("b",)] == pytest.approx(4.0**-4)
+    assert chances[("c",)] / chances[("b",)] == pytest.approx(8.0**-1)
+
+
+def test_what_no_set_explains_exactly_is_not_named(rng):
+    """A damper with a dead band is no effect of the library: sets that follow the backbones are listed, none is named."""
+    records = []
+    for k, record in enumerate(make_records(rng, (), specimens=3, decibels=60.0)):
+        stiffness = STIFFNESS * (1.0 + 0.01 * k)
+
+        def force(t, y, stiffness=stiffness):
+            extra = 3.0 * DAMPING * y[1] if abs(y[0]) > 0.4 * AMPLITUDE else 0.0
+            return [y[1], -(stiffness * y[0] + DAMPING * y[1] + extra) / MASS]
+
+        time = record.time
+        solved = solve_ivp(force, (0.0, time[-1]), [AMPLITUDE, 0.0], t_eval=time, rtol=1e-9, atol=1e-12, max_step=0.002)
+        noise = 1e-3 * AMPLITUDE / np.sqrt(2.0) * rng.standard_normal(time.size)
+        records.append(pb.Record(record.specimen, time, solved.y[0] + noise))
+    study = study_of(records, candidates=("quadratic_damping", "cubic_damping", "coulomb_friction", "cubic_stiffness"))
+    check_whole(study)
+    assert study.verdict in ("ambiguous", "unexplained") and study.missing_effects == ()
+    assert () not in study.ambiguous_sets
 
 
 def test_ambiguous_sets_come_with_advice(rng):

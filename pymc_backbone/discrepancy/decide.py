@@ -203,7 +203,7 @@ def within_tolerance(search: Search, ranked: Sequence[Set], tolerance: Mapping[s
     set whose curves follow those of the likeliest such set: the two cannot be told apart by what matters.
     """
     curves: dict[Set, FloatArray] = {}
-    looked_at = sorted(ranked[:_LOOKED_AT], key=len)
+    looked_at = sorted((names for names in ranked[:_LOOKED_AT] if names), key=len)
     close: list[Set] = []
     mean, error = np.empty(0), np.empty(0)
     for names in looked_at:

@@ -104,17 +104,29 @@ class Search:
         return min(item.cost for item in self.fits.values()) < _EXPLAINED * count
 
     def _look_again(self) -> None:
-        """Fit single effects that have a shape, and lag behind, from their look in the backbones as well."""
+        """Fit single effects that have a shape, and lag behind, from their look in the backbones as well.
+
+        Where the base holds effects and nothing explains the records yet, these may have bent to imitate what is
+        missing: then from a fit without them.
+        """
         lowest = min(item.cost for item in self.fits.values())
+        is_bent = bool(self.layout(()).free.size) and not self._is_explained()
+        bare = Search(self.batch, Oscillator(self.base.mass), self.candidates, 1)
         for name in self.candidates:
             known = self.fits.get((name,))
             layout = self.layout((name,))
-            has_shape = len(starts.positions(layout, name)) > 1 and not is_heavy(layout)
-            if known is None or not has_shape or known.cost < lowest + _CLOSE or (name,) in self.by_levels:
+            if known is None or len(starts.positions(layout, name)) < 2:
                 continue
-            for found in self._from_backbones((name,), layout, lowest):
-                if found.cost < self.fits[(name,)].cost:
-                    self.fits[(name,)] = found
+            found: list[Fit] = []
+            if is_bent and self.effort <= self.budget:
+                bare.fit_set(())
+                alone = bare.fit_set((name,)) if () in bare.fits else None
+                if alone is not None:
+                    found += self._descend(layout, [starts.embedded(layout, alone)[0]], is_near=True)
+            elif known.cost >= lowest + _CLOSE and not self._is_costly((name,)) and (name,) not in self.by_levels:
+                found += self._from_backbones((name,), layout, lowest)
+            self.fits[(name,)] = min([known, *found], key=lambda item: item.cost)
+            self.effort, bare.effort = self.effort + bare.effort, 0.0
 
     def _look_back(self) -> None:
         """Fit the subsets of the best sets again, from where these ended: a larger set may have found a better way."""

@@ -61,11 +61,8 @@ def by_score(layout: Layout, effect: str, parent: Fit, batch: Batch) -> list[tup
     is fitted eliminated, says how much the sum of squares would fall and at which strength.
     """
     where = positions(layout, effect)
-    eta, others = _embed(layout, parent)
-    own = np.zeros((len(batch.specimens), joint_fit.NUISANCES + layout.free.size))
-    own[:, : joint_fit.NUISANCES] = parent.state.own[:, : joint_fit.NUISANCES]
-    for here, there in others:
-        own[:, joint_fit.NUISANCES + here] = parent.state.own[:, joint_fit.NUISANCES + there]
+    start, others = embedded(layout, parent)
+    eta, own = start.eta, start.own
     scatter = SCATTER if len(batch.specimens) > 1 else 0.0
     active = np.zeros(joint_fit.NUISANCES + layout.free.size, dtype=bool)
     active[list(batch.nuisances)] = True
@@ -94,9 +91,9 @@ def by_score(layout: Layout, effect: str, parent: Fit, batch: Batch) -> list[tup
         if layout.low[where[0]] >= 0.0 and strength <= 0.0:
             gain, strength = 0.0, trial[where[0]]
         limit = 0.5 * layout.width[where[0]]
-        start = trial.copy()
-        start[where[0]] = np.clip(strength, -limit, limit)
-        found.append((gain, State(start, own.copy())))
+        moved = trial.copy()
+        moved[where[0]] = np.clip(strength, -limit, limit)
+        found.append((gain, State(moved, own.copy())))
     found.sort(key=lambda item: -item[0])
     return found[:_KEPT]
 
@@ -109,7 +106,7 @@ def by_backbone(
     eta = np.zeros(layout.free.size)
     own = batch.own.copy()
     if parent is not None:
-        eta, _ = _embed(layout, parent)
+        eta = embedded(layout, parent)[0].eta
         own = parent.state.own[:, : joint_fit.NUISANCES].copy()
     else:
         eta = typical(layout)
@@ -153,13 +150,19 @@ def typical(layout: Layout) -> FloatArray:
     return eta
 
 
-def _embed(layout: Layout, parent: Fit) -> tuple[FloatArray, list[tuple[int, int]]]:
-    """Return the coordinates of a smaller model in a larger one, and which went where."""
+def embedded(layout: Layout, smaller: Fit) -> tuple[State, list[tuple[int, int]]]:
+    """Return a fit of a smaller model as a start for a larger one, whose other effects begin small.
+
+    And the places of the coordinates that both have, here and there.
+    """
     eta = typical(layout)
+    own = np.zeros((smaller.state.own.shape[0], joint_fit.NUISANCES + layout.free.size))
+    own[:, : joint_fit.NUISANCES] = smaller.state.own[:, : joint_fit.NUISANCES]
     pairs = []
-    for there, name in enumerate(parent.layout.names):
+    for there, name in enumerate(smaller.layout.names):
         if name in layout.names:
             here = layout.names.index(name)
-            eta[here] = parent.state.eta[there]
+            eta[here] = smaller.state.eta[there]
+            own[:, joint_fit.NUISANCES + here] = smaller.state.own[:, joint_fit.NUISANCES + there]
             pairs.append((here, there))
-    return eta, pairs
+    return State(eta, own), pairs

@@ -210,6 +210,11 @@ def sentence(decision: Decision, search: Search) -> str:
                 f"Something is missing; of the known effects {best} alone follows the backbones within the tolerance, "
                 f"but it is not exact: it leaves {decision.left_by_best:.2%} of the motion."
             )
+        if len(named) == 1 and decision.best:
+            return (
+                f"Something is missing; of the known effects {best} is the only explanation that remains, but what it "
+                f"leaves keeps its probability at {percent}, too little for a name."
+            )
         rest = f"; and {len(named) - _SPOKEN} more" if len(named) > _SPOKEN else ""
         sets = "; ".join(named[:_SPOKEN])
         exact = "; within the tolerance each follows the backbones, none is exact" if decision.is_approximate else ""
