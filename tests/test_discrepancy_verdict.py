@@ -328,7 +328,7 @@ def test_model_errors_count_once_for_each_level_not_for_each_sample():
 
 
 def test_what_no_set_explains_exactly_is_not_named(rng):
-    """A damper with a dead band is no effect of the library: sets that follow the backbones are listed, none is named."""
+    """A damper with a dead band is no effect of the library: sets that follow it are listed, none is named."""
     records = []
     for k, record in enumerate(make_records(rng, (), specimens=3, decibels=60.0)):
         stiffness = STIFFNESS * (1.0 + 0.01 * k)

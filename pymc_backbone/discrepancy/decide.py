@@ -26,6 +26,7 @@ UNEXPLAINED = 1e-4  # p-value of the best set's residuals below which no set exp
 _MOST_LISTED = 16
 _LOOKED_AT = 150
 _PRIOR_NONE = 0.05  # prior probability that the library does not hold what is missing
+_IMITATES = (0.0, 0.01, 0.05, 0.3)  # how probable it is that a set of so many effects imitates what the library lacks
 _WEIGHT_OF_NOISE = 0.1  # how much rarer residuals like noise are where the library lacks what is missing
 _INDEPENDENT = 8.0  # the effects of the library count as so many independent attempts
 
@@ -88,7 +89,7 @@ def decide(
     p = min(max(left.p_value, 1e-300), float(np.exp(-1.0)))
     none = _PRIOR_NONE * _WEIGHT_OF_NOISE / (-np.e * p * np.log(p))
     explained = (1.0 - _PRIOR_NONE) / (1.0 - _PRIOR_NONE + none)
-    probabilities = {names: explained * evidences[names].probability for names in search.fits}
+    probabilities = {names: explained * _is_none_other(names) * evidences[names].probability for names in search.fits}
     drift_probability = explained * evidences[drift_key].probability if drifting is not None else 0.0
     p_missing = p_nothing_missing(search)
     decision = Decision(
@@ -137,6 +138,16 @@ def decide(
     total = evidences[drift_key].probability if drifting is not None else 0.0
     decision.listed = _listed({names: evidences[names].probability for names in ranked}, total)
     return decision
+
+
+def _is_none_other(names: Set) -> float:
+    """Return the probability that a set which leaves noise is not the imitation of something the library lacks.
+
+    The more effects a set has, the less probable it is beforehand, and the more it can imitate.
+    """
+    size = min(len(names), len(_IMITATES) - 1)
+    prior = evidence.PRIOR_OF_SIZE[size]
+    return prior / (prior + _PRIOR_NONE * _IMITATES[size])
 
 
 def _listed(chances: Mapping[Set, float], total: float) -> tuple[Set, ...]:

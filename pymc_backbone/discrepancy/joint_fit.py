@@ -223,28 +223,10 @@ def linearise(
     shared, shared_gradient = np.zeros((q, q)), np.zeros(q)
     mixed, own = np.zeros((count, q, size)), np.zeros((count, size, size))
     own_gradient, chi_square = np.zeros((count, size)), np.zeros(count)
+    priors = np.flatnonzero(active & (np.arange(size) >= DRIFTS[0]))  # those with a standard normal prior
     for r, witness in enumerate(witnesses):
-        values = state.own[r]
-        delta = values[NUISANCES:]
-        effects, slopes = layout.physical(state.eta, delta, scatter)
-        vector = layout.template.copy()
-        vector[:2] = values[:2]
-        vector[layout.free] = effects
-        compared = witness.compare(layout.simulator, vector, values[2:NUISANCES])
-        if compared is None:
-            return None
-        residuals, jacobian = compared
-        p = vector.size
-        to_effects = jacobian[:, layout.free] @ slopes
-        to_shared = to_effects * (1.0 + scatter * delta)
-        to_own = np.empty((residuals.size, size))
-        to_own[:, :2] = jacobian[:, :2]
-        to_own[:, 2:NUISANCES] = jacobian[:, p:]
-        to_own[:, NUISANCES:] = to_effects * (state.eta * scatter)
-        to_own[:, ~active] = 0.0
-        together = np.concatenate([to_shared, to_own, residuals[:, None]], axis=1)
-        gram = together.T @ together
-        if not np.isfinite(gram).all():
+        gram = _gram(layout, witness, state.eta, state.own[r], scatter, active)
+        if gram is None:
             return None
         chi_square[r] = gram[-1, -1]
         shared += gram[:q, :q]
@@ -252,11 +234,34 @@ def linearise(
         mixed[r] = gram[:q, q:-1]
         own[r] = gram[q:-1, q:-1]
         own_gradient[r] = gram[q:-1, -1]
-        index = np.flatnonzero(active & (np.arange(size) >= DRIFTS[0]))  # those with a standard normal prior
-        own[r, index, index] += 1.0
-        own_gradient[r, index] -= values[index]
-    penalty = float((state.own[:, active & (np.arange(size) >= DRIFTS[0])] ** 2).sum())
+        own[r, priors, priors] += 1.0
+        own_gradient[r, priors] -= state.own[r, priors]
+    penalty = float((state.own[:, priors] ** 2).sum())
     return System(chi_square, penalty, shared_gradient, shared, mixed, own, own_gradient)
+
+
+def _gram(
+    layout: Layout, witness: Witness, eta: FloatArray, values: FloatArray, scatter: float, active: Any
+) -> FloatArray | None:
+    """Return the products of derivatives and residuals of one specimen: shared, own, residual; None where it fails."""
+    delta = values[NUISANCES:]
+    effects, slopes = layout.physical(eta, delta, scatter)
+    vector = layout.template.copy()
+    vector[:2] = values[:2]
+    vector[layout.free] = effects
+    compared = witness.compare(layout.simulator, vector, values[2:NUISANCES])
+    if compared is None:
+        return None
+    residuals, jacobian = compared
+    to_effects = jacobian[:, layout.free] @ slopes
+    to_own = np.empty((residuals.size, values.size))
+    to_own[:, :2] = jacobian[:, :2]
+    to_own[:, 2:NUISANCES] = jacobian[:, vector.size :]
+    to_own[:, NUISANCES:] = to_effects * (eta * scatter)
+    to_own[:, ~active] = 0.0
+    together = np.concatenate([to_effects * (1.0 + scatter * delta), to_own, residuals[:, None]], axis=1)
+    gram: FloatArray = together.T @ together
+    return gram if np.isfinite(gram).all() else None
 
 
 def eliminate(system: System, active: Any, damping: float, held: Any) -> Any:
