@@ -24,6 +24,8 @@ QUANTITIES: tuple[str, ...] = ("amplitude", "frequency", "damping", "offset")
 LOOSENESS = 300.0
 """Undersmoothing of the amplitude: it is the regressor, where bias costs more than variance."""
 
+MINIMUM_CYCLES = 4  # a smooth curve with a standard error needs as many
+
 
 @dataclass(frozen=True, eq=False)
 class Cycles:
@@ -144,7 +146,7 @@ def extract_cycles_from_arrays(
     Raises
     ------
     InputError
-        When time is not uniform, or fewer than three cycles stand above the noise.
+        When time is not uniform, or fewer than four cycles stand above the noise.
     """
     t = check_finite_array("time", time, minimum_size=16)
     x = check_finite_array("displacement", displacement, minimum_size=16)
@@ -181,9 +183,9 @@ def _autocovariance(noise: float | ArrayLike | None) -> FloatArray | None:
 
 def _extract(t, x, step, autocovariance, guess_noise, specimen, notes):  # type: ignore[no-untyped-def]
     places, signs, period = _turning.rough_turning_points(x, step, guess_noise)
-    if places.size < 7:
+    if places.size < 2 * MINIMUM_CYCLES + 1:
         raise InputError(
-            f"the record of {specimen!r} must hold at least three cycles above its noise, got {places.size} turning "
+            f"the record of {specimen!r} must hold at least four cycles above its noise, got {places.size} turning "
             "points; release it from a larger amplitude, band-pass it, or record longer."
         )
     guess = t[0] + places * step
@@ -227,18 +229,18 @@ def _inflation(fit: Fit, variance: float) -> FloatArray:
 def _assemble(fit, signs, turning, factor, noise, specimen, notes):  # type: ignore[no-untyped-def]
     shift = 0 if signs[0] > 0 else 1
     n = (fit.times.size - shift - 1) // 2
-    if n < 3:
+    if n < MINIMUM_CYCLES:
         raise InputError(
-            f"the record of {specimen!r} must hold at least three cycles above its noise, got {n}; record longer."
+            f"the record of {specimen!r} must hold at least four cycles above its noise, got {n}; record longer."
         )
     at = shift + 2 * np.arange(n)
     t0, t1, p0, q, p1 = fit.times[at], fit.times[at + 2], fit.values[at], fit.values[at + 1], fit.values[at + 2]
     amplitude = (p0 + p1 - 2.0 * q) / 4.0
     crossed = np.flatnonzero((p0 - q <= 0.0) | (p1 - q <= 0.0))
     if crossed.size:
-        if crossed[0] < 3:
+        if crossed[0] < MINIMUM_CYCLES:
             raise InputError(
-                f"the turning points of {specimen!r} must alternate for three cycles; band-pass the record."
+                f"the turning points of {specimen!r} must alternate for four cycles; band-pass the record."
             )
         n = int(crossed[0])
         t0, t1, p0, q, p1, amplitude = t0[:n], t1[:n], p0[:n], q[:n], p1[:n], amplitude[:n]
@@ -259,9 +261,9 @@ def _assemble(fit, signs, turning, factor, noise, specimen, notes):  # type: ign
     end = int(floor[0]) if floor.size else n
     if end < n:
         notes.append(f"{specimen}: {n - end} cycle(s) below the noise floor dropped")
-    if end < 3:
+    if end < MINIMUM_CYCLES:
         raise InputError(
-            f"the record of {specimen!r} must hold at least three cycles above its noise, got {end}; reduce the noise."
+            f"the record of {specimen!r} must hold at least four cycles above its noise, got {end}; reduce the noise."
         )
 
     # derivatives at smoothed values: weights that follow the noise would bias the level values

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from pymc_backbone._checks import InputError
+from pymc_backbone.backbone import backbones_at_levels
 from pymc_backbone.cycles import QUANTITIES, extract_cycles, extract_cycles_from_arrays
 
 FREQUENCY, RATIO = 2.0, 0.01
@@ -175,7 +176,7 @@ def test_record_objects_and_their_noise() -> None:
         (np.arange(100.0) ** 1.1, np.cos(np.arange(100.0)), "uniform"),
         (np.arange(100.0), np.ones(100), "must move"),
         (np.arange(100.0), np.cos(np.arange(99.0)), "as long as"),
-        (np.arange(100.0), np.cos(np.arange(100.0) * 0.1), "at least three cycles"),
+        (np.arange(100.0), np.cos(np.arange(100.0) * 0.1), "at least four cycles"),
         (np.arange(100.0), np.where(np.arange(100) == 3, np.nan, 1.0), "finite"),
     ],
 )
@@ -193,3 +194,18 @@ def test_records_of_a_few_cycles_are_extracted(cycles: int, request: pytest.Fixt
     assert len(found) >= cycles - 1
     assert found.turning_times.size <= 15
     np.testing.assert_array_less(np.abs(found.frequency - FREQUENCY), 5.0 * found.frequency_error)
+
+
+def test_very_short_records_give_a_backbone_or_a_reason(rng: np.random.Generator) -> None:
+    reasons, backbones = 0, 0
+    for length in np.arange(2.5, 6.5, 0.1):
+        t = np.arange(0.0, length / FREQUENCY, 1.0 / (FREQUENCY * 20))
+        try:
+            found = extract_cycles_from_arrays(t, linear_decay(t) + 1e-3 * rng.standard_normal(t.size), noise=1e-3)
+        except InputError as error:
+            assert "four cycles" in str(error)
+            reasons += 1
+            continue
+        assert np.isfinite(backbones_at_levels([found])["value"].values).all()
+        backbones += 1
+    assert reasons >= 8 and backbones >= 15
