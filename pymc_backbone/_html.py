@@ -36,7 +36,7 @@ p{margin:.45em 0;overflow-wrap:anywhere}.soft{color:var(--soft);font-size:.9rem}
 ul{margin:.4em 0;padding-left:1.25em}li{margin:.25em 0;overflow-wrap:anywhere}
 .tiles{display:grid;grid-template-columns:repeat(auto-fit,minmax(150px,1fr));gap:10px;margin:16px 0 0}
 .tile{background:var(--card);border:1px solid var(--line);border-radius:9px;padding:10px 12px}
-.tile b{display:block;font-size:1.12rem;white-space:nowrap;line-height:1.25;
+.tile b{display:block;font-size:1.12rem;line-height:1.25;
 font-weight:650;font-variant-numeric:tabular-nums}
 .tile span{display:block;color:var(--soft);font-size:.8rem;line-height:1.35}
 .pair{display:grid;margin:0 0 12px;grid-template-columns:repeat(2,minmax(0,1fr));gap:14px;align-items:start}
@@ -61,7 +61,7 @@ details{margin:8px 0}summary{cursor:pointer;color:var(--tone);font-weight:600;fo
 @media(prefers-color-scheme:dark){.good{color:#5fd0a0}.bad{color:#f58d95}}
 footer{color:var(--soft);font-size:.82rem;padding:4px 6px}
 @media(max-width:720px){main{padding:10px 8px 32px}header,section{padding:15px 14px;border-radius:10px}
-h1{font-size:1.26rem}.tile b{white-space:normal}
+h1{font-size:1.26rem}
 .pair{grid-template-columns:minmax(0,1fr)}.tiles{grid-template-columns:repeat(2,minmax(0,1fr))}
 .stack thead{display:none}.stack,.stack tbody,.stack td{display:block}.stack tr{display:grid;
 grid-template-columns:repeat(2,minmax(0,1fr));column-gap:22px;border:1px solid var(--line);
