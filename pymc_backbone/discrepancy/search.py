@@ -122,7 +122,7 @@ class Search:
                 bare.fit_set(())
                 alone = bare.fit_set((name,)) if () in bare.fits else None
                 if alone is not None:
-                    found += self._descend(layout, [starts.embedded(layout, alone)[0]], is_near=True)
+                    found += self.descend(layout, [starts.embedded(layout, alone)[0]], is_near=True)
             elif known.cost >= lowest + _CLOSE and not self._is_costly((name,)) and (name,) not in self.by_levels:
                 found += self._from_backbones((name,), layout, lowest)
             self.fits[(name,)] = min([known, *found], key=lambda item: item.cost)
@@ -142,7 +142,7 @@ class Search:
                     [larger.state.own[:, :NUISANCES], larger.state.own[:, [NUISANCES + p for p in places]]], axis=1
                 )
                 state = State(larger.state.eta[places], own)
-                for found in self._descend(layout, [state], is_near=True, rival=known.cost):
+                for found in self.descend(layout, [state], is_near=True, rival=known.cost):
                     if found.cost < known.cost - 0.01:
                         self.fits[smaller] = found
 
@@ -250,7 +250,7 @@ class Search:
                 )
                 found += [] if near is None else [near]
                 continue
-            found += self._descend(layout, [state for _, state in promised], is_near=True, rival=rival)
+            found += self.descend(layout, [state for _, state in promised], is_near=True, rival=rival)
         lowest = min((item.cost for item in [*found, *parents[:1]]), default=np.inf)
         is_poor = lowest > _POOR * count and (rival is None or len(names) < 2 or rival > _POOR * count)
         if not names or not self.batch.has_records or is_poor:
@@ -276,9 +276,9 @@ class Search:
             for name in held:
                 found = starts.by_backbone(layout, name, None, self.batch, self.reference)
                 states += [state for _, state in found]
-            return self._descend(layout, states, is_near=False)
+            return self.descend(layout, states, is_near=False)
         states = [state for _, state in self._level_starts(names)]
-        return self._descend(layout, states, is_near=False, rival=rival)
+        return self.descend(layout, states, is_near=False, rival=rival)
 
     def _level_starts(self, names: Set) -> list[tuple[float, State]]:
         """Return starts from the look of a set in one backbone, with their misfit there; kept for the next time."""
@@ -289,7 +289,7 @@ class Search:
             self.by_levels[names] = starts.by_backbone(self.layout(names), new, parent, self.batch, self.reference)
         return self.by_levels[names]
 
-    def _descend(
+    def descend(
         self, layout: Layout, states: Sequence[State], *, is_near: bool, rival: float | None = None
     ) -> list[Fit]:
         """Return the minimum of the deciding witness that the best of some starts leads to.
