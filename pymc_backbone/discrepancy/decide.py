@@ -214,25 +214,25 @@ def within_tolerance(search: Search, ranked: Sequence[Set], tolerance: Mapping[s
     set whose curves follow those of the likeliest such set: the two cannot be told apart by what matters.
     """
     curves: dict[Set, FloatArray] = {}
+    errors: dict[Set, FloatArray] = {}
     looked_at = sorted((names for names in ranked[:_LOOKED_AT] if names), key=len)
     close: list[Set] = []
-    mean, error = np.empty(0), np.empty(0)
     for names in looked_at:
         found = search.fits[names]
         brought = on_levels(search.batch, found, free_effects=found.layout.free.size > 0)
         simulated = simulate(search.batch, brought)
-        mean, error = mean_gap(search.batch, simulated)
+        mean, errors[names] = mean_gap(search.batch, simulated)
         curves[names] = np.nanmean(np.asarray(simulated["value"]), axis=0)
-        if _is_within(search.batch, mean, error, curves[names], tolerance):
+        if _is_within(search.batch, mean, errors[names], curves[names], tolerance):
             close.append(names)
     if not close:
         return []
     leader = min(close, key=ranked.index)
-    alike = [
-        names
-        for names in looked_at
-        if names in close or _is_within(search.batch, curves[names] - curves[leader], error, curves[leader], tolerance)
-    ]
+
+    def is_alike(names: Set) -> bool:
+        return _is_within(search.batch, curves[names] - curves[leader], errors[leader], curves[leader], tolerance)
+
+    alike = [names for names in looked_at if names in close or is_alike(names)]
     return [names for names in alike if not any(set(other) < set(names) for other in alike)]
 
 

@@ -212,8 +212,8 @@ def sentence(decision: Decision, search: Search) -> str:
             )
         if len(named) == 1 and decision.best:
             return (
-                f"Something is missing; of the known effects {best} is the only explanation that remains, but what it "
-                f"leaves keeps its probability at {percent}, too little for a name."
+                f"Something is missing; of the known effects {best} is the only explanation that remains, but with a "
+                f"probability of {percent} it is too uncertain for a name."
             )
         rest = f"; and {len(named) - _SPOKEN} more" if len(named) > _SPOKEN else ""
         sets = "; ".join(named[:_SPOKEN])
