@@ -31,6 +31,7 @@ from ._figures import (
     parameter_axis,
     smooth,
 )
+from .discrepancy.locate import mean_gap
 from .discrepancy.study import HeldOut, Study
 from .plots import plot_rank, plot_records, plot_trace
 
@@ -155,14 +156,19 @@ def plot_gap(study: Study, observable: str) -> Figure:
     Returns
     -------
     matplotlib.figure.Figure
-        Bands are 95 % of the mean's measurement error; the tolerance is a grey band.
+        Bands are 95 % of the mean's error, from measurement or from the scatter of the specimens; the tolerance is a
+        grey band.
     """
     levels, scale, amplitude_label = amplitude_axis(study.backbones)
     value, _ = _of(study.backbones, observable)
     models = [("before" if study.after is not None else "base model", study.before, BEFORE)]
     if study.after is not None:
         models.append(("after", study.after, AFTER))
-    curves = [(label, colour, *mean_gap(study.backbones, simulated, observable)) for label, simulated, colour in models]
+    row = [str(name) for name in study.backbones["observable"].values].index(observable)
+    curves = []
+    for label, simulated, colour in models:
+        mean, spread = mean_gap(study.backbones, simulated)
+        curves.append((label, colour, mean[row], spread[row]))
     tolerated = _tolerated(study, observable, value)
     largest = np.concatenate([np.abs(mean) + 1.96 * np.nan_to_num(spread) for _, _, mean, spread in curves])
     unit, label = parameter_axis(f"gap in {observable}", largest[np.isfinite(largest)], _gap_units(observable))
@@ -190,29 +196,6 @@ def plot_gap(study: Study, observable: str) -> Figure:
     mean_of = f", mean of {len(value)} specimens" if len(value) > 1 else ""
     axis.set_title(f"Measured minus simulated{mean_of}", fontsize=9, loc="left")
     return figure
-
-
-def mean_gap(measured: xr.Dataset, simulated: xr.Dataset, observable: str) -> tuple[FloatArray, FloatArray]:
-    """Return measured minus simulated as mean over the specimens that reach a level, and its standard error.
-
-    Parameters
-    ----------
-    measured, simulated : xarray.Dataset
-        Backbones of the same specimens, in the same order, at the same levels.
-    observable : str
-        One of those they hold.
-
-    Returns
-    -------
-    gap, standard_error : (l,) arrays
-        In the observable's unit; NaN where no specimen reaches the level. The error is that of measurement.
-    """
-    value, error = _of(measured, observable)
-    gap = value - _of(simulated, observable)[0]
-    held = np.isfinite(gap)
-    count = np.where(held.any(axis=0), held.sum(axis=0), np.nan)
-    mean = np.where(held, gap, 0.0).sum(axis=0) / count
-    return mean, np.sqrt((np.where(held, error, 0.0) ** 2).sum(axis=0)) / count
 
 
 def plot_candidates(study: Study, *, most: int = MOST_CANDIDATES) -> Figure:

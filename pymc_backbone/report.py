@@ -155,7 +155,7 @@ def _curves(study: Study, figures: Mapping[str, Figure]) -> str:
         parts.append(f'<div class="pair">{pair}</div>' if pair else "")
     words = "Measured and simulated backbones, and the gap between them" if any(parts) else ""
     tolerances = ", ".join(f"{name} {100.0 * value:g} %" for name, value in study.tolerance.items() if value > 0.0)
-    note = "Bars and bands span 95 % of measurement error."
+    note = "Bars span 95 % of measurement error, bands of the gap that of its mean over the specimens."
     if tolerances:
         note += f" Grey: the tolerance ({tolerances})."
     return section(words, *parts, paragraph(note, "soft")) if words else ""

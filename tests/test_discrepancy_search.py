@@ -182,13 +182,13 @@ def hand_made(gap, errors):
 def test_mean_gap_and_its_error():
     gap = [[[0.1, 0.2, np.nan]], [[0.3, 0.2, np.nan]]]
     batch, simulated = hand_made(gap, 0.02)
-    mean, error = mean_gap(batch, simulated)
+    mean, error = mean_gap(batch.backbones, simulated)
     np.testing.assert_allclose(mean[0, :2], [0.2, 0.2], rtol=1e-12)
     np.testing.assert_allclose(error[0, :2], 0.02 / np.sqrt(2.0), rtol=1e-12)
     assert np.isnan(mean[0, 2])
     # from three specimens on their scatter counts, where it is the larger
     batch, simulated = hand_made([[[0.1]], [[0.3]], [[0.5]]], 0.02)
-    assert mean_gap(batch, simulated)[1][0, 0] == pytest.approx(0.2 / np.sqrt(3.0))
+    assert mean_gap(batch.backbones, simulated)[1][0, 0] == pytest.approx(0.2 / np.sqrt(3.0))
 
 
 def test_ranges_with_their_direction_and_significance():

@@ -215,13 +215,14 @@ def within_tolerance(search: Search, ranked: Sequence[Set], tolerance: Mapping[s
     """
     curves: dict[Set, FloatArray] = {}
     errors: dict[Set, FloatArray] = {}
+    backbones = search.batch.backbones.sel(specimen=list(search.batch.specimens))
     looked_at = sorted((names for names in ranked[:_LOOKED_AT] if names), key=len)
     close: list[Set] = []
     for names in looked_at:
         found = search.fits[names]
         brought = on_levels(search.batch, found, free_effects=found.layout.free.size > 0)
         simulated = simulate(search.batch, brought)
-        mean, errors[names] = mean_gap(search.batch, simulated)
+        mean, errors[names] = mean_gap(backbones, simulated)
         curves[names] = np.nanmean(np.asarray(simulated["value"]), axis=0)
         if _is_within(search.batch, mean, errors[names], curves[names], tolerance):
             close.append(names)

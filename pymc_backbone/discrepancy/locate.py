@@ -7,20 +7,20 @@ import xarray as xr
 
 from .._checks import OBSERVABLE_UNITS, FloatArray
 from .batch import Batch
-from .curves import measured
 from .study import GapRange
 
 _REAL = 3.0  # standard errors that the largest gap of a range has at least
 _EDGE = 2.0  # standard errors up to which the range goes on
 
 
-def mean_gap(batch: Batch, simulated: xr.Dataset) -> tuple[FloatArray, FloatArray]:
+def mean_gap(backbones: xr.Dataset, simulated: xr.Dataset) -> tuple[FloatArray, FloatArray]:
     """Return measured minus simulated (observable, level), mean over the specimens, and its standard error.
 
-    The standard error is that of the measurement or, where specimens differ by more, that of their scatter.
+    The standard error is that of the measurement or, where more than two specimens differ by more, that of their
+    scatter. NaN where no specimen reaches a level. Both datasets hold the same specimens in the same order.
     """
-    values, errors = measured(batch)
-    gap = values - np.asarray(simulated["value"])
+    errors = np.asarray(backbones["standard_error"])
+    gap = np.asarray(backbones["value"]) - np.asarray(simulated["value"])
     held = np.isfinite(gap) & np.isfinite(errors)
     count = held.sum(axis=0)
     gap = np.where(held, gap, 0.0)
@@ -31,12 +31,12 @@ def mean_gap(batch: Batch, simulated: xr.Dataset) -> tuple[FloatArray, FloatArra
         scatter = np.where(held, gap - mean, 0.0) ** 2
         spread = scatter.sum(axis=0) / np.maximum(count - 1, 1) / np.maximum(count, 1)
     variance = np.where(count > 2, np.maximum(variance, spread), variance)
-    return mean, np.sqrt(variance)
+    return mean, np.where(count > 0, np.sqrt(variance), np.nan)
 
 
 def where_different(batch: Batch, simulated: xr.Dataset) -> tuple[GapRange, ...]:
     """Return the ranges of amplitude in which the gap is real, largest first."""
-    mean, error = mean_gap(batch, simulated)
+    mean, error = mean_gap(batch.backbones.sel(specimen=list(batch.specimens)), simulated)
     names = [str(name) for name in simulated["observable"].values]
     levels = np.asarray(simulated["level"])
     found = []
