@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ._describe import aligned, short
+from .measurement import Levels, measure
 from .results import REPORT, prepare_output, read_result
-from .run import Levels, Say, measure
+from .run import Say
 
 if TYPE_CHECKING:
     from .discrepancy.study import Study
@@ -66,7 +67,7 @@ def diagnose(
     quick : bool, optional
         Whether to stop before sampling.
     is_table, band, start, levels
-        As in `run.measure`.
+        As in `measurement.measure`.
     draws, tune, chains, step, random_seed
         As in `sample`.
     overwrite : bool, optional
