@@ -87,7 +87,8 @@ def exact_modes(length: float, positions: FloatArray, mass_ratios: FloatArray, c
         if value * next_value <= 0.0:
             root = brentq(determinant, left, right, xtol=1e-14, rtol=4 * np.finfo(float).eps)
             shapes.append(_shape(root / length, edges, ratios))
-            grid = np.linspace(0.0, length, 64 * (count + 1) + 1)[1:-1]
+            # The tip, where the shape is 1, is one of the points: a heavy mass there keeps the last node close to it.
+            grid = np.linspace(0.0, length, 64 * (count + 1) + 1)
             nodes = np.count_nonzero(np.diff(np.sign(shapes[-1](grid)[grid > 0.01 * length])))
             if nodes != len(shapes) - 1:
                 raise ArithmeticError(
@@ -102,9 +103,7 @@ def _basis(y: FloatArray, end: FloatArray, derivative: int) -> FloatArray:
     """Columns of the basis, derivatives with respect to phase, which is wave number times position."""
     turn = derivative * np.pi / 2.0
     # cos' = -sin = cos(y + pi/2): every derivative turns the trigonometric functions by a quarter.
-    return np.stack(
-        [np.cos(y + turn), np.sin(y + turn), (-1.0) ** derivative * np.exp(-y), np.exp(y - end)], axis=-1
-    )
+    return np.stack([np.cos(y + turn), np.sin(y + turn), (-1.0) ** derivative * np.exp(-y), np.exp(y - end)], axis=-1)
 
 
 def _system(wavenumber: float, edges: FloatArray, ratios: FloatArray) -> FloatArray:

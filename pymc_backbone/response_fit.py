@@ -17,8 +17,9 @@ from .forced_response import ComplexArray, ForcedOscillator, branch_roots
 FREE = ("stiffness", "softening", "damping", "force")
 _BRANCHES = ("nearest", "lower", "upper")
 # Natural frequencies over the measured range, and k_n A^2 / k at the largest amplitude: 1 is where the force vanishes.
-_GRID_RANGE, _GRID_SIZE = (0.92, 1.12), 24
-_GRID_BEND = (-1.0, -0.3, -0.1, -0.03, 0.0, 0.03, 0.1, 0.2, 0.35, 0.55, 0.8)
+_GRID_RANGE, _GRID_SIZE = (0.95, 1.1), 16
+_GRID_BEND = (-0.5, -0.1, 0.0, 0.05, 0.15, 0.35, 0.7)
+_NEAR_FOLD = 8.0  # standard errors from a motion to the unstable one, below which no straight line describes it
 _COARSE = 0.05  # of the largest amplitude: what the first fits take for the error, so that they see beyond a fold
 
 
@@ -89,8 +90,11 @@ class _Problem:
     def value(self, oscillator: ForcedOscillator, name: str) -> float:
         return float(getattr(oscillator, self.force_name if name == "force" else name))
 
-    def compare(self, z: FloatArray) -> tuple[ComplexArray, NDArray[np.str_]]:
-        """Complex amplitude, real unless past a fold, and name of the branch that each point is compared with."""
+    def compare(self, z: FloatArray) -> tuple[ComplexArray, NDArray[np.str_], FloatArray]:
+        """Complex amplitude, real unless past a fold, of the branch that each point is compared with.
+
+        Also that branch's name, and how far away the unstable motion is.
+        """
         roots = branch_roots(self.at(z), self.frequency)
         outer = np.sqrt(roots[:, [0, 2]])
         distance = np.abs(self.amplitude[:, None] - outer)
@@ -100,11 +104,13 @@ class _Problem:
         chosen = np.take_along_axis(outer, column[:, None], axis=1)[:, 0]
         # A linear spring has one branch only, whatever the point was said to be on.
         chosen = np.where(np.isfinite(chosen), chosen, outer[:, 0])
-        return chosen, np.where(column == 0, "lower", "upper")
+        middle = np.sqrt(roots[:, 1])
+        gap = np.abs(np.where(np.isfinite(middle), middle, np.inf) - chosen)
+        return chosen, np.where(column == 0, "lower", "upper"), gap
 
     def residuals(self, z: FloatArray, error: FloatArray) -> FloatArray:
         """Misfits, then how far past the fold: both go continuously through a fold, so that a step may cross it."""
-        chosen, _ = self.compare(z)
+        chosen = self.compare(z)[0]
         return np.concatenate([(self.amplitude - chosen.real) / error, np.abs(chosen.imag) / error])
 
 
@@ -153,8 +159,9 @@ def fit_frequency_response(
     goes on as a pair of complex roots; their imaginary part counts as misfit. So the sum of squares stays continuous as
     folds move over points, and the fit finds its way without knowing on which side of the jump a point was. Coarse,
     robust fits from the best points of a grid come first, then least squares. Standard errors are those of the
-    linearised fit. Amplitudes above the escape amplitude sqrt(k / k_n) are no motions: k_n is bounded by that. The
-    model is the first harmonic's; the third changes amplitudes by about k_n A^2 / (32 m w^2) of themselves.
+    linearised fit; points within eight of their errors of the unstable motion take no part in them, because the
+    amplitude runs vertically into a fold. Amplitudes above the escape amplitude sqrt(k / k_n) are no motions: k_n is
+    bounded by that. The model is the first harmonic's; the third is about k_n A^2 / (32 m w^2) of it.
 
     Examples
     --------
@@ -173,18 +180,19 @@ def fit_frequency_response(
     best = _search(problem)
     n, p = len(problem.frequency), len(problem.free)
     fitted, error = problem.at(best.x), problem.error
-    chosen, branches = problem.compare(best.x)
-    residuals = np.where(
-        chosen.imag == 0.0, problem.amplitude - chosen.real, np.abs(problem.amplitude - chosen)
-    ) / error
+    chosen, branches, gap = problem.compare(best.x)
+    residuals = (
+        np.where(chosen.imag == 0.0, problem.amplitude - chosen.real, np.abs(problem.amplitude - chosen)) / error
+    )
     chi_square = float(residuals @ residuals)
     scale = 1.0 if standard_error is not None else chi_square / (n - p)
-    curvature = best.jac.T @ best.jac
+    slopes = best.jac[:n][gap > _NEAR_FOLD * error]
+    curvature = slopes.T @ slopes
     size = np.sqrt(np.diag(curvature))
     if not np.all(size > 0.0) or np.linalg.cond(curvature / np.outer(size, size)) > 1e12:
         raise InputError(
-            f"the response does not determine {', '.join(problem.free)} together; fix one of them in `start`, or measure "
-            "closer to the peak."
+            f"the response does not determine {', '.join(problem.free)} together; fix one of them in `start`, or "
+            "measure closer to the peak."
         )
     jacobian = _jacobian(problem, best.x)
     covariance = scale * jacobian @ np.linalg.inv(curvature) @ jacobian.T
@@ -248,14 +256,14 @@ def _search(problem: _Problem) -> OptimizeResult[Any]:
     axes = {"stiffness": [*stiffness, 1.0], "softening": _GRID_BEND, "damping": (0.0,), "force": (0.0,)}
     grid = np.stack(np.meshgrid(*(axes[name] for name in names), indexing="ij"), axis=-1).reshape(-1, len(names))
     costs = np.array([np.sum(np.log1p(problem.residuals(z, wide) ** 2)) for z in grid])
-    limits = {"stiffness": (1e-3, np.inf), "softening": (-50.0, 0.999), "damping": (-5.0, 5.0), "force": (-5.0, 5.0)}
-    bounds = tuple(np.array([limits[name][i] for name in names]) for i in (0, 1))
+    limits = {"stiffness": (1e-12, np.inf), "softening": (-50.0, 0.999), "damping": (-5.0, 5.0), "force": (-5.0, 5.0)}
+    bounds = ([limits[name][0] for name in names], [limits[name][1] for name in names])
     fits = []
-    for z in grid[np.argsort(costs, kind="stable")[:4]]:
-        coarse = least_squares(problem.residuals, z, bounds=bounds, args=(wide,), loss="soft_l1", x_scale="jac")
+    for z in grid[np.argsort(costs, kind="stable")[:3]]:
+        coarse = least_squares(lambda x: problem.residuals(x, wide), z, bounds=bounds, loss="soft_l1", x_scale="jac")
         fits.append(
             least_squares(
-                problem.residuals, coarse.x, jac="3-point", bounds=bounds, args=(problem.error,), x_scale="jac",
+                lambda x: problem.residuals(x, problem.error), coarse.x, jac="3-point", bounds=bounds, x_scale="jac",
                 xtol=1e-10, ftol=1e-10, gtol=1e-10,
             )
         )  # fmt: skip
@@ -263,7 +271,7 @@ def _search(problem: _Problem) -> OptimizeResult[Any]:
 
 
 def _jacobian(problem: _Problem, z: FloatArray) -> FloatArray:
-    """Derivatives of the quantities to the scaled ones."""
+    """Return the derivatives of the quantities to the scaled ones."""
     fitted, top = problem.at(z), float(problem.amplitude.max())
     jacobian = np.diag([problem.value(fitted, name) for name in problem.free])
     names = problem.free
