@@ -21,6 +21,7 @@ _GRID_RANGE, _GRID_SIZE = (0.95, 1.1), 16
 _GRID_BEND = (-0.5, -0.1, 0.0, 0.05, 0.15, 0.35, 0.7)
 _NEAR_FOLD = 8.0  # standard errors from a motion to the unstable one, below which no straight line describes it
 _COARSE = 0.05  # of the largest amplitude: what the first fits take for the error, so that they see beyond a fold
+_CLOSE: dict[str, Any] = {"xtol": 1e-10, "ftol": 1e-10, "gtol": 1e-10, "max_nfev": 80}
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,15 +259,17 @@ def _search(problem: _Problem) -> OptimizeResult[Any]:
     costs = np.array([np.sum(np.log1p(problem.residuals(z, wide) ** 2)) for z in grid])
     limits = {"stiffness": (1e-12, np.inf), "softening": (-50.0, 0.999), "damping": (-5.0, 5.0), "force": (-5.0, 5.0)}
     bounds = ([limits[name][0] for name in names], [limits[name][1] for name in names])
+
+    def coarse(z: Any) -> Any:
+        return problem.residuals(z, wide)
+
+    def fine(z: Any) -> Any:
+        return problem.residuals(z, problem.error)
+
     fits = []
     for z in grid[np.argsort(costs, kind="stable")[:3]]:
-        coarse = least_squares(lambda x: problem.residuals(x, wide), z, bounds=bounds, loss="soft_l1", x_scale="jac")
-        fits.append(
-            least_squares(
-                lambda x: problem.residuals(x, problem.error), coarse.x, jac="3-point", bounds=bounds, x_scale="jac",
-                xtol=1e-10, ftol=1e-10, gtol=1e-10,
-            )
-        )  # fmt: skip
+        near: Any = least_squares(coarse, z, bounds=bounds, loss="soft_l1", x_scale="jac", max_nfev=40).x
+        fits.append(least_squares(fine, near, jac="3-point", bounds=bounds, x_scale="jac", **_CLOSE))
     return min(fits, key=lambda fit: float(fit.cost))
 
 

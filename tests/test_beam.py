@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.linalg import eigh
@@ -188,6 +191,39 @@ def test_published_uniform_bounds_cannot_come_from_the_published_samples():
     levels = np.array([1e-6, 4e-6, 8e-6])
     curves = np.array([simulate_backbone(PAPER_BEAM.oscillator, p, levels).values[0] for p in PAPER_BEAM.population])
     assert np.all(np.diff(curves, axis=1) < 0.0) and np.all(curves < stiffest)
+
+
+def test_tables_of_the_documentation_are_computed():
+    text = (Path(__file__).parents[1] / "docs" / "beam.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (\d) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|$", text, flags=re.MULTILINE)
+    assert len(rows) == 4
+    for magnets, *frequencies in rows:
+        computed = natural_modes(PAPER_BEAM.beam_with_magnets(int(magnets)))[0]
+        np.testing.assert_allclose(computed, np.array(frequencies, dtype=float), atol=0.005001)
+    pattern = r"^\| (\w+) \| ([\d.]+) to ([\d.]+) \| at (\d) micrometres: ([\d.]+) to ([\d.]+) \|$"
+    rows = re.findall(pattern, text, flags=re.MULTILINE)
+    assert [row[0] for row in rows] == ["low", "mid", "high"]
+    for name, low, high, level, *ends in rows:
+        assert (float(low), float(high)) == PAPER_BEAM.measured_bounds[name]
+        levels = [float(level) * 1e-6]
+        f = [simulate_backbone(PAPER_BEAM.oscillator, p, levels).values[0, 0] for p in PAPER_BEAM.population]
+        np.testing.assert_allclose([min(f), max(f)], np.array(ends, dtype=float), atol=5.001e-4)
+    np.testing.assert_allclose(natural_modes(PAPER_BEAM.beam_with_magnets(1, 0.005))[0][:2], [8.43, 50.99], atol=0.006)
+    mode = reduce_to_one_mode(PAPER_BEAM.beam_with_magnets(2), natural_modes(PAPER_BEAM.beam_with_magnets(2))[1][0])
+    assert (mode.mass, mode.stiffness, mode.damping) == pytest.approx((0.0274, 68.6, 0.0349), rel=2e-3)
+    softest = simulate_backbone(PAPER_BEAM.oscillator, PAPER_BEAM.population[4], [4.6e-6]).values[0, 0]
+    assert softest == pytest.approx(PAPER_BEAM.measured_bounds["low"][0], abs=5e-4)
+    stiffest = simulate_backbone(PAPER_BEAM.oscillator, PAPER_BEAM.population[8], [1e-7, 9.5e-6]).values[0]
+    assert 1 - stiffest[1] / stiffest[0] == pytest.approx(1.7e-5, abs=0.2e-5)
+
+
+def test_magnetic_lengths_are_a_thousandth_of_the_air_gap():
+    frequency = natural_modes(PAPER_BEAM.beam_with_magnets(2), 1)[0][0]
+    magnetic = PAPER_BEAM.mass * (2 * np.pi * frequency) ** 2 - STIFFNESS
+    lengths = np.sqrt(magnetic[:8] / SOFTENING[:8])
+    assert lengths.min() == pytest.approx(26e-6, abs=0.6e-6) and lengths.max() == pytest.approx(38e-6, abs=0.6e-6)
+    assert abs(magnetic[8]) < 2.0
+    assert PAPER_BEAM.escape_amplitudes.max() == pytest.approx(1.4e-3, rel=1e-2)
 
 
 def test_published_posterior_is_the_uniform_over_the_samples():

@@ -75,6 +75,25 @@ def test_columns_are_continuous_curves(oscillator):
         assert np.all(nearest < 1e-5 * height)
 
 
+def least_folding_force(damping: float) -> float:
+    low, high = 1e-9, 1e-2
+    for _ in range(60):
+        middle = np.sqrt(low * high)
+        sample = ForcedOscillator(0.03842, damping, 82.59, 9.16e9, force=middle)
+        folds = frequency_response(sample, [7.0]).fold_frequencies.size
+        low, high = (low, middle) if folds else (middle, high)
+    return high
+
+
+def test_folds_begin_at_the_cusp():
+    """Where the cubic has a triple root: F^2 = 8 sqrt(3) (c w)^3 / (9 g), exact as damping goes to zero."""
+    damping = 0.07098e-3
+    loss = damping * 2 * np.pi * SAMPLE.natural_frequency
+    cusp = np.sqrt(8 * np.sqrt(3) * loss**3 / (9 * 0.75 * SAMPLE.softening))
+    assert least_folding_force(damping) == pytest.approx(cusp, rel=2e-4)
+    assert least_folding_force(0.07098) == pytest.approx(84.87e-6, rel=1e-3)
+
+
 def test_linear_and_unfolded_responses_are_one_curve():
     linear = ForcedOscillator(2.0, 0.3, 50.0, 0.0, base_moment=0.01)
     f = np.linspace(0.1, 3.0, 200)

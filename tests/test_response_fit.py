@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
+from pymc_backbone import response_fit
 from pymc_backbone._checks import InputError
 from pymc_backbone.forced_response import ForcedOscillator, frequency_response
 from pymc_backbone.harmonic_balance import periodic_motion
@@ -32,7 +33,7 @@ def noisy(amplitude: np.ndarray, seed: int) -> np.ndarray:
 
 
 def test_standard_errors_are_honest_and_chi_square_is_one():
-    """Twelve seeds, two quantities each; with errors half as large the same check would fail."""
+    """Twelve seeds, two quantities each; errors four times too small or too large would not pass."""
     frequency, amplitude, _ = sweeps(TRUTH)
     misses, p_values = [], []
     for seed in range(12):
@@ -44,8 +45,25 @@ def test_standard_errors_are_honest_and_chi_square_is_one():
     within = np.count_nonzero(np.abs(misses) < 1.0)
     low, high = binom.ppf([0.005, 0.995], len(misses), 0.683)
     assert low <= within <= high
-    assert not low <= np.count_nonzero(np.abs(misses) < 0.5) or not np.std(misses) > 1.4
+    assert np.count_nonzero(np.abs(misses) < 0.25) < low and np.count_nonzero(np.abs(misses) < 4.0) > high
     assert min(p_values) > 1e-3 and 0.1 < np.median(p_values) < 0.95
+
+
+@pytest.mark.slow
+def test_points_in_the_fold_would_make_errors_too_small(monkeypatch):
+    """The figures of docs/beam.md; kept, the points next to the unstable motion are the negative control."""
+    frequency, amplitude, _ = sweeps(TRUTH)
+    scatter = {}
+    for limit in (response_fit._NEAR_FOLD, 0.0):
+        monkeypatch.setattr(response_fit, "_NEAR_FOLD", limit)
+        fits = [
+            fit_frequency_response(START, frequency, noisy(amplitude, seed), standard_error=ERROR) for seed in range(40)
+        ]
+        for name in ("stiffness", "softening"):
+            misses = [(fit.values[name] - getattr(TRUTH, name)) / fit.standard_errors[name] for fit in fits]
+            scatter[name, limit > 0.0] = np.std(misses)
+    assert (scatter["stiffness", True], scatter["softening", True]) == pytest.approx((0.99, 1.04), abs=0.02)
+    assert scatter["softening", False] == pytest.approx(1.6, abs=0.1)
 
 
 @pytest.mark.parametrize("sweep", ["down", "up"])
