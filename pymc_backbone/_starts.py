@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pymc as pm
+from pymc.distributions.transforms import Interval
 from scipy.optimize import least_squares
 
 from ._checks import OBSERVABLE_UNITS, FloatArray, InputError
@@ -49,6 +50,9 @@ class StartFinder:
         self.to_natural = model.compile_fn(free, inputs=values, on_unused_input="ignore")
         thetas = model.replace_rvs_by_values([target.theta for target in self.targets]) if self.targets else []
         self.thetas = model.compile_fn(thetas, inputs=values, on_unused_input="ignore") if thetas else None
+        self.bounded = {
+            model.rvs_to_values[rv].name: isinstance(model.rvs_to_transforms[rv], Interval) for rv in model.free_RVs
+        }
         self.best: dict[str, FloatArray] = {}
         self.shape: FloatArray | None = None
         self.draw_point = pm.initial_point.make_initial_point_fn(model=model, default_strategy="prior")
@@ -89,15 +93,20 @@ class StartFinder:
         return [self._natural(self._disperse(good[i % len(good)])) for i in range(chains)]
 
     def _disperse(self, centre: dict[str, FloatArray]) -> dict[str, FloatArray]:
-        """Return a point some standard deviations away from ``centre``, nearer where the log-density is not finite."""
+        """Return a point some standard deviations away from ``centre``, nearer where it would lie out of reach.
+
+        Out of reach is what lies lower in log-density than so many standard deviations of a normal posterior do: on
+        the unconstrained scale a flat prior has no end, and its far edge can be a place that no walk comes back from.
+        """
         vector, unpack = self._flatten(centre)
+        lowest = self.height(centre) - 0.5 * _DISPERSION**2 * (vector.size + 2.0 * np.sqrt(2.0 * vector.size))
         factor = np.eye(vector.size) if self.shape is None else np.linalg.cholesky(self.shape)
         for _ in range(20):
             width = _DISPERSION
             offset = factor @ self.generator.standard_normal(vector.size)
             while width > 0.02:
                 point = unpack(vector + width * offset)
-                if np.isfinite(self.height(point)):
+                if self.height(point) > lowest:
                     return point
                 width *= 0.6
         return centre
@@ -191,11 +200,19 @@ class StartFinder:
         return np.clip(np.concatenate(parts), -1e6, 1e6)
 
     def _search(self, point: dict[str, FloatArray]) -> dict[str, FloatArray]:
-        """Return the point nearest to the measured values that least squares finds from ``point``."""
+        """Return the point nearest to the measured values that least squares finds from ``point``.
+
+        The Uniform priors count, with their density on the unconstrained scale: where the nearest point lies at a bound,
+        it would otherwise run away to where nothing changes any more.
+        """
         start, unpack = self._flatten(point)
+        bounded = np.concatenate([np.full(np.size(point[v.name]), self.bounded[v.name]) for v in self.model.value_vars])
 
         def residuals(vector: Any) -> Any:
-            return self.distances(unpack(vector))
+            inside = vector[bounded]
+            # 4 log cosh(u / 2) is twice the loss in log-density of a Uniform prior, up to a constant
+            prior = np.sign(inside) * 2.0 * np.sqrt(np.logaddexp(0.5 * inside, -0.5 * inside) - np.log(2.0))
+            return np.concatenate([self.distances(unpack(vector)), prior])
 
         solution: Any = least_squares(residuals, start, method="trf", x_scale="jac", max_nfev=60)
         return unpack(solution.x)
