@@ -66,7 +66,6 @@ def beam(folder: Path) -> None:
               f"{np.nanmean(error[:, 0]):9.4f} {ratio * np.nanmean(value[:, 1]):28.4f} {ratio * spread[1]:9.4f} "
               f"{ratio * np.nanmean(error[:, 1]):9.4f}")  # fmt: skip
 
-
     frequency, ratio = (float(np.nanmean(backbones["value"].values[:, o, 0])) for o in range(2))
     last = [float(np.nanmean(backbones["value"].values[:, o, -1])) for o in range(2)]
     reach = (1.01 - levels[0]) / (levels[-1] - levels[0])

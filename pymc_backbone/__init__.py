@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from .backbone import backbones_at_levels, simulated_backbones
     from .conditioning import ConditionedRecord, condition
     from .cycles import Cycles, extract_cycles
+    from .data_consistent import fit_data_consistent
     from .decay import (
         BackboneResult,
         DecayResult,
@@ -24,7 +25,8 @@ if TYPE_CHECKING:
         simulate_waveform,
     )
     from .demo import demo_folder
-    from .density import Density, fit_density
+    from .density import Density
+    from .density_fit import fit_density
     from .diagnosis_files import write_study
     from .diagnostics import findings, summarise
     from .discrepancy.study import Study
@@ -47,6 +49,7 @@ _WHERE = {
     "backbone": ("backbones_at_levels", "simulated_backbones"),
     "conditioning": ("ConditionedRecord", "condition"),
     "cycles": ("Cycles", "extract_cycles"),
+    "data_consistent": ("fit_data_consistent",),
     "decay": (
         "BackboneResult",
         "DecayResult",
@@ -57,7 +60,8 @@ _WHERE = {
         "simulate_waveform",
     ),
     "demo": ("demo_folder",),
-    "density": ("Density", "fit_density"),
+    "density": ("Density",),
+    "density_fit": ("fit_density",),
     "diagnosis_files": ("write_study",),
     "diagnostics": ("findings", "summarise"),
     "discrepancy.study": ("Study",),
@@ -97,6 +101,7 @@ __all__ = [
     "extract_cycles",
     "find_missing_effect",
     "findings",
+    "fit_data_consistent",
     "fit_density",
     "get_effect",
     "read_backbones",

@@ -13,6 +13,13 @@ Layout of ``codes`` and ``table`` (offsets count from 0; ``d`` = observables x l
 - joint: ``codes = [JOINT, d, r, n]``; ``table = [log constant, bandwidth, mean (d), whitening (d x d), centres (n x
   r)]``. With z = whitening (y - mean) the density is a Gaussian mixture over the n centres in the first r coordinates
   times a standard normal in the others.
+
+- data-consistent: ``codes = [DATA_CONSISTENT, d, r, n, m, ...]``; ``table = [log constant, bandwidth, mean (d),
+  projection (r x d), centres (n x r), predicted centres (m x r), reach (r), linear (r), quadratic (r x r), ...]``. With
+  z = projection (y - mean) the log density is that of a Gaussian mixture over the centres, less that over the predicted
+  centres, plus ``linear . z + z . quadratic z``. Beyond the reach (the box |z| <= reach) that polynomial keeps its
+  value at the edge and the density falls like the kernel. The dots stand for codes and table of the joint density of
+  the same population.
 """
 
 from __future__ import annotations
@@ -27,7 +34,7 @@ from pymc_backbone._checks import FloatArray
 
 IntArray = NDArray[np.int64]
 
-PRODUCT, JOINT = 0, 1
+PRODUCT, JOINT, DATA_CONSISTENT = 0, 1, 2
 UNIFORM, NORMAL, KDE, GEV = 0, 1, 2, 3
 FAMILY_CODES: dict[str, int] = {"uniform": UNIFORM, "normal": NORMAL, "kde": KDE, "gev": GEV}
 LOG_TWO_PI = math.log(2.0 * math.pi)
@@ -146,16 +153,28 @@ def _joint(codes: IntArray, table: FloatArray, y: FloatArray, gradient: FloatArr
         z = even + odd
         if k < r:
             scratch[k] = z
-            scratch[r + k] = 0.0
         else:
             total -= 0.5 * z * z
             for j in range(d):
                 gradient[j] -= z * table[row + j]
+    log_sum = _mixture(table, centres, n, r, inverse_square, scratch)
+    for k in range(r):
+        row = whitening + k * d
+        for j in range(d):
+            gradient[j] += scratch[r + k] * table[row + j]
+    return total + log_sum
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _mixture(table: FloatArray, start: int, n: int, r: int, inverse_square: float, scratch: FloatArray) -> float:
+    """Return the log of a sum of Gaussian kernels at ``scratch[:r]``; fill its slopes into ``scratch[r:]``."""
+    for k in range(r):
+        scratch[r + k] = 0.0
     largest, weights = -np.inf, 0.0
     for i in range(n):
         square = 0.0
         for k in range(r):
-            u = table[centres + i * r + k] - scratch[k]
+            u = table[start + i * r + k] - scratch[k]
             square += u * u
         exponent = -0.5 * square * inverse_square
         if exponent > largest:
@@ -171,13 +190,55 @@ def _joint(codes: IntArray, table: FloatArray, y: FloatArray, gradient: FloatArr
             continue
         weights += weight
         for k in range(r):
-            scratch[r + k] += weight * (table[centres + i * r + k] - scratch[k])
+            scratch[r + k] += weight * (table[start + i * r + k] - scratch[k])
     for k in range(r):
-        slope = scratch[r + k] / weights * inverse_square
-        row = whitening + k * d
+        scratch[r + k] *= inverse_square / weights
+    return largest + math.log(weights)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _data_consistent(codes: IntArray, table: FloatArray, y: FloatArray, gradient: FloatArray) -> float:
+    """Return the log ratio of observed to predicted density; fill ``gradient``."""
+    d, r, n, m = codes[1], codes[2], codes[3], codes[4]
+    projection = 2 + d
+    observed = projection + r * d
+    predicted = observed + n * r
+    reach = predicted + m * r
+    linear = reach + r
+    quadratic = linear + r
+    inverse_square = 1.0 / (table[1] * table[1])
+    scratch = np.empty(2 * r)
+    for k in range(r):
+        z = 0.0
+        row = projection + k * d
         for j in range(d):
-            gradient[j] += slope * table[row + j]
-    return total + largest + math.log(weights)
+            z += table[row + j] * (y[j] - table[2 + j])
+        scratch[k] = z
+    total = table[0] + _mixture(table, observed, n, r, inverse_square, scratch)
+    slopes = scratch[r:].copy()
+    total -= _mixture(table, predicted, m, r, inverse_square, scratch)
+    inside = np.empty(r)
+    for k in range(r):
+        slopes[k] -= scratch[r + k]
+        edge = table[reach + k]
+        inside[k] = min(max(scratch[k], -edge), edge)
+    for k in range(r):
+        beyond = scratch[k] - inside[k]
+        total -= 0.5 * beyond * beyond * inverse_square
+        slopes[k] -= beyond * inverse_square
+        slope = table[linear + k]
+        for j in range(r):
+            slope += table[quadratic + k * r + j] * inside[j]
+        total += slope * inside[k]
+        if beyond == 0.0:
+            for j in range(r):
+                slope += table[quadratic + j * r + k] * inside[j]
+            slopes[k] += slope
+    for j in range(d):
+        gradient[j] = 0.0
+        for k in range(r):
+            gradient[j] += slopes[k] * table[projection + k * d + j]
+    return total
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -210,7 +271,12 @@ def log_density(codes: IntArray, table: FloatArray, y: FloatArray, gradient: Flo
             finite = False
     total = -np.inf
     if finite:
-        total = _product(codes, table, y, gradient) if codes[0] == PRODUCT else _joint(codes, table, y, gradient)
+        if codes[0] == PRODUCT:
+            total = _product(codes, table, y, gradient)
+        elif codes[0] == JOINT:
+            total = _joint(codes, table, y, gradient)
+        else:
+            total = _data_consistent(codes, table, y, gradient)
     if not math.isfinite(total):  # also an overflow far away, which can end in inf - inf
         total = -np.inf
         for index in range(d):
@@ -243,6 +309,12 @@ def mixture_marginal(
     return np.array([PRODUCT, 1, KDE, 0, table.size]), table
 
 
+def data_consistent_size(codes: IntArray) -> int:
+    """Return how many numbers of the table are the ratio's own; those of the joint density follow."""
+    _, d, r, n, m = (int(code) for code in codes[:5])
+    return 2 + d + r * (d + n + m + 2 + r)
+
+
 def is_layout(codes: IntArray, table_size: int, kind: int, size: int) -> bool:
     """Whether codes and table are of a density of ``kind`` over ``size`` values: the compiled code does not check."""
     if codes.ndim != 1 or codes.size < 2 or codes[0] != kind or codes[1] != size:
@@ -254,6 +326,11 @@ def is_layout(codes: IntArray, table_size: int, kind: int, size: int) -> bool:
             and codes[3] >= 1
             and table_size == 2 + size + size**2 + codes[2] * codes[3]
         )
+    if kind == DATA_CONSISTENT:
+        if codes.size != 9 or not (1 <= codes[2] <= size and codes[3] >= 1 and codes[4] >= 1):
+            return False
+        own = data_consistent_size(codes)
+        return table_size > own and is_layout(codes[5:], table_size - own, JOINT, size)
     if codes.size != 2 + 3 * size:
         return False
     family, start, length = codes[2:].reshape(size, 3).T

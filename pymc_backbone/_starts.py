@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pymc as pm
+from numpy.typing import NDArray
 from pymc.distributions.transforms import Interval
 from scipy.optimize import least_squares
 
@@ -21,7 +22,7 @@ MAXIMUM_DIMENSIONS = 40  # beyond, the shape takes too long, and a joint random 
 _DISPERSION = 3.0  # standard deviations
 _CORRECTIONS = 2
 _FORLORN = 30.0  # a mode this much lower in log-density holds nothing of the posterior
-_PRIOR_PRECISION = 3.0 / np.pi**2  # of a Uniform prior on PyMC's unconstrained (logistic) scale
+_PRIOR_PRECISION = 3.0 / np.pi**2  # of a Uniform prior on PyMC's unconstrained (logistic) scale, near its middle
 _FAILED = 30.0  # standardised distance that stands for a failed simulation in a search
 
 
@@ -125,6 +126,11 @@ class StartFinder:
 
         return np.concatenate([np.ravel(point[name]) for name in names]).astype(np.float64), unpack
 
+    def _bounded(self, point: dict[str, FloatArray]) -> NDArray[np.bool_]:
+        """Return which of the flattened values have a Uniform prior's scale."""
+        parts = [np.full(np.size(point[v.name]), self.bounded[v.name]) for v in self.model.value_vars]
+        return np.concatenate(parts)
+
     def _find_shape(self) -> FloatArray | None:
         """Return the covariance of the unconstrained variables near the best point, or None where there is none.
 
@@ -139,7 +145,11 @@ class StartFinder:
         jacobian = np.column_stack(
             [(self.distances(unpack(centre + h)) - self.distances(unpack(centre - h))) / 2e-4 for h in steps]
         )
-        shape: FloatArray = np.linalg.inv(jacobian.T @ jacobian + _PRIOR_PRECISION * np.eye(size))
+        # where the best point lies near a bound, the slope of the log-density there bends with the scale: by as much as
+        # the prior's own slope, with which it is in balance
+        slope = np.where(self._bounded(self.best), np.tanh(0.5 * centre) ** 2, 0.0)
+        precision = np.diag(_PRIOR_PRECISION * (1.0 - slope) + slope)
+        shape: FloatArray = np.linalg.inv(jacobian.T @ jacobian + precision)
         for _ in range(_CORRECTIONS):
             corrected = self._correct_shape(centre, unpack, 0.5 * (shape + shape.T))
             if corrected is None:
@@ -194,6 +204,11 @@ class StartFinder:
         parts = []
         for target, theta in zip(self.targets, self.thetas(self._inputs(point)), strict=True):
             simulated = _simulate(target, np.asarray(theta))
+            if target.density is not None and target.density.kind != "product":
+                whole = np.where(np.isnan(simulated), target.centre, simulated)
+                missing = np.where(np.isnan(simulated), _FAILED, 0.0)
+                parts += [target.density.standardise(whole).ravel(), missing.ravel()]
+                continue
             distance = (simulated - target.centre) / np.where(target.spread > 0.0, target.spread, 1.0)
             distance = np.where(np.isnan(simulated), _FAILED, distance)
             parts.append(np.where(np.isfinite(target.centre), distance, 0.0).ravel())
@@ -202,11 +217,11 @@ class StartFinder:
     def _search(self, point: dict[str, FloatArray]) -> dict[str, FloatArray]:
         """Return the point nearest to the measured values that least squares finds from ``point``.
 
-        The Uniform priors count, with their density on the unconstrained scale: where the nearest point lies at a bound,
-        it would otherwise run away to where nothing changes any more.
+        The Uniform priors count, with their density on the unconstrained scale: where the nearest point lies at a
+        bound, it would otherwise run away to where nothing changes any more.
         """
         start, unpack = self._flatten(point)
-        bounded = np.concatenate([np.full(np.size(point[v.name]), self.bounded[v.name]) for v in self.model.value_vars])
+        bounded = self._bounded(point)
 
         def residuals(vector: Any) -> Any:
             inside = vector[bounded]

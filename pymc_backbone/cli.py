@@ -1,4 +1,4 @@
-"""The command line: ``pymc-backbone extract | update | diagnose | effects | demo``.
+"""The command line: ``pymc-backbone extract | update | diagnose | cases | effects | demo``.
 
 What a user can get wrong ends with one sentence on standard error and exit code 2; Ctrl-C with 130. Everything heavy is
 imported when it is needed, so that help and most errors come at once.
@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from . import _cli_diagnose, _cli_update
+from . import _cli_cases, _cli_diagnose, _cli_update
 from ._checks import InputError
 from ._cli_common import hush_libraries, say
 
@@ -77,6 +77,7 @@ def build_parser() -> argparse.ArgumentParser:
     _cli_update.add_extract(commands)
     _cli_update.add_update(commands)
     _cli_diagnose.add_diagnose(commands)
+    _cli_cases.add_cases(commands)
     effects = commands.add_parser(
         "effects",
         help="list the physical effects, or explain one",

@@ -16,7 +16,9 @@ from numpy.typing import ArrayLike
 
 from ._checks import OBSERVABLES, FloatArray, InputError, check_choice
 from ._response import OscillatorResponse, Response, make_response
-from .density import Density, fit_density
+from .data_consistent import fit_data_consistent
+from .density import Density
+from .density_fit import fit_density
 from .op import BackboneLogLikelihood, SimulatedBackbone, make_memory
 from .oscillator import Oscillator
 
@@ -211,7 +213,9 @@ def build_model(
     likelihood : {"auto", "population", "specimen", "pooled"}
         One vector judged by a density over the population; one vector per specimen; one vector for all specimens.
         ``auto`` is "population" from eight complete specimens on, else "specimen" ("pooled" for a single one).
-    density, marginal : str
+    density : {"product", "joint", "data_consistent"}
+        For the population: as in `fit_density`, or `fit_data_consistent` with these priors.
+    marginal : str
         As in `fit_density`, for the population.
     observables : sequence of str, optional
         Which to use; default: all that the data hold.
@@ -232,10 +236,17 @@ def build_model(
     """
     check_choice("likelihood", likelihood, LIKELIHOODS)
     fixed = dict(fixed or {})
-    data, kind = _choose(data, likelihood, density, marginal, observables)
+    data, kind = _choose(data, likelihood, observables)
     intervals = _intervals(source, data, dict(bounds or {}), fixed)
     if not intervals:
         raise InputError("every parameter is fixed; leave at least one to infer.")
+    if kind == "population" and isinstance(data, xr.Dataset):
+        if density == "data_consistent":
+            data = fit_data_consistent(
+                source, data, intervals, fixed=fixed, release_amplitude=release_amplitude, virgin=virgin
+            )
+        else:
+            data = fit_density(data, kind=density, marginal=marginal)
     names = [*intervals, *fixed] if not isinstance(source, Oscillator) else list(source.parameter_names)
     coords: dict[str, Any] = {}
     if isinstance(data, xr.Dataset):
@@ -266,9 +277,9 @@ def build_model(
 
 
 def _choose(
-    data: Density | xr.Dataset, likelihood: str, density: str, marginal: str, observables: Sequence[str] | None
+    data: Density | xr.Dataset, likelihood: str, observables: Sequence[str] | None
 ) -> tuple[Density | xr.Dataset, str]:
-    """Return what the likelihood is made from, and its kind."""
+    """Return the data that the likelihood is made from, and its kind."""
     if isinstance(data, Density):
         if likelihood not in ("auto", "population"):
             raise InputError(f"a density is a likelihood of the population, not {likelihood!r}; pass the backbones.")
@@ -280,7 +291,7 @@ def _choose(
         complete = int(np.isfinite(np.asarray(data["value"])).all(axis=(1, 2)).sum())
         likelihood = "population" if complete >= POPULATION_SIZE else "specimen"
     if likelihood == "population":
-        return fit_density(data, kind=density, marginal=marginal), likelihood
+        return data, likelihood
     return data, "pooled" if data.sizes["specimen"] == 1 else likelihood
 
 

@@ -184,12 +184,24 @@ def write_results(
     stale = [name for name in _files_of_earlier_run(folder) if name not in files]
     text = json.dumps(plain({"program": PROGRAM, **result, "files": files}), indent=1, allow_nan=False)
     writers[RESULT] = partial(_write_text, text + "\n")
-    for name, write in writers.items():
-        with _beside(folder / name) as temporary:
-            write(temporary)
+    write_files(folder, writers)
     for name in stale:
         (folder / name).unlink(missing_ok=True)
     return files
+
+
+def write_files(folder: Path, writers: Mapping[str, Callable[[Path], Any]]) -> list[str]:
+    """Write files by name, each beside the place it then takes whole; return the names.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be written (no space, no permission).
+    """
+    for name, write in writers.items():
+        with _beside(folder / name) as temporary:
+            write(temporary)
+    return list(writers)
 
 
 def read_result(folder: str | os.PathLike[str]) -> dict[str, Any]:

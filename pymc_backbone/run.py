@@ -158,7 +158,7 @@ def update(
     _say_warnings(measured, say)
     read = time.perf_counter()
 
-    from .density import fit_density
+    from .density_fit import fit_density
     from .diagnostics import findings, summarise
     from .model import build_model
     from .sampling import sample

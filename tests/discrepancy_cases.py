@@ -79,9 +79,7 @@ def batch_of(records: Sequence[Record], mass: float = MASS) -> Batch:
     conditioned = [condition(record) for record in records]
     cycles = [extract_cycles(record) for record in conditioned]
     observables = ("frequency", "damping", "offset")
-    backbones = backbones_at_levels(
-        cycles, default_levels(cycles), observables, amplitude_unit=conditioned[0].unit
-    )
+    backbones = backbones_at_levels(cycles, default_levels(cycles), observables, amplitude_unit=conditioned[0].unit)
     return batch_of_records(mass, backbones, conditioned, cycles)
 
 

@@ -26,8 +26,8 @@ def test_populations_have_the_true_columns(name, rng):
             assert np.ptp(drawn[:, j]) == 0.0 and drawn[0, j] == case.fixed[parameter]
         else:
             mean, sd = case.true[parameter]
-            assert drawn[:, j].mean() == pytest.approx(mean, abs=0.03 * sd)
-            assert drawn[:, j].std() == pytest.approx(sd, rel=0.02)
+            assert drawn[:, j].mean() == pytest.approx(mean, abs=0.03 * sd + 1e-12 * abs(mean))
+            assert drawn[:, j].std() == pytest.approx(sd, rel=0.02, abs=1e-12 * abs(mean))
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -35,7 +35,7 @@ def test_every_parameter_of_the_model_is_inferred_or_fixed(name):
     case = CASES[name]
     assert set(case.prior) | set(case.model_fixed) == set(case.model.parameter_names)
     assert not set(case.prior) & set(case.model_fixed)
-    assert set(case.published) == set(case.prior)
+    assert set(case.published) == (set() if case.name == "single" else set(case.prior))
     minimum = {parameter.name: parameter.minimum for parameter in case.model.parameters}
     assert all(low >= minimum[key] for key, (low, _) in case.prior_bounds.items())
 

@@ -18,7 +18,8 @@ from pymc_backbone import _density_kernel as kernel
 from pymc_backbone._checks import InputError
 from pymc_backbone._density_joint import principal_directions
 from pymc_backbone._density_marginals import fit_gev, fit_kde, fit_uniform, kernel_bandwidth
-from pymc_backbone.density import Density, fit_density, log_density
+from pymc_backbone.density import Density, log_density
+from pymc_backbone.density_fit import fit_density
 
 OBSERVABLES = ("frequency", "damping")
 
@@ -517,7 +518,7 @@ def test_round_trips(kind, marginal, rng):
 def test_digest_does_not_depend_on_the_process(rng):
     sample = np.round(rng.normal(12.0, 0.3, 20), 6)
     code = (
-        "import numpy as np, xarray as xr; from pymc_backbone.density import fit_density;"
+        "import numpy as np, xarray as xr; from pymc_backbone.density_fit import fit_density;"
         f"v = np.array({sample.tolist()})[:, None, None];"
         "c = {'observable': ['frequency'], 'level': [0.01]};"
         "d = xr.Dataset({'value': (('specimen', 'observable', 'level'), v)}, c);"

@@ -124,9 +124,7 @@ def test_an_effect_is_gone_at_zero_strength(name):
     for which, coordinates in ((layout, eta), (bare, np.empty(0))):
         state = start_state(which, coordinates, np.array([[STIFFNESS, DAMPING, 0.0, 0.0, 0.0]]))
         values, status = np.empty((3, 2)), np.zeros(2, dtype=np.int64)
-        which.simulator.backbone(
-            parameters_of(which, state, 0), levels, 0.0, True, values, np.zeros((0, 0, 0)), status
-        )
+        which.simulator.backbone(parameters_of(which, state, 0), levels, 0.0, True, values, np.zeros((0, 0, 0)), status)
         assert not status.any()
         curves.append(values)
     # the integrator's own error, and for effects with states that of reading a decay off between its cycles

@@ -13,7 +13,7 @@ from matplotlib.text import Text
 
 from pymc_backbone import _figures, plots
 from pymc_backbone._checks import InputError
-from pymc_backbone.density import fit_density
+from pymc_backbone.density_fit import fit_density
 
 LEVELS = np.linspace(0.002, 0.018, 9)
 UNITS = {"linear_stiffness": "N/m", "viscous_damping": "N s/m", "cubic_stiffness": "N/m^3"}

@@ -63,9 +63,7 @@ def simulate(batch: Batch, found: Fit, levels: FloatArray | None = None) -> xr.D
     names = [str(name) for name in batch.backbones["observable"].values]
     chosen = np.asarray(batch.backbones["level"]) if levels is None else np.asarray(levels, dtype=np.float64)
     rows = [OBSERVABLES.index(name) for name in names]
-    values = np.array(
-        [curve(found, found.parameters(r), chosen)[rows] for r in range(len(batch.specimens))]
-    )
+    values = np.array([curve(found, found.parameters(r), chosen)[rows] for r in range(len(batch.specimens))])
     dims = ("specimen", "observable", "level")
     return xr.Dataset(
         {"value": (dims, values), "standard_error": (dims, np.zeros_like(values))},

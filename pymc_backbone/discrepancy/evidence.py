@@ -70,8 +70,7 @@ def probabilities(
     posterior = {names: value + log_prior(len(names), candidates) for names, value in logs.items()}
     total = logsumexp(list(posterior.values()))
     return {
-        names: Evidence(logs[names] - base, posterior[names], float(np.exp(posterior[names] - total)))
-        for names in fits
+        names: Evidence(logs[names] - base, posterior[names], float(np.exp(posterior[names] - total))) for names in fits
     }
 
 

@@ -214,9 +214,7 @@ class System:
         return float(self.chi_square.sum() + self.penalty)
 
 
-def linearise(
-    layout: Layout, witnesses: Sequence[Witness], state: State, scatter: float, active: Any
-) -> System | None:
+def linearise(layout: Layout, witnesses: Sequence[Witness], state: State, scatter: float, active: Any) -> System | None:
     """Return the normal equations at a point, or None where it cannot be simulated."""
     q, count = layout.free.size, len(witnesses)
     size = NUISANCES + q
@@ -336,9 +334,7 @@ def _finish(layout: Layout, system: System, state: State, active: Any, converged
     )  # fmt: skip
 
 
-def information(
-    layout: Layout, system: System, state: State, active: Any, noise: float
-) -> tuple[float, FloatArray]:
+def information(layout: Layout, system: System, state: State, active: Any, noise: float) -> tuple[float, FloatArray]:
     """Return the logarithm of the determinant of the information, and the covariance (q, q) of the shared values.
 
     ``noise`` is the variance of the residuals in units of the one assumed. The shared values are scaled with the width

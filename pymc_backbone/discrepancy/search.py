@@ -232,9 +232,9 @@ class Search:
             return self.fits.get(names)
         layout = self.layout(names)
         found: list[Fit] = []
-        parents = [] if not names else [
-            self.fits[rest] for rest in combinations(names, len(names) - 1) if rest in self.fits
-        ]
+        parents = (
+            [] if not names else [self.fits[rest] for rest in combinations(names, len(names) - 1) if rest in self.fits]
+        )
         parents.sort(key=lambda parent: parent.cost)
         count = sum(w.size for w in self.batch.deciding)
         rival = min((item.cost for item in self.fits.values()), default=None) if names else None

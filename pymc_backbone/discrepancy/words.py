@@ -26,11 +26,7 @@ def reasons(batch: Batch, found: Fit, names: Set) -> tuple[str, ...]:
     sentences = []
     brought = on_levels(batch, found)
     for name in names:
-        parts = [
-            sentence
-            for sentence in (_power_law(batch, brought, name, row) for row in (0, 1, 2))
-            if sentence
-        ]
+        parts = [sentence for sentence in (_power_law(batch, brought, name, row) for row in (0, 1, 2)) if sentence]
         summary = LIBRARY[name].summary.rstrip(".") if name in LIBRARY else ""
         text = "; ".join(parts) if parts else "too small to be seen in the backbones; the waveforms show it"
         sentences.append(f"{name}: {text}. {summary}." if summary else f"{name}: {text}.")
@@ -231,10 +227,7 @@ def sentence(decision: Decision, search: Search) -> str:
         return f"Something is missing, and no set of known effects explains it: {why}."
     if decision.adequate_by == "tolerance":
         what = _named(decision.below) if decision.below else "a drift with time"
-        return (
-            f"The model is adequate: {what} is detectable, but changes the backbones by less than "
-            "the tolerance."
-        )
+        return f"The model is adequate: {what} is detectable, but changes the backbones by less than the tolerance."
     return f"Nothing is missing: model and records agree within measurement error (p = {decision.p_missing:.2g})."
 
 

@@ -112,9 +112,7 @@ def find_missing_effect(
     chosen = possible_effects(oscillator, candidates, batch)
     if not 1 <= int(max_effects) <= 3:
         raise InputError(f"`max_effects` must be 1, 2 or 3, got {max_effects}; look for more in a second study.")
-    search = Search(
-        batch, oscillator, chosen, int(max_effects), say, budget=BUDGET * (_QUICK_BUDGET if quick else 1.0)
-    )
+    search = Search(batch, oscillator, chosen, int(max_effects), say, budget=BUDGET * (_QUICK_BUDGET if quick else 1.0))
     search.run()
     if () not in search.fits:
         raise InputError(
