@@ -92,7 +92,7 @@ def describe(problem: Problem, results: list[Result], reference: Reference, grid
         "",
         write_table(summarise([result for result in results if result.sampler != CONTROL], cost)),
         "",
-        f"Negative control, emcee on the density without the Jacobian: flagged in {flagged} of {len(control)} "
+        f"Negative control, PINTS on the density without the Jacobian: flagged in {flagged} of {len(control)} "
         f"(gaps of {gaps or 'no run'} standard errors; verdict: {verdict(control)}).",
         "",
         "Log evidence:",

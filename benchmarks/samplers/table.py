@@ -21,7 +21,7 @@ included, for each effective sample of the worst parameter; *in simulations*: bo
 *Gap*: largest difference of a mean or sd from the reference, in posterior sds and in combined standard errors. *s*:
 processor, sampling; *wall*: clock, with starts and compilation. Medians over the seeds. A verdict of *not converged*
 (R-hat above 1.05, or fewer than 100 effective samples, in at least half of the seeds) hides what an effective sample
-size would only pretend; *disagrees*: a gap of more than 5 standard errors in at least half of them."""
+size would only pretend; *disagrees*: a gap of more than 4 standard errors in at least half of them."""
 
 
 @dataclass(frozen=True)
