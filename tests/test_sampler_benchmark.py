@@ -163,6 +163,9 @@ def test_outside_samplers_count_what_they_ask_for(beam: Problem, package: str, s
     assert np.all((run.draws > low) & (run.draws < high))
 
 
+# The wrong density piles up at a bound, where nothing is left for PINTS to take a covariance from.
+@pytest.mark.filterwarnings("ignore:covariance is not symmetric:RuntimeWarning")
+@pytest.mark.filterwarnings("ignore:overflow encountered in multiply:RuntimeWarning")
 def test_sampler_on_the_density_without_jacobian_is_flagged(beam: Problem) -> None:
     pytest.importorskip("pints")
     grid = integrate_grid(beam, 100)
