@@ -31,8 +31,10 @@ _FLOATS = types.CPointer(types.float64)
 STIFFNESS, DAMPING, STATES, HAS_REGIME, VIRGIN, EFFECTS, LEVELS, MAXIMUM, ROWS, BY_DECAY = range(10)
 # Entries of the float description; the levels follow.
 MASS, RELEASE, TOLERANCE = range(3)
-# Entries of the memory of a log-likelihood: counts, then two slots of (value, parameters).
-EVALUATIONS, FAILURES, NEWEST, FIRST_SLOT = range(4)
+# Entries of the memory of a log-likelihood: counts, then slots of (value, when last asked for, parameters). A walk asks
+# for the next point and the present one: of three slots, the one not asked for longest holds neither.
+EVALUATIONS, FAILURES, SIMULATIONS, GRADIENTS, FIRST_SLOT = range(5)
+SLOTS, BEFORE_PARAMETERS = 3, 2
 
 
 def _backbone(user, ci_pointer, cf_pointer, p_pointer, n, values_p, jacobian_p, status_p, wanted):
@@ -59,33 +61,48 @@ def _backbone(user, ci_pointer, cf_pointer, p_pointer, n, values_p, jacobian_p, 
 
 @numba.njit
 def remembered(memory, theta):
-    """Return where in ``memory`` the value for ``theta`` stands, or -1."""
+    """Return where in ``memory`` the value for ``theta`` stands, or -1; count the evaluation."""
     n = theta.size
-    if memory.size < FIRST_SLOT + 2 * (n + 1):
+    width = n + BEFORE_PARAMETERS
+    if memory.size < FIRST_SLOT + SLOTS * width:
         return -1
     memory[EVALUATIONS] += 1.0
-    for slot in range(2):
-        first = FIRST_SLOT + slot * (n + 1)
+    for slot in range(SLOTS):
+        first = FIRST_SLOT + slot * width
         same = True
         for j in range(n):
-            same = same and memory[first + 1 + j] == theta[j]
+            same = same and memory[first + BEFORE_PARAMETERS + j] == theta[j]
         if same:
+            memory[first + 1] = memory[EVALUATIONS]
             return first
     return -1
 
 
 @numba.njit
 def remember(memory, theta, value):
-    """Put the value for ``theta`` where the older of the two remembered ones stands; count it if it failed."""
+    """Put the value for ``theta`` where the one stands that was not asked for longest; count the simulation."""
     n = theta.size
-    if memory.size < FIRST_SLOT + 2 * (n + 1):
+    width = n + BEFORE_PARAMETERS
+    if memory.size < FIRST_SLOT + SLOTS * width:
         return
-    slot = 1 if memory[NEWEST] == 0.0 else 0
-    memory[NEWEST] = slot
-    first = FIRST_SLOT + slot * (n + 1)
-    memory[first] = value
+    memory[SIMULATIONS] += 1.0
+    oldest = FIRST_SLOT
+    for slot in range(1, SLOTS):
+        first = FIRST_SLOT + slot * width
+        if memory[first + 1] < memory[oldest + 1]:
+            oldest = first
+    memory[oldest] = value
+    memory[oldest + 1] = memory[EVALUATIONS]
     for j in range(n):
-        memory[first + 1 + j] = theta[j]
+        memory[oldest + BEFORE_PARAMETERS + j] = theta[j]
+
+
+@numba.njit
+def count_gradient(memory):
+    """Count an evaluation of value and gradient; several threads may lose one now and then."""
+    if memory.size > GRADIENTS:
+        memory[EVALUATIONS] += 1.0
+        memory[GRADIENTS] += 1.0
 
 
 @numba.njit
@@ -130,6 +147,8 @@ def _log_likelihood(user, ci_p, cf, p, n, codes_p, n_codes, table_p, n_table, me
         found = remembered(memory, theta)
         if found >= 0:
             return memory[found]
+    else:
+        count_gradient(memory)
     ci = numba.carray(ci_p, 1_000_000)
     values = np.empty((3, ci[LEVELS]))
     jacobian = np.empty((3 * wanted, ci[LEVELS] * wanted, n * wanted))

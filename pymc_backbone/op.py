@@ -2,7 +2,8 @@
 
 Both have two outputs, the value and its derivative with respect to the parameters, so that a gradient reuses the
 simulation that gave the value. Where nobody asks for the derivative, a rewrite puts the variant without it, which
-costs less and remembers the last two parameter vectors: PyMC's Metropolis evaluates every point twice.
+costs less and remembers the last three parameter vectors: PyMC's Metropolis evaluates the present point again with
+every proposal.
 """
 
 from __future__ import annotations
@@ -63,9 +64,9 @@ class BackboneLogLikelihood(_BackboneOp):
     """Log density of a simulated backbone.
 
     Inputs are the parameter vector ``theta`` (p,), the plain data of a density (``codes``, ``table``; see
-    `Density`) and ``memory``, scratch that counts evaluations and failures and remembers the last two values
-    (`make_memory`; may be empty). Outputs are the log density, -inf where a level cannot be simulated or lies outside
-    the density's support, never NaN, and its gradient (p,), zero there.
+    `Density`) and ``memory``, scratch that counts evaluations, simulations and failures and remembers the
+    last three values (`make_memory`; may be empty). Outputs are the log density, -inf where a level cannot be simulated
+    or lies outside the density's support, never NaN, and its gradient (p,), zero there.
 
     Parameters
     ----------
@@ -117,6 +118,8 @@ class BackboneLogLikelihood(_BackboneOp):
             found = _native.remembered(memory, theta)
             if found >= 0:
                 return float(memory[found])
+        else:
+            _native.count_gradient(memory)
         values, jacobian, completed = self.response.evaluate(theta, self.with_gradient)
         value = -np.inf
         if completed:
@@ -210,8 +213,9 @@ def drop_unused_gradient(fgraph: Any, node: Apply) -> dict[Variable, Variable] |
 
 def make_memory(n_parameters: int) -> FloatArray:
     """Return fresh scratch for `BackboneLogLikelihood`: counts at zero, nothing remembered."""
-    memory = np.full(MEMORY_HEAD + 2 * (n_parameters + 1), np.nan)
-    memory[:MEMORY_HEAD] = 0.0
+    memory = np.zeros(MEMORY_HEAD + _native.SLOTS * (_native.BEFORE_PARAMETERS + n_parameters))
+    slots = memory[MEMORY_HEAD:].reshape(_native.SLOTS, -1)
+    slots[:, _native.BEFORE_PARAMETERS :] = np.nan  # equal to no parameter vector
     return memory
 
 

@@ -12,12 +12,19 @@ import numpy as np
 import pymc as pm
 import xarray as xr
 
+from . import _native
 from ._checks import InputError, check_choice
 from ._proposal import make_metropolis
 from ._starts import StartFinder
 from .model import is_differentiable, targets_of
 
 STEPS = ("metropolis", "elementwise", "demetropolisz", "slice", "nuts", "nutpie")
+_COUNTS = {
+    "evaluations": _native.EVALUATIONS,
+    "failures": _native.FAILURES,
+    "simulations": _native.SIMULATIONS,
+    "gradients": _native.GRADIENTS,
+}
 _LOG_EVERY = 15.0  # seconds between lines where there is no terminal
 logger = logging.getLogger("pymc_backbone")
 
@@ -61,8 +68,9 @@ def sample(
     Returns
     -------
     xarray.DataTree
-        Groups ``posterior``, ``sample_stats``, ...; ``attrs`` holds ``evaluations`` and ``failures`` of the
-        population likelihoods in this process, ``step`` and ``seconds``.
+        Groups ``posterior``, ``sample_stats``, ...; ``attrs`` holds ``step``, ``seconds`` and, of the population
+        likelihoods in this process while it sampled: ``evaluations`` asked for, ``simulations`` made for a value alone
+        (fewer: the present point is remembered), ``gradients`` made with a value, and ``failures``.
 
     Raises
     ------
@@ -108,8 +116,7 @@ def sample(
             )
     after = _counts(model)
     result.attrs.update(
-        evaluations=int(after[0] - before[0]),
-        failures=int(after[1] - before[1]),
+        {name: int(after[name] - before[name]) for name in before},
         step=step if isinstance(step, str) else type(step).__name__,
         seconds=time.perf_counter() - begin,
     )
@@ -122,10 +129,10 @@ def _make_step(step: str | Any, model: pm.Model) -> Any:
         return makers[step]() if isinstance(step, str) else step
 
 
-def _counts(model: pm.Model) -> tuple[float, float]:
-    """Return evaluations and failures of the population likelihoods so far, in this process."""
+def _counts(model: pm.Model) -> dict[str, float]:
+    """Return what the population likelihoods counted so far, in this process."""
     memories = [target.memory.get_value(borrow=True) for target in targets_of(model) if target.memory is not None]
-    return sum(float(memory[0]) for memory in memories), sum(float(memory[1]) for memory in memories)
+    return {name: sum(float(memory[entry]) for memory in memories) for name, entry in _COUNTS.items()}
 
 
 def _sample_nutpie(
@@ -143,6 +150,7 @@ def _sample_nutpie(
     import nutpie
 
     compiled = nutpie.compile_pymc_model(model, initial_points=starts[0], jitter_rvs=set())
+    copies = _copies_of_memories(model, compiled)
     begin = time.perf_counter()
     # Backbones determine combinations of parameters: a mass matrix that follows their correlation halves the cost.
     kwargs.setdefault("adaptation", "low_rank")
@@ -158,7 +166,23 @@ def _sample_nutpie(
         **kwargs,
     )
     result["posterior"].attrs.setdefault("sampling_time", time.perf_counter() - begin)  # as PyMC notes it
+    for memory, copy in copies:
+        memory.set_value(copy)
     return result
+
+
+def _copies_of_memories(model: pm.Model, compiled: Any) -> list[tuple[Any, Any]]:
+    """Return the memory of each population likelihood with the copy that nutpie made of it and counts in.
+
+    nutpie keeps its copies under random keys, so a copy is known by what it holds.
+    """
+    copies = list(compiled.shared_data.values())
+    pairs = []
+    for target in targets_of(model):
+        if target.memory is not None:
+            value = target.memory.get_value(borrow=True)
+            pairs += [(target.memory, copy) for copy in copies if np.array_equal(copy, value, equal_nan=True)][:1]
+    return pairs
 
 
 class _Reporter:

@@ -144,7 +144,7 @@ def test_public_names_are_documented_and_there():
     assert set(names) <= set(dir(pymc_backbone))
 
 
-@pytest.mark.parametrize("name", ["README.md", "examples/first_posterior.py"])
+@pytest.mark.parametrize("name", ["README.md", "examples/first_posterior.py", "examples/compare_samplers.py"])
 def test_names_that_the_documentation_uses_are_public(name):
     import pymc_backbone
 

@@ -23,6 +23,7 @@ from pymc_backbone import (
     Oscillator,
     Parameter,
     SimulatedBackbone,
+    _native,
     fit_density,
     simulate_backbone,
     simulated_backbones,
@@ -168,10 +169,25 @@ def test_memory_answers_a_repeated_point_without_simulating(random_seed):
     function = pytensor.function([vector], op(vector, density.codes, density.table, memory)[0])
     first, second = function(theta), function(1.01 * theta)
     held = memory.get_value(borrow=True)
-    np.testing.assert_array_equal(held[4:7], 1.01 * theta if held[2] == 0 else theta)
-    held[3 + 4 * int(held[2])] = 123.0  # what is remembered for the newest point is what comes back: no simulation
+    slots = held[_native.FIRST_SLOT :].reshape(_native.SLOTS, -1)
+    np.testing.assert_array_equal(slots[:2, _native.BEFORE_PARAMETERS :], [theta, 1.01 * theta])
+    slots[1, 0] = 123.0  # what is remembered is what comes back: no simulation
     assert function(1.01 * theta) == 123.0
     assert function(theta) == first != second
+    assert held[_native.EVALUATIONS] == 4 and held[_native.SIMULATIONS] == 2
+
+
+def test_the_present_point_of_a_walk_outlives_many_rejections(random_seed):
+    oscillator, theta = CASES["duffing"]
+    density = population(oscillator, theta, random_seed)
+    vector = pt.dvector("theta")
+    memory = pytensor.shared(make_memory(3))
+    op = BackboneLogLikelihood(make_response(oscillator, LEVELS))
+    function = pytensor.function([vector], op(vector, density.codes, density.table, memory)[0])
+    for factor in (1.01, 1.02, 1.03, 1.04):
+        for point in (factor * theta, theta):  # the proposal, then the present point, as PyMC's Metropolis asks
+            function(point)
+    assert memory.get_value()[_native.SIMULATIONS] == 5
 
 
 def test_constant_memory_is_refused(random_seed):
@@ -232,6 +248,7 @@ def test_edited_force_changes_key_and_numbers():
 EDITED = """
 import numba, numpy as np, pytensor, pytensor.tensor as pt
 from pymc_backbone import Effect, Oscillator, Parameter, SimulatedBackbone
+from pymc_backbone import _native
 from pymc_backbone._response import make_response
 
 FACTOR = {factor}

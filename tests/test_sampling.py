@@ -146,3 +146,27 @@ def test_bad_input_of_sample(rng, arguments, message):
     model = build_model(DUFFING, fit_density(batch(rng, 20), marginal="normal"), BOUNDS)
     with pytest.raises(InputError, match=message):
         sample(model, **arguments)
+
+
+def test_what_was_counted_is_what_was_simulated(rng):
+    density = fit_density(batch(rng, 20), marginal="normal")
+    simulated = []
+
+    def counted(parameters, levels):
+        simulated.append(tuple(parameters.values()))
+        return by_hand(parameters, levels)
+
+    model = build_model(counted, density, BOUNDS)
+    # Drawing the starts simulates too: the walks' own simulations are the last ones.
+    for step, proposals in (("metropolis", 1), ("elementwise", 3)):
+        simulated.clear()
+        counts = sample(model, draws=20, tune=20, chains=2, step=step, random_seed=7).attrs
+        walked = len({point for point in simulated[-counts["simulations"] :]})
+        # One simulation for each proposal, and one for each chain's start unless it is still remembered.
+        assert 0 <= counts["simulations"] - 2 * 40 * proposals <= 2
+        assert walked == counts["simulations"] and counts["gradients"] == 0
+    exact = build_model(DUFFING, density, BOUNDS)
+    # nutpie counts in a copy. Every step of every trajectory kept asks for one gradient, those while tuning on top.
+    result = sample(exact, draws=20, tune=30, chains=1, step="nutpie", random_seed=7)
+    assert result.attrs["gradients"] > int(result["sample_stats"]["n_steps"].sum()) > 20
+    assert result.attrs["simulations"] == 0
