@@ -12,10 +12,12 @@ from ._cli_common import (
     add_output,
     add_records,
     add_sampling,
+    add_talk,
     hush_libraries,
     measurement_of,
+    print_result,
     sampling_of,
-    say,
+    say_of,
 )
 
 LIKELIHOODS = ("auto", "population", "specimen", "pooled")
@@ -69,6 +71,7 @@ def add_extract(commands: Any) -> None:
     add_records(parser, tables=False)
     add_measurement(parser)
     add_output(parser, required=True)
+    add_talk(parser)
     parser.set_defaults(run=_extract)
 
 
@@ -132,27 +135,29 @@ def add_update(commands: Any) -> None:
 
     add_sampling(parser)
     add_output(parser, required=False)
+    add_talk(parser)
     parser.set_defaults(run=_update)
 
 
 def _extract(options: argparse.Namespace) -> None:
     from . import run
 
-    run.extract(
+    result = run.extract(
         options.records,
         output=options.out,
         overwrite=options.overwrite,
         **measurement_of(options),
         observables=options.observables,
-        say=say,
+        say=say_of(options),
     )
+    print_result(options, result)
 
 
 def _update(options: argparse.Namespace) -> None:
     from . import run
 
-    hush_libraries()
-    run.update(
+    hush_libraries(options.quiet)
+    result = run.update(
         options.records,
         mass=options.mass,
         effects=_options.split(options.effect),
@@ -167,5 +172,6 @@ def _update(options: argparse.Namespace) -> None:
         **sampling_of(options),
         output=options.out,
         overwrite=options.overwrite,
-        say=say,
+        say=say_of(options),
     )
+    print_result(options, result)

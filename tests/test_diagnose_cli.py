@@ -87,6 +87,7 @@ def test_every_option_is_handed_on(capsys, calls, tmp_path):
         "candidates": ["jenkins", "bouc_wen"], "max_effects": 2, "tolerance": {"frequency": 0.002, "damping": 0.0},
         "held_out": 1, "random_seed": 7, "quick": True, "is_table": True, "draws": 10, "tune": 0, "chains": 2,
         "step": "slice", "levels": 8, "band": None, "start": None, "output": tmp_path, "overwrite": True,
+        "columns": None, "quantity": None, "unit": None, "sampling_rate": None,
     }  # fmt: skip
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -45,13 +47,32 @@ def read_netcdf(path: Path) -> tuple[list[Channel], list[str]]:
     the variable of that name on the same dimension, or an attribute ``sampling_rate`` of variable or file.
     """
     name = printable(path.name)
-    with path.open("rb") as stream:
-        is_hdf5 = stream.read(8) == HDF5_MAGIC
+    with open_netcdf(path) as file:
+        return _channels(file, path.stat().st_size, name)
+
+
+@contextmanager
+def open_netcdf(path: Path) -> Iterator[xr.Dataset]:
+    """Yield the dataset in a file, whose sizes are checked first; whatever fails inside becomes an `InputError`.
+
+    Parameters
+    ----------
+    path : Path
+        NetCDF of version 3 or 4.
+
+    Raises
+    ------
+    InputError
+        When the file is damaged or promises more than it holds.
+    """
+    name = printable(path.name)
     try:
+        with path.open("rb") as stream:
+            is_hdf5 = stream.read(8) == HDF5_MAGIC
         if is_hdf5:
             _check_sizes(path, name)
         with xr.open_dataset(path, engine="h5netcdf" if is_hdf5 else "scipy", decode_times=False) as file:
-            return _channels(file, path.stat().st_size, name)
+            yield file
     except InputError:
         raise
     except Exception as error:  # three libraries read the file, each with errors of its own
