@@ -6,13 +6,15 @@ import argparse
 import json
 import logging
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from . import _options
 from ._checks import OBSERVABLES
 from ._headers import QUANTITIES
+from ._progress import ProgressBar
 
 STEPS = ("metropolis", "elementwise", "demetropolisz", "slice", "nuts", "nutpie")
 
@@ -36,6 +38,19 @@ def add_talk(parser: argparse.ArgumentParser, *, quiet: bool = True) -> None:
 def say_of(options: argparse.Namespace) -> Callable[[str], None]:
     """Return what prints a line of the summary: `say`, or nothing where the options ask for silence or JSON."""
     return _say_nothing if options.quiet or options.json else say
+
+
+@contextmanager
+def extraction_progress(options: argparse.Namespace) -> Iterator[tuple[ProgressBar, Callable[[str], None]]]:
+    """Yield a bar for the extraction of cycles, shown after 2 s, and what prints a line below it."""
+    say_line = say_of(options)
+    with ProgressBar(is_shown=not options.quiet, delay=2.0) as progress:
+
+        def say_below(text: str) -> None:
+            progress.clear()
+            say_line(text)
+
+        yield progress, say_below
 
 
 def print_result(options: argparse.Namespace, result: Any) -> None:

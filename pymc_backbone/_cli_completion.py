@@ -84,7 +84,8 @@ def _bash(name: str, tree: dict[str, dict[str, list[str] | None]], *, is_zsh: bo
         # Completion of {name} for {"zsh" if is_zsh else "bash"}.
         {"autoload -U +X bashcompinit && bashcompinit" if is_zsh else ""}
         {function}() {{
-            local current="${{COMP_WORDS[COMP_CWORD]}}" before="${{COMP_WORDS[COMP_CWORD-1]}}" command="${{COMP_WORDS[1]}}" words
+            local current="${{COMP_WORDS[COMP_CWORD]}}" before="${{COMP_WORDS[COMP_CWORD-1]}}"
+            local command="${{COMP_WORDS[1]}}" words
             if [ "$COMP_CWORD" -le 1 ]; then
                 COMPREPLY=($(compgen -W "{" ".join(tree)} --help --version" -- "$current")); return
             fi

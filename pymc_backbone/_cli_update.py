@@ -13,11 +13,11 @@ from ._cli_common import (
     add_records,
     add_sampling,
     add_talk,
+    extraction_progress,
     hush_libraries,
     measurement_of,
     print_result,
     sampling_of,
-    say_of,
 )
 
 LIKELIHOODS = ("auto", "population", "specimen", "pooled")
@@ -28,8 +28,8 @@ EXTRACT_DESCRIPTION = """\
 Turn ring-down records into backbones: amplitude, frequency, damping and offset per cycle, then their values with
 standard errors at a few amplitude levels that all specimens share.
 
-RECORDS is a file or a folder; each file is one specimen, with a column of time and one of displacement, velocity or
-acceleration. The release is found, slow drift and a sensor's offset are removed, velocity and acceleration are
+RECORDS is a file or a folder; each file is one specimen, with time (or a rate) and a channel of displacement, velocity
+or acceleration. The release is found, slow drift and a sensor's offset are removed, velocity and acceleration are
 integrated, cycles that sink into the noise are dropped; what was done is said in the notes.
 """
 
@@ -37,6 +37,7 @@ EXTRACT_EPILOG = """\
 The folder holds backbones.csv, backbones.nc, result.json and figures/. Examples:
   pymc-backbone extract ring_downs/ --out backbones
   pymc-backbone extract ring_downs/ --band 90:160 --levels 8 --out backbones
+  pymc-backbone extract run_7.mat --columns time=t,acc_z --unit g --out run_7
   pymc-backbone extract run_7.csv --start 0.35 --levels 0.002,0.005,0.01 --observables frequency,offset --out run_7
 """
 
@@ -142,14 +143,16 @@ def add_update(commands: Any) -> None:
 def _extract(options: argparse.Namespace) -> None:
     from . import run
 
-    result = run.extract(
-        options.records,
-        output=options.out,
-        overwrite=options.overwrite,
-        **measurement_of(options),
-        observables=options.observables,
-        say=say_of(options),
-    )
+    with extraction_progress(options) as (progress, say):
+        result = run.extract(
+            options.records,
+            output=options.out,
+            overwrite=options.overwrite,
+            **measurement_of(options),
+            observables=options.observables,
+            progress=progress,
+            say=say,
+        )
     print_result(options, result)
 
 
@@ -157,21 +160,23 @@ def _update(options: argparse.Namespace) -> None:
     from . import run
 
     hush_libraries(options.quiet)
-    result = run.update(
-        options.records,
-        mass=options.mass,
-        effects=_options.split(options.effect),
-        priors=_options.once("--prior", options.prior),
-        fixed=_options.once("--fix", options.fix),
-        is_table=options.backbones,
-        **measurement_of(options),
-        observables=options.observables,
-        likelihood=options.likelihood,
-        density=options.density,
-        marginal=options.marginal,
-        **sampling_of(options),
-        output=options.out,
-        overwrite=options.overwrite,
-        say=say_of(options),
-    )
+    with extraction_progress(options) as (progress, say):
+        result = run.update(
+            options.records,
+            mass=options.mass,
+            effects=_options.split(options.effect),
+            priors=_options.once("--prior", options.prior),
+            fixed=_options.once("--fix", options.fix),
+            is_table=options.backbones,
+            **measurement_of(options),
+            observables=options.observables,
+            likelihood=options.likelihood,
+            density=options.density,
+            marginal=options.marginal,
+            **sampling_of(options),
+            output=options.out,
+            overwrite=options.overwrite,
+            progress=progress,
+            say=say,
+        )
     print_result(options, result)

@@ -22,14 +22,16 @@ class ProgressBar:
         Default: standard error.
     is_shown : bool, optional
         Whether anything is shown at all.
+    delay : float, optional
+        Seconds before anything is shown, for what is mostly over by then.
 
     Notes
     -----
     The time left is that of the stage, from the share of it that is done; it is shown once the stage has taken 2 s.
     """
 
-    def __init__(self, stream: TextIO | None = None, *, is_shown: bool = True) -> None:
-        self.is_shown = is_shown
+    def __init__(self, stream: TextIO | None = None, *, is_shown: bool = True, delay: float = 0.0) -> None:
+        self.is_shown, self.delay = is_shown, delay
         self.stream = sys.stderr if stream is None else stream
         self.is_terminal = self.stream.isatty()
         self.begin = time.monotonic()
@@ -40,9 +42,9 @@ class ProgressBar:
 
     def __call__(self, stage: str, fraction: float) -> None:
         """Show the stage and how far it is."""
-        if not self.is_shown:
-            return
         now = time.monotonic() - self.begin
+        if not self.is_shown or now < self.delay:
+            return
         share = min(max(float(fraction), 0.0), 1.0) if fraction == fraction else 0.0
         if stage == self.stage and now - self.last < (DRAW_EVERY if self.is_terminal else LINE_EVERY):
             return

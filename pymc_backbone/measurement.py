@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -44,6 +44,7 @@ def measure(
     start: float | None = None,
     levels: Levels = None,
     observables: Sequence[str] | None = None,
+    progress: Callable[[str, float], None] | None = None,
     **reading: Any,
 ) -> Measured:
     """Read records, or tables of backbones, and return backbones at levels.
@@ -62,6 +63,8 @@ def measure(
         Number of levels, or the amplitudes [m or rad].
     observables : sequence of str, optional
         By default frequency and damping, or for tables all they hold.
+    progress : callable, optional
+        Called with the stage and the fraction done.
     **reading
         ``columns``, ``quantity``, ``unit``, ``sampling_rate``, as in `read_records`; not for tables.
 
@@ -77,7 +80,7 @@ def measure(
     from ._extraction import extract_all
     from .backbone import backbones_at_levels, default_levels
 
-    extraction = extract_all(records, band=band, start=start)
+    extraction = extract_all(records, band=band, start=start, progress=progress)
     cycles = extraction.cycles
     chosen = default_levels(cycles, levels) if isinstance(levels, int) else levels
     backbones = backbones_at_levels(cycles, chosen, observables or DEFAULT_OBSERVABLES, amplitude_unit=extraction.unit)

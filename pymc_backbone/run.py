@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from .oscillator import Oscillator
 
 Say = Callable[[str], None]
+Progress = Callable[[str, float], None]
 PREDICTIVE_DRAWS = 400
 MOST_WARNINGS = 5
 
@@ -34,6 +35,7 @@ def extract(
     *,
     output: str | os.PathLike[str],
     overwrite: bool = False,
+    progress: Progress | None = None,
     say: Say = print,
     **measurement: Any,
 ) -> dict[str, Any]:
@@ -47,6 +49,8 @@ def extract(
         Output folder.
     overwrite : bool, optional
         Whether the folder may hold something already.
+    progress : callable, optional
+        Called with the stage and the fraction done while cycles are extracted.
     say : callable, optional
         Called with each line of progress; ``print`` by default.
     **measurement
@@ -60,7 +64,7 @@ def extract(
     """
     begin = time.perf_counter()
     folder = prepare_output(output, overwrite)
-    measured = measure(path, **measurement)
+    measured = measure(path, progress=progress, **measurement)
     _say_assumptions(measured, say)
     say(describe_measured(measured.backbones))
     _say_warnings(measured, say)
@@ -109,6 +113,7 @@ def update(
     overwrite: bool = False,
     command: str = "update",
     true_values: Mapping[str, FloatArray] | None = None,
+    progress: Progress | None = None,
     say: Say = print,
 ) -> dict[str, Any]:
     """Infer the parameters of an oscillator from records, and write everything to an output folder.
@@ -142,6 +147,8 @@ def update(
         Written to the result.
     true_values : mapping of str to array of float, optional
         Known parameters of the specimens, drawn in the figure of the posterior.
+    progress : callable, optional
+        Called with the stage and the fraction done while cycles are extracted.
     say : callable, optional
         Called with each line of progress; ``print`` by default.
 
@@ -152,7 +159,9 @@ def update(
     """
     begin = time.perf_counter()
     settings = {
-        name: value for name, value in locals().items() if name not in ("say", "true_values", "begin", "command")
+        name: value
+        for name, value in locals().items()
+        if name not in ("say", "progress", "true_values", "begin", "command")
     }
     folder = None if output is None else prepare_output(output, overwrite)
     from .oscillator import Oscillator
@@ -161,7 +170,7 @@ def update(
     _check_names(oscillator, priors or {}, fixed or {})
     reading: dict[str, Any] = {"columns": columns, "quantity": quantity, "unit": unit, "sampling_rate": sampling_rate}
     conditioning: dict[str, Any] = {"band": band, "start": start, "levels": levels, "observables": observables}
-    measured = measure(path, is_table=is_table, **conditioning, **reading)
+    measured = measure(path, is_table=is_table, progress=progress, **conditioning, **reading)
     _say_assumptions(measured, say)
     say(describe_batch(measured.backbones))
     _say_warnings(measured, say)

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ._describe import aligned, describe_reading, short
 from .measurement import Levels, measure
 from .results import REPORT, prepare_output, read_result
-from .run import Say
+from .run import Progress, Say
 
 if TYPE_CHECKING:
     from .discrepancy.study import Study
 
-Progress = Callable[[str, float], None]
 TOP_CANDIDATES = 5
 
 

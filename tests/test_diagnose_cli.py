@@ -203,6 +203,13 @@ def test_time_left_is_estimated_once_there_is_something_to_go_by(monkeypatch):
     with ProgressBar(silent, is_shown=False) as bar:
         bar("pairs", 0.5)
     assert silent.getvalue() == ""
+    late = Terminal()
+    with ProgressBar(late, delay=2.0) as bar:
+        bar("extracting cycles", 0.1)
+        assert late.getvalue() == ""
+        now[0] = 43.0
+        bar("extracting cycles", 0.5)
+        assert "50%" in late.getvalue()
 
 
 def test_lines_now_and_then_where_there_is_no_terminal(monkeypatch):

@@ -233,6 +233,7 @@ def damaged_files(folder: Path, number: int, chance: random.Random, tally: Tally
         path = folder / "damaged" / name
         path.parent.mkdir(exist_ok=True)
         path.write_bytes(content)
+        begin = time.perf_counter()
         if chance.randrange(20) == 0 and name not in ("result.json", "table.csv", "backbones.nc"):
             arguments = ["extract", str(path), "--out", str(folder / "result"), "--overwrite"]
             arguments += chance.choice(
@@ -241,7 +242,8 @@ def damaged_files(folder: Path, number: int, chance: random.Random, tally: Tally
             is_allowed = judge("command line, damaged file", lambda a=arguments: command(a), tally, name)
         else:
             is_allowed = judge(f"damaged {name}", lambda p=path: read(p), tally, name)
-        if not is_allowed and keep is not None:
+        is_slow = time.perf_counter() - begin > SECONDS / 4.0
+        if (is_slow or not is_allowed) and keep is not None:
             keep.mkdir(parents=True, exist_ok=True)
             (keep / f"{len(list(keep.iterdir()))}_{name}").write_bytes(content)
 
@@ -431,7 +433,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--inputs", type=int, default=20_000, metavar="N", help="how many (20000)")
     parser.add_argument("--seed", type=int, default=1, metavar="N", help="the same seed gives the same inputs (1)")
-    parser.add_argument("--keep", type=Path, metavar="DIR", help="where to keep the files that brought a fault about")
+    parser.add_argument(
+        "--keep", type=Path, metavar="DIR", help="where to keep files that brought a fault about or took long"
+    )
     options = parser.parse_args()
     begin = time.perf_counter()
 
