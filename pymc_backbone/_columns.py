@@ -218,6 +218,12 @@ def unit_of_values(source: Source, column: Column, quantity: str, given: str | N
     return unit, (f"{quantity} was converted from {printable(unit.written)} to {unit.si}",)
 
 
+def scaled(values: FloatArray, factor: float) -> FloatArray:
+    """Return values in SI units; what overflows or is no number is found, and named, by the checks that follow."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return values * factor
+
+
 def checked_time(table: Table, column: Column | None, stamps: FloatArray | None, rows: np.ndarray) -> FloatArray:
     """Return the time stamps of one specimen, or raise at the line where they do not increase."""
     assert stamps is not None and column is not None

@@ -22,6 +22,7 @@ from ._columns import (
     find_time,
     find_values,
     reading_of,
+    scaled,
     unit_of_time,
     unit_of_values,
 )
@@ -207,14 +208,14 @@ def _records_of_table(table: Table, reading: Reading) -> Iterator[Record]:
         if time_column is not None:
             time_unit = unit_of_time(table, time_column)
             notes += () if time_unit.factor == 1.0 else (f"time was converted from {time_unit.written} to s",)
-            stamps = table.numbers(time_column) * time_unit.factor
+            stamps = scaled(table.numbers(time_column), time_unit.factor)
         elif table.rate is not None:
             rate, line = table.rate
             notes += (f"time was counted at {rate:g} samples per second, by the line {shorten(printable(line))!r}",)
         else:
             fail_without_time(table)
     for (column, quantity), (unit, unit_notes) in zip(picked, units, strict=True):
-        values = table.numbers(column) * unit.factor
+        values = scaled(table.numbers(column), unit.factor)
         for specimen, rows in specimens.items():
             if len(rows) < MINIMUM_SAMPLES:
                 whose = f" of specimen {shorten(specimen)!r}" if len(specimens) > 1 else ""
@@ -242,8 +243,7 @@ def _records_of_channels(recording: Recording, stem: str, reading: Reading) -> I
         else:
             found, time_notes = recording.time_of(column.index, reading)
             time = fail_without_time(recording) if found is None else found
-        with np.errstate(over="ignore"):
-            values = channel.values * unit.factor
+        values = scaled(channel.values, unit.factor)
         if np.isfinite(channel.values).all():  # else the record says which sample is not
             _check_finite(recording, column, values)
         source = recording.name if len(picked) == 1 else f"{recording.name} ({shorten(column.header)})"

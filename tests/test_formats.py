@@ -299,6 +299,19 @@ def test_other_mat_files_are_named(tmp_path: Path) -> None:
         refuses(tmp_path / f"cut_{name}", f"cut_{name}")
 
 
+@pytest.mark.parametrize("kind", ["<u8", "<u4"])
+def test_numbers_that_are_none_or_overflow_are_refused_without_a_warning(tmp_path: Path, kind: str) -> None:
+    signalling = np.array([0x7FF0000000000001 if kind == "<u8" else 0x7F800001], dtype=kind).view(
+        kind.replace("u", "f")
+    )
+    acc = np.concatenate([VALUES.astype(signalling.dtype), signalling])
+    path = save(tmp_path / "a.mat", {"fs": RATE, "acc_g": acc})
+    refuses(path, "values[400] = nan")
+    refuses(save(tmp_path / "b.mat", {"fs": RATE, "acc_g": np.full(400, 1e308)}), "overflow", "check the unit")
+    (tmp_path / "c.csv").write_text("time [min];acc [g]\n" + "".join(f"{k};1e308\n" for k in range(40)))
+    refuses(tmp_path / "c.csv", "overflow", "check the unit")
+
+
 def test_structs_cells_and_objects_of_version_73(tmp_path: Path) -> None:
     path = tmp_path / "a.mat"
     with h5py.File(path, "w", userblock_size=512) as file:

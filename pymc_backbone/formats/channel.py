@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import FloatArray, InputError
-from .._columns import Reading, find_time, named_columns, unit_of_time
+from .._columns import Reading, find_time, named_columns, scaled, unit_of_time
 from .._tables import Column, printable, shorten
 from .._units import split_header
 
@@ -149,7 +149,7 @@ class Recording:
             )
         unit = unit_of_time(self, column)
         notes = () if unit.factor == 1.0 else (f"time was converted from {printable(unit.written)} to s",)
-        return stamps.values * unit.factor, notes
+        return scaled(stamps.values, unit.factor), notes
 
     def _time_column(self, channel: Channel) -> Column | None:
         """Return the time channel of the group of a channel, or that of the whole file."""
@@ -201,7 +201,8 @@ def channel_of(name: str, values: NDArray[Any], **fields: Any) -> Channel:
             "spectrum or analytic signal.",
             **{key: fields[key] for key in ("group",) if key in fields},
         )
-    return Channel(name, np.ascontiguousarray(values, dtype=np.float64), **fields)
+    with np.errstate(invalid="ignore"):  # a signalling NaN
+        return Channel(name, np.ascontiguousarray(values, dtype=np.float64), **fields)
 
 
 def _with_unique_names(channels: tuple[Channel, ...]) -> list[Channel]:

@@ -191,7 +191,8 @@ class _Matrix:
         code = np.dtype(self.file.order + _NUMBERS[kind])
         if len(raw) != math.prod(shape) * code.itemsize:
             raise _DamagedError(f"an array of {' x '.join(map(str, shape))} numbers holds {len(raw)} bytes")
-        return np.frombuffer(raw, code).astype(np.float64).reshape(shape, order="F")
+        with np.errstate(invalid="ignore"):  # a signalling NaN
+            return np.frombuffer(raw, code).astype(np.float64).reshape(shape, order="F")
 
     def _numbers(self, shape: tuple[int, ...], is_complex: bool, is_logical: bool) -> Any:
         real = self._part(shape)
