@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from .op import BackboneLogLikelihood, SimulatedBackbone
     from .oscillator import Oscillator
     from .records import Record, read_records, write_records
+    from .results import write_backbones
     from .sampling import sample
 
 try:
@@ -72,6 +73,7 @@ _WHERE = {
     "op": ("BackboneLogLikelihood", "SimulatedBackbone"),
     "oscillator": ("Oscillator",),
     "records": ("Record", "read_records", "write_records"),
+    "results": ("write_backbones",),
     "sampling": ("sample",),
 }
 _MODULE_OF = {name: module for module, names in _WHERE.items() for name in names}
@@ -113,6 +115,7 @@ __all__ = [
     "simulated_backbone",
     "simulated_backbones",
     "summarise",
+    "write_backbones",
     "write_records",
     "write_study",
 ]

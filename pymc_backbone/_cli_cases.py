@@ -6,7 +6,7 @@ import argparse
 from typing import Any
 
 from . import _options
-from ._cli_common import add_output, hush_libraries, say
+from ._cli_common import add_output, add_talk, hush_libraries, print_result, say_of
 
 NAMES = ("1", "2", "3", "4", "5", "single", "beam", "all")
 LIKELIHOODS = ("product", "joint", "data_consistent", "all")
@@ -62,6 +62,7 @@ def add_cases(commands: Any) -> None:
         )
     sampler.add_argument("--seed", type=_options.count("--seed", 0), default=1, metavar="N", help="(1)")
     add_output(parser, required=False)
+    add_talk(parser)
     parser.set_defaults(run=_cases)
 
 
@@ -69,12 +70,12 @@ def _cases(options: argparse.Namespace) -> None:
     hush_libraries()
     from .run_cases import run_cases
 
-    run_cases(
+    records = run_cases(
         options.names,
         options.likelihood,
         output=options.out,
         overwrite=options.overwrite,
-        say=say,
+        say=say_of(options),
         specimens=options.specimens,
         draws=options.draws,
         tune=options.tune,
@@ -82,3 +83,4 @@ def _cases(options: argparse.Namespace) -> None:
         observables=options.observables,
         random_seed=options.seed,
     )
+    print_result(options, records)

@@ -3,15 +3,66 @@
 from __future__ import annotations
 
 import argparse
+import json
 import logging
 import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from . import _options
 from ._checks import OBSERVABLES
+from ._headers import QUANTITIES
+from ._progress import ProgressBar
 
 STEPS = ("metropolis", "elementwise", "demetropolisz", "slice", "nuts", "nutpie")
+
+
+READING = """\
+What was assumed or converted while reading is printed, and stands in the notes of the result and in the report.
+Formats: delimited text (CSV and the like), LabVIEW .lvm, MATLAB .mat, universal files (.uff, .unv), NetCDF, NumPy
+.npz, SEP-005 as .json. A folder holds files of one of these, one specimen each."""
+
+
+def add_talk(parser: argparse.ArgumentParser, *, quiet: bool = True) -> None:
+    """Add the options of what is printed."""
+    group = parser.add_argument_group("printing")
+    if quiet:
+        group.add_argument("-q", "--quiet", action="store_true", help="print nothing but errors; the files say it all")
+    group.add_argument(
+        "--json", action="store_true", help="print the result as one JSON object, and nothing else, on standard output"
+    )
+
+
+def say_of(options: argparse.Namespace) -> Callable[[str], None]:
+    """Return what prints a line of the summary: `say`, or nothing where the options ask for silence or JSON."""
+    return _say_nothing if options.quiet or options.json else say
+
+
+@contextmanager
+def extraction_progress(options: argparse.Namespace) -> Iterator[tuple[ProgressBar, Callable[[str], None]]]:
+    """Yield a bar for the extraction of cycles, shown after 2 s, and what prints a line below it."""
+    say_line = say_of(options)
+    with ProgressBar(is_shown=not options.quiet, delay=2.0) as progress:
+
+        def say_below(text: str) -> None:
+            progress.clear()
+            say_line(text)
+
+        yield progress, say_below
+
+
+def print_result(options: argparse.Namespace, result: Any) -> None:
+    """Print a result as JSON where the options ask for it."""
+    if options.json:
+        from .results import plain
+
+        print(json.dumps(plain(result), allow_nan=False), flush=True)
+
+
+def _say_nothing(text: str) -> None:
+    """Print nothing."""
 
 
 def add_records(parser: argparse.ArgumentParser, *, tables: bool = True) -> None:
@@ -36,7 +87,8 @@ def add_model(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
 
 def measurement_of(options: argparse.Namespace) -> dict[str, Any]:
     """Return the options of reading and conditioning as keyword arguments."""
-    return {name: getattr(options, name) for name in ("band", "start", "levels")}
+    names = ("band", "start", "levels", "columns", "quantity", "unit", "sampling_rate")
+    return {name: getattr(options, name) for name in names}
 
 
 def sampling_of(options: argparse.Namespace) -> dict[str, Any]:
@@ -47,6 +99,34 @@ def sampling_of(options: argparse.Namespace) -> dict[str, Any]:
 
 def add_measurement(parser: argparse.ArgumentParser, *, observables: bool = True) -> None:
     """Add the options of reading and conditioning."""
+    reading = parser.add_argument_group("reading", READING)
+    reading.add_argument(
+        "--columns",
+        type=_options.columns,
+        action="extend",
+        metavar="LIST",
+        help="channels to take: names as in the file, patterns such as 'acc*', or numbers from 1, with commas between; "
+        "time=NAME names the time channel; each of several channels becomes a specimen (default: the only one that "
+        "is a displacement, velocity or acceleration by name or unit)",
+    )
+    reading.add_argument(
+        "--quantity",
+        choices=QUANTITIES,
+        metavar="Q",
+        help="what the channel holds, or which to take: displacement, velocity or acceleration (default: as its name "
+        "or unit says)",
+    )
+    reading.add_argument(
+        "--unit",
+        metavar="U",
+        help="unit of the channel, such as mm, in/s, g or deg; replaces the file's (default: the file's, else SI)",
+    )
+    reading.add_argument(
+        "--sampling-rate",
+        type=_options.number("--sampling-rate"),
+        metavar="HZ",
+        help="samples per second; replaces the file's times (default: the file's)",
+    )
     group = parser.add_argument_group("measurement")
     group.add_argument(
         "--band", type=_options.band, metavar="LO:HI", help="keep this frequency band [Hz]; for a second mode"
@@ -101,8 +181,11 @@ def add_sampling(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def hush_libraries() -> None:
-    """Keep PyMC's own messages from the terminal, whose content the findings give; show this package's progress."""
+def hush_libraries(is_quiet: bool = False) -> None:
+    """Keep PyMC's own messages from the terminal, whose content the findings give; show this package's progress.
+
+    ``is_quiet`` keeps the progress away too.
+    """
     logging.getLogger("pymc").setLevel(logging.CRITICAL)
     logging.root.addHandler(logging.NullHandler())  # else PyMC, imported later, sets up its own
     # PyMC averages exp(log acceptance ratio), which overflows where a proposal is far better than the start.
@@ -110,7 +193,7 @@ def hush_libraries() -> None:
     progress = logging.getLogger(__package__)
     if not progress.handlers:
         progress.addHandler(logging.StreamHandler())
-    progress.setLevel(logging.INFO)
+    progress.setLevel(logging.WARNING if is_quiet else logging.INFO)
 
 
 def say(text: str) -> None:

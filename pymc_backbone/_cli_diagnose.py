@@ -12,10 +12,12 @@ from ._cli_common import (
     add_output,
     add_records,
     add_sampling,
+    add_talk,
     hush_libraries,
     measurement_of,
+    print_result,
     sampling_of,
-    say,
+    say_of,
 )
 from ._progress import ProgressBar
 
@@ -90,20 +92,22 @@ def add_diagnose(commands: Any) -> None:
     search.add_argument("--quick", action="store_true", help="stop before sampling: no posterior, intervals of the fit")
     add_sampling(parser)
     add_output(parser, required=True)
+    add_talk(parser)
     parser.set_defaults(run=_diagnose)
 
 
 def _diagnose(options: argparse.Namespace) -> None:
     from . import run_diagnosis
 
-    hush_libraries()
-    with ProgressBar() as progress:
+    hush_libraries(options.quiet)
+    say = say_of(options)
+    with ProgressBar(is_shown=not options.quiet) as progress:
 
         def say_below(text: str) -> None:
             progress.clear()
             say(text)
 
-        run_diagnosis.diagnose(
+        result = run_diagnosis.diagnose(
             options.records,
             mass=options.mass,
             output=options.out,
@@ -120,3 +124,4 @@ def _diagnose(options: argparse.Namespace) -> None:
             progress=progress,
             say=say_below,
         )
+    print_result(options, result)

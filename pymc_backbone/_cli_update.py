@@ -12,10 +12,12 @@ from ._cli_common import (
     add_output,
     add_records,
     add_sampling,
+    add_talk,
+    extraction_progress,
     hush_libraries,
     measurement_of,
+    print_result,
     sampling_of,
-    say,
 )
 
 LIKELIHOODS = ("auto", "population", "specimen", "pooled")
@@ -26,8 +28,8 @@ EXTRACT_DESCRIPTION = """\
 Turn ring-down records into backbones: amplitude, frequency, damping and offset per cycle, then their values with
 standard errors at a few amplitude levels that all specimens share.
 
-RECORDS is a file or a folder; each file is one specimen, with a column of time and one of displacement, velocity or
-acceleration. The release is found, slow drift and a sensor's offset are removed, velocity and acceleration are
+RECORDS is a file or a folder; each file is one specimen, with time (or a rate) and a channel of displacement, velocity
+or acceleration. The release is found, slow drift and a sensor's offset are removed, velocity and acceleration are
 integrated, cycles that sink into the noise are dropped; what was done is said in the notes.
 """
 
@@ -35,6 +37,7 @@ EXTRACT_EPILOG = """\
 The folder holds backbones.csv, backbones.nc, result.json and figures/. Examples:
   pymc-backbone extract ring_downs/ --out backbones
   pymc-backbone extract ring_downs/ --band 90:160 --levels 8 --out backbones
+  pymc-backbone extract run_7.mat --columns time=t,acc_z --unit g --out run_7
   pymc-backbone extract run_7.csv --start 0.35 --levels 0.002,0.005,0.01 --observables frequency,offset --out run_7
 """
 
@@ -69,6 +72,7 @@ def add_extract(commands: Any) -> None:
     add_records(parser, tables=False)
     add_measurement(parser)
     add_output(parser, required=True)
+    add_talk(parser)
     parser.set_defaults(run=_extract)
 
 
@@ -132,40 +136,47 @@ def add_update(commands: Any) -> None:
 
     add_sampling(parser)
     add_output(parser, required=False)
+    add_talk(parser)
     parser.set_defaults(run=_update)
 
 
 def _extract(options: argparse.Namespace) -> None:
     from . import run
 
-    run.extract(
-        options.records,
-        output=options.out,
-        overwrite=options.overwrite,
-        **measurement_of(options),
-        observables=options.observables,
-        say=say,
-    )
+    with extraction_progress(options) as (progress, say):
+        result = run.extract(
+            options.records,
+            output=options.out,
+            overwrite=options.overwrite,
+            **measurement_of(options),
+            observables=options.observables,
+            progress=progress,
+            say=say,
+        )
+    print_result(options, result)
 
 
 def _update(options: argparse.Namespace) -> None:
     from . import run
 
-    hush_libraries()
-    run.update(
-        options.records,
-        mass=options.mass,
-        effects=_options.split(options.effect),
-        priors=_options.once("--prior", options.prior),
-        fixed=_options.once("--fix", options.fix),
-        is_table=options.backbones,
-        **measurement_of(options),
-        observables=options.observables,
-        likelihood=options.likelihood,
-        density=options.density,
-        marginal=options.marginal,
-        **sampling_of(options),
-        output=options.out,
-        overwrite=options.overwrite,
-        say=say,
-    )
+    hush_libraries(options.quiet)
+    with extraction_progress(options) as (progress, say):
+        result = run.update(
+            options.records,
+            mass=options.mass,
+            effects=_options.split(options.effect),
+            priors=_options.once("--prior", options.prior),
+            fixed=_options.once("--fix", options.fix),
+            is_table=options.backbones,
+            **measurement_of(options),
+            observables=options.observables,
+            likelihood=options.likelihood,
+            density=options.density,
+            marginal=options.marginal,
+            **sampling_of(options),
+            output=options.out,
+            overwrite=options.overwrite,
+            progress=progress,
+            say=say,
+        )
+    print_result(options, result)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -9,6 +10,8 @@ import numpy as np
 import xarray as xr
 
 from ._checks import OBSERVABLE_UNITS
+
+MOST_NOTES = 8
 
 
 def compare(measured: xr.Dataset, simulated: xr.Dataset) -> list[dict[str, Any]]:
@@ -54,6 +57,20 @@ def describe_batch(backbones: xr.Dataset) -> str:
         f"{count} {'specimen' if count == 1 else 'specimens'}, {levels.size} levels from {levels[0]:.4g} to "
         f"{levels[-1]:.4g} {unit}, observables {', '.join(map(str, backbones['observable'].values))}."
     )
+
+
+def describe_reading(records: Sequence[Any]) -> str:
+    """Say what was assumed and converted while the records were read, each once; empty if nothing was."""
+    counts = Counter(note for record in records for note in dict.fromkeys(record.notes))
+    if not counts:
+        return ""
+    lines = ["Reading the records:"]
+    for note, number in list(counts.items())[:MOST_NOTES]:
+        share = "" if number == len(records) else f" ({number} of {len(records)} records)"
+        lines.append(f"- {note}{share}")
+    if len(counts) > MOST_NOTES:
+        lines.append(f"- and {len(counts) - MOST_NOTES} more, in the notes of the result")
+    return "\n".join(lines)
 
 
 def describe_measured(backbones: xr.Dataset) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from ._checks import InputError
@@ -49,6 +49,7 @@ def extract_all(
     band: tuple[float, float] | None = None,
     start: float | None = None,
     is_strict: bool = True,
+    progress: Callable[[str, float], None] | None = None,
 ) -> Extraction:
     """Condition records and extract their cycles.
 
@@ -60,6 +61,8 @@ def extract_all(
         As in `condition`.
     is_strict : bool, optional
         Whether one record that cannot be used ends it; otherwise it is left out, as long as another can be used.
+    progress : callable, optional
+        Called with the stage and the fraction done, before each record.
 
     Raises
     ------
@@ -69,7 +72,9 @@ def extract_all(
     conditioned: list[ConditionedRecord] = []
     cycles: list[Cycles] = []
     refused: list[str] = []
-    for item in records:
+    for done, item in enumerate(records):
+        if progress is not None:
+            progress("extracting cycles", done / len(records))
         try:
             record = condition(item, band=band, start=start) if isinstance(item, Record) else item
             extracted = extract_cycles(record)

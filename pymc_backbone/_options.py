@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import csv
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -121,6 +122,17 @@ def once(option: str, pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
         if names.count(name) > 1:
             raise InputError(f"{option} names {name} twice; keep one.")
     return dict(pairs)
+
+
+def columns(text: str) -> list[str]:
+    """Read names of columns with commas between; a name that holds a comma stands in quotation marks."""
+    try:
+        (names,) = csv.reader([text], skipinitialspace=True, strict=True)
+    except (ValueError, csv.Error):
+        names = []
+    if not names or not all(name.strip() for name in names):
+        raise argparse.ArgumentTypeError(f"expected names of columns such as time=t,acc_z, got {text!r}")
+    return [name.strip() for name in names]
 
 
 def split(names: Sequence[str]) -> list[str]:

@@ -6,7 +6,7 @@ import codecs
 import csv
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
@@ -14,6 +14,8 @@ from typing import NoReturn
 import numpy as np
 
 from ._checks import FloatArray, InputError
+from ._dialect import PLAIN, AmbiguousNumbersError, Dialect, decide
+from ._preamble import LONGEST, find_header, stated_rate
 from ._units import UNITS, parse_unit, split_header
 
 _SEPARATORS = {";": "semicolon", "\t": "tab", ",": "comma"}
@@ -36,6 +38,8 @@ class Column:
     header: str
     name: str
     unit: str | None
+    quantity: str | None = None
+    """What it holds, where the file says so apart from name and unit."""
 
 
 @dataclass(frozen=True)
@@ -47,8 +51,10 @@ class Table:
     header_line: int
     cells: tuple[tuple[str, ...], ...]
     lines: Sequence[int]
-    decimal_comma: bool
+    dialect: Dialect
     notes: tuple[str, ...]
+    rate: tuple[float, str] | None = None
+    """Sampling rate [Hz] stated above the table, and the line that states it."""
 
     @property
     def name(self) -> str:
@@ -79,7 +85,7 @@ class Table:
         if rows is not None:
             cells = [cells[row] for row in rows]
         try:
-            text = [cell.replace(",", ".") for cell in cells] if self.decimal_comma else cells
+            text = cells if self.dialect == PLAIN else [self.dialect.plain(cell) for cell in cells]
             values = np.array(list(map(float, text)), dtype=np.float64)
         except ValueError:
             values = None
@@ -91,7 +97,7 @@ class Table:
     def _blame(self, column: Column, cells: Sequence[str], lines: Sequence[int]) -> NoReturn:
         """Raise the error for the first cell of a column that is no finite number."""
         for cell, line in zip(cells, lines, strict=True):
-            number = cell.strip().replace(",", ".") if self.decimal_comma else cell.strip()
+            number = self.dialect.plain(cell).strip()
             if not number:
                 self.fail("the cell is empty, expected a number; cut the record there or fill the gap.", line, column)
             try:
@@ -130,25 +136,33 @@ def natural_key(text: str) -> tuple[tuple[int, int, str], ...]:
     return (*key, (2, 0, text))
 
 
-def list_tables(path: str | os.PathLike[str]) -> list[Path]:
-    """Return the CSV files a path stands for (a folder's or the file itself), naturally sorted."""
+def list_tables(path: str | os.PathLike[str], list_folder: Callable[[Path], list[Path]] | None = None) -> list[Path]:
+    """Return the files a path stands for (a folder's or the file itself), naturally sorted.
+
+    ``list_folder`` returns those of a folder; by default they are its CSV files.
+    """
     try:
         root = Path(os.fspath(path))
         is_folder, exists = root.is_dir(), root.exists()
-        files = [entry for entry in root.iterdir() if _is_table(entry)] if is_folder else [root]
+        files = (list_folder or _csv_files)(root) if is_folder else [root]
+    except InputError:
+        raise
     except (TypeError, ValueError):
         raise InputError(
-            f"`path` must be the path of a CSV file or of a folder of CSV files, got {shorten(ascii(path))}."
+            f"`path` must be the path of a file or of a folder of files, got {shorten(ascii(path))}."
         ) from None
     except OSError as error:
         raise InputError(f"{printable(str(path))}: cannot be read ({error.strerror}); check its permissions.") from None
     if not exists:
         raise InputError(f"{printable(str(root))}: there is no such file or folder; check the path.")
-    if not is_folder:
-        return files
     if not files:
-        raise InputError(f"{printable(str(root))}: the folder holds no .csv file; {_folder_hint(root)}")
-    return sorted(files, key=lambda file: natural_key(file.name))
+        what = ".csv file" if list_folder is None else "record (no .csv file, nor one of another known format)"
+        raise InputError(f"{printable(str(root))}: the folder holds no {what}; {_folder_hint(root)}")
+    return files
+
+
+def _csv_files(root: Path) -> list[Path]:
+    return sorted(filter(_is_table, root.iterdir()), key=lambda file: natural_key(file.name))
 
 
 def _is_table(entry: Path) -> bool:
@@ -166,16 +180,22 @@ def _folder_hint(root: Path) -> str:
 def read_table(path: Path) -> Table:
     """Read a delimited text file with one header line into text cells, or raise `InputError`."""
     name = printable(path.name)
-    text, notes = _decode(path, name)
+    text, notes = read_text(path, name)
     kept: list[str] = []
     lines: list[int] = []
-    for number, line in enumerate(re.split("\r\n|\n|\r", text), start=1):
+    every = re.split("\r\n|\n|\r", text)
+    for number, line in enumerate(every, start=1):
         if line.strip() and not line.lstrip().startswith("#"):
             kept.append(line)
             lines.append(number)
     if not kept:
         raise InputError(f"{name}: the file holds no data; expected a header line and one line per sample.")
-    separator, separator_note = _sniff(kept[0])
+    top = find_header(kept)
+    rate = stated_rate(every[: min(lines[top], LONGEST) - 1])
+    if top:
+        notes += (f"the {top} lines above the column headers in line {lines[top]} were skipped",)
+        kept, lines = kept[top:], lines[top:]
+    separator, separator_note = _sniff(kept[0], kept[1] if len(kept) > 1 else "")
     notes += separator_note
     rows = _split(kept, lines, separator, name)
     rows, trailing_note = _drop_trailing(rows)
@@ -198,18 +218,28 @@ def read_table(path: Path) -> Table:
     if not body:
         raise InputError(f"{name}: there are no lines below the header; expected one line per sample.")
     cells = tuple(zip(*body, strict=True))
-    comma = separator != "," and any(
-        "," in cell and _looks_decimal(cell)
-        for column, texts in zip(columns, cells, strict=True)
-        if column.name.lower() != "specimen"
-        for cell in texts
-    )
-    if comma:
-        notes += ("commas in numbers were read as decimal commas",)
-    return Table(path, columns, lines[0], cells, body_lines, comma, notes)
+    dialect = _dialect(columns, cells, body_lines, name)
+    notes += (dialect.note,) if dialect.note else ()
+    return Table(path, columns, lines[0], cells, body_lines, dialect, notes, rate)
 
 
-def _decode(path: Path, name: str) -> tuple[str, tuple[str, ...]]:
+def _dialect(columns: Sequence[Column], cells: Sequence[Sequence[str]], lines: Sequence[int], name: str) -> Dialect:
+    """Return how the numbers of a table are written, or raise naming the first cell that leaves it open."""
+    numeric = [texts for column, texts in zip(columns, cells, strict=True) if column.name.lower() != "specimen"]
+    if not any("," in cell for texts in numeric for cell in texts):
+        return PLAIN
+    try:
+        return decide(cell for texts in numeric for cell in texts)
+    except AmbiguousNumbersError as error:
+        row = next(i for i, row in enumerate(zip(*numeric, strict=True)) if error.cell in map(str.strip, row))
+        what = f"and {shorten(error.other)!r} contradict each other" if error.other else "may be decimal or thousands"
+        raise InputError(
+            f"{name}, line {lines[row]}: {shorten(error.cell)!r} {what}, and nothing in the file decides which sign is "
+            "the decimal mark; write the numbers with decimal points and without separators of thousands."
+        ) from None
+
+
+def read_text(path: Path, name: str) -> tuple[str, tuple[str, ...]]:
     """Return the text of a file and a note when it was not plain UTF-8."""
     try:
         if path.stat().st_size > _MAXIMUM_BYTES:
@@ -238,12 +268,13 @@ def _decode(path: Path, name: str) -> tuple[str, tuple[str, ...]]:
     return text, notes
 
 
-def _sniff(header: str) -> tuple[str, tuple[str, ...]]:
+def _sniff(header: str, following: str) -> tuple[str, tuple[str, ...]]:
     """Return the separator of a header line: the first of semicolon, tab, comma it holds, else white space."""
     for separator, word in _SEPARATORS.items():
         if separator in header:
             return separator, () if separator == "," else (f"values are separated by {word}s",)
-    if len(header.split()) > 1:
+    is_one_column = len(following.split()) == 1 and len(header.split()) == 2 and split_header(header)[1] is not None
+    if len(header.split()) > 1 and not is_one_column:
         return " ", ("values are separated by spaces",)
     return ",", ()
 
@@ -302,7 +333,3 @@ def _is_units_row(row: list[str], columns: tuple[Column, ...]) -> bool:
 
 def _all_numbers(texts: Sequence[str]) -> bool:
     return all(re.fullmatch(r"[-+0-9.,eE ]+", text) for text in texts)
-
-
-def _looks_decimal(cell: str) -> bool:
-    return re.fullmatch(r"\s*[-+]?[0-9]*,[0-9]*(?:[eE][-+]?[0-9]+)?\s*", cell) is not None

@@ -13,6 +13,8 @@ _SNAP = 0.05
 """Largest deviation of a time stamp from the uniform grid, in samples, that is put down to the clock."""
 _LARGEST_GAP = 1.0 / 6.0
 """Longest pause between samples, in cycles, across which a spline may carry the motion."""
+_LARGEST_GROWTH = 50.0
+"""Most samples of the uniform grid, over those measured: a single wrong time stamp can ask for any number."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,7 @@ class UniformSamples:
                 )
 
 
-def to_uniform(time: FloatArray, values: FloatArray) -> UniformSamples:
+def to_uniform(time: FloatArray, values: FloatArray, name: str = "record") -> UniformSamples:
     """Return samples on the uniform grid that fits their time stamps, resampled only where they do not lie on it.
 
     Stamps within 5 % of a sample of the grid, or as far from it as rounding to printed digits
@@ -62,6 +64,12 @@ def to_uniform(time: FloatArray, values: FloatArray) -> UniformSamples:
     typical = float(np.median(steps))
     counts = _counts(time, typical)
     index = np.concatenate([[0.0], np.cumsum(counts)])
+    if not index[-1] <= _LARGEST_GROWTH * time.size:
+        widest = int(np.argmax(steps))
+        raise InputError(
+            f"{name}: {steps[widest]:.3g} s lie between the time stamps {time[widest]:.9g} and {time[widest + 1]:.9g}, "
+            f"sampled every {typical:.3g} s otherwise; cut the record there."
+        )
     interval, start = (float(value) for value in np.polyfit(index, time, 1))
     deviation = time - (start + interval * index)
     worst = float(np.max(np.abs(deviation))) / interval
@@ -87,7 +95,7 @@ def to_uniform(time: FloatArray, values: FloatArray) -> UniformSamples:
     if wide.any():
         missing = int(np.sum(counts[wide] - 1.0))
         notes.append(f"{missing} missing sample(s) in {int(wide.sum())} gap(s) were interpolated by a cubic spline")
-    grid = start + interval * np.arange(int(round((stamps[-1] - start) / interval)) + 1)
+    grid = start + interval * np.arange(round((stamps[-1] - start) / interval) + 1)
     resampled = CubicSpline(stamps, values)(np.clip(grid, stamps[0], stamps[-1]))
     return UniformSamples(start, 1.0 / interval, resampled, gaps, tuple(notes))
 

@@ -15,9 +15,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from . import _cli_cases, _cli_diagnose, _cli_update
+from . import _cli_cases, _cli_common, _cli_completion, _cli_diagnose, _cli_update
 from ._checks import InputError
-from ._cli_common import hush_libraries, say
 
 PROGRAM = "pymc-backbone"
 INTERRUPTED = "Interrupted; files already written are complete."
@@ -84,6 +83,7 @@ def build_parser() -> argparse.ArgumentParser:
         description="List the physical effects a model can be made of, or explain one: force, parameters, units.",
     )
     effects.add_argument("name", nargs="?", metavar="NAME", help="an effect, for example cubic_stiffness")
+    _cli_common.add_talk(effects, quiet=False)
     effects.set_defaults(run=_effects)
     demo = commands.add_parser(
         "demo", help="update a model with records that ship with it", description=DEMO_DESCRIPTION
@@ -92,7 +92,9 @@ def build_parser() -> argparse.ArgumentParser:
         "--out", type=Path, default=Path("demo_output"), metavar="DIR", help="output folder (demo_output)"
     )
     demo.add_argument("--overwrite", action="store_true", help="use the output folder even if it is not empty")
+    _cli_common.add_talk(demo)
     demo.set_defaults(run=_demo)
+    _cli_completion.add_completion(commands, lambda: (PROGRAM, build_parser()))
     return parser
 
 
@@ -156,6 +158,10 @@ class _Interrupt:
 def _effects(options: argparse.Namespace) -> None:
     from .effects import LIBRARY, get_effect
 
+    if options.json:
+        chosen = LIBRARY.values() if options.name is None else [get_effect(options.name)]
+        _cli_common.print_result(options, {effect.name: _effect_entries(effect) for effect in chosen})
+        return
     if options.name is not None:
         print(_effect_text(get_effect(options.name)))
         return
@@ -164,6 +170,11 @@ def _effects(options: argparse.Namespace) -> None:
         print(f"\n{name}\n{textwrap.fill(effect.summary, 112, initial_indent='  ', subsequent_indent='  ')}")
         print(textwrap.fill(effect.text, 112, initial_indent="  force: ", subsequent_indent="         "))
         print("  " + ", ".join(f"{parameter.name} [{parameter.unit}]" for parameter in effect.parameters))
+
+
+def _effect_entries(effect: Any) -> dict[str, Any]:
+    parameters = {p.name: {"unit": p.unit, "summary": p.summary} for p in effect.parameters}
+    return {"summary": effect.summary, "force": effect.text, "parameters": parameters}
 
 
 def _effect_text(effect: Any) -> str:
@@ -185,8 +196,9 @@ def _effect_text(effect: Any) -> str:
 def _demo(options: argparse.Namespace) -> None:
     from . import demo
 
-    hush_libraries()
-    demo.run_demo(options.out, overwrite=options.overwrite, say=say)
+    _cli_common.hush_libraries(options.quiet)
+    result = demo.run_demo(options.out, overwrite=options.overwrite, say=_cli_common.say_of(options))
+    _cli_common.print_result(options, result)
 
 
 def _stop(message: str, code: int) -> int:

@@ -109,7 +109,7 @@ class _Conditioning:
         # a sensor may read ten thousand times the motion: no filter stops that much
         self.reading = float(np.median(values))
         values = values - self.reading
-        self.samples = to_uniform(time, values)
+        self.samples = to_uniform(time, values, self.name)
         self.notes += self.samples.notes
         self.rate = self.samples.sampling_rate
         self.band = None if band is None else check_band(band, self.rate, self.name)

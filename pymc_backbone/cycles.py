@@ -344,7 +344,7 @@ def _amplitude_from_damping(  # type: ignore[no-untyped-def]
         base = np.concatenate([[0.0], -np.cumsum(steps)])
         base -= np.mean(base - np.log(current))
         scaled = cut(amplitude_bands)
-        for b in range(scaled.shape[0]):
+        for b in range(min(scaled.shape[0], end)):  # bands beyond the last cycle hold zeros
             scaled[b, : end - b] /= current[: end - b] * current[b:]
         # E[ln A] falls short of ln E[A]
         residual = np.log(np.maximum(amplitude[:end], 0.1 * current)) + 0.5 * scaled[0] - base

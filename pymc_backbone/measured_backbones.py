@@ -21,6 +21,7 @@ from ._checks import OBSERVABLES, FloatArray, InputError, check_levels
 from ._columns import find_specimens
 from ._tables import Column, Table, list_tables, natural_key, printable, read_table, shorten
 from ._units import require_unit
+from .formats.netcdf import open_netcdf
 
 DEFAULT_LEVELS = 8
 MINIMUM_POINTS_FOR_ERRORS = 6
@@ -105,20 +106,23 @@ def read_backbones(path: str | os.PathLike[str], *, levels: ArrayLike | None = N
 
 def _read_netcdf(path: Path, levels: FloatArray | None) -> xr.Dataset:
     """Return backbones at levels as they were written, or those at some of their levels."""
-    try:
-        with xr.open_dataset(path, engine="h5netcdf") as file:
-            data = file.load()
-    except OSError as error:
-        raise InputError(f"{path} cannot be read as NetCDF ({error.strerror or 'not such a file'}).") from None
+    with open_netcdf(path) as file:
+        data = file.load()
     dims = {"value": _DIMS, "standard_error": _DIMS, "covariance": (*_DIMS, "level_other")}
     wrong = [name for name, wanted in dims.items() if name not in data or data[name].dims != wanted]
+    wrong += [name for name in dims if name in data and data[name].dtype.kind not in "fi"]
+    wrong += [name for name in _DIMS if name not in data.coords or data[name].size == 0]
     if wrong or any(name not in OBSERVABLES for name in map(str, data["observable"].values)):
         raise InputError(
             f"{path} does not hold backbones as `pymc-backbone` writes them ({', '.join(wrong) or 'observable'} "
             "missing or of another shape); read the .csv file beside it."
         )
+    try:
+        check_levels(data["level"].values)
+    except InputError as error:
+        raise InputError(f"{path}: {error} Write the file again.") from None
     notes = data.attrs.get("notes", [])
-    data.attrs["notes"] = [str(note) for note in np.atleast_1d(notes)] if len(notes) else []
+    data.attrs["notes"] = [str(note) for note in np.atleast_1d(notes) if str(note)]
     if levels is None:
         return data
     held = np.asarray(data["level"], dtype=float)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -44,6 +44,8 @@ def measure(
     start: float | None = None,
     levels: Levels = None,
     observables: Sequence[str] | None = None,
+    progress: Callable[[str, float], None] | None = None,
+    **reading: Any,
 ) -> Measured:
     """Read records, or tables of backbones, and return backbones at levels.
 
@@ -61,20 +63,24 @@ def measure(
         Number of levels, or the amplitudes [m or rad].
     observables : sequence of str, optional
         By default frequency and damping, or for tables all they hold.
+    progress : callable, optional
+        Called with the stage and the fraction done.
+    **reading
+        ``columns``, ``quantity``, ``unit``, ``sampling_rate``, as in `read_records`; not for tables.
 
     Returns
     -------
     Measured
     """
     if is_table:
-        return _measure_tables(path, band, start, levels, observables)
+        return _measure_tables(path, levels, observables, {"band": band, "start": start, **reading})
     from .records import read_records
 
-    records = read_records(path)  # before the compiled modules are loaded: errors in the files come at once
+    records = read_records(path, **reading)  # before the compiled modules are loaded: errors in the files come at once
     from ._extraction import extract_all
     from .backbone import backbones_at_levels, default_levels
 
-    extraction = extract_all(records, band=band, start=start)
+    extraction = extract_all(records, band=band, start=start, progress=progress)
     cycles = extraction.cycles
     chosen = default_levels(cycles, levels) if isinstance(levels, int) else levels
     backbones = backbones_at_levels(cycles, chosen, observables or DEFAULT_OBSERVABLES, amplitude_unit=extraction.unit)
@@ -85,16 +91,15 @@ def measure(
 
 def _measure_tables(
     path: str | os.PathLike[str],
-    band: tuple[float, float] | None,
-    start: float | None,
     levels: Levels,
     observables: Sequence[str] | None,
+    for_records: Mapping[str, Any],
 ) -> Measured:
     from .measured_backbones import read_backbones
 
-    for option, value in (("--band", band), ("--start", start)):
+    for name, value in for_records.items():
         if value is not None:
-            raise InputError(f"{option} is for time histories; drop it, or drop --backbones.")
+            raise InputError(f"--{name.replace('_', '-')} is for time histories; drop it, or drop --backbones.")
     if isinstance(levels, int):
         reached = np.asarray(read_backbones(path)["level"])
         backbones = read_backbones(path, levels=np.geomspace(reached[0], reached[-1], levels))

@@ -1,27 +1,37 @@
-"""Measured free-decay records: reading CSV files into SI units, checking them, and writing them back."""
+"""Measured free-decay records: reading files of many formats into SI units, checking them, and writing them back."""
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from ._checks import FloatArray, InputError, check_choice, check_finite_array, check_positive
+from ._checks import FloatArray, InputError, check_choice, check_finite_array
 from ._columns import (
-    QUANTITIES,
     SI_UNITS,
+    Reading,
+    Source,
     checked_time,
+    fail_without_time,
     find_specimens,
     find_time,
     find_values,
+    reading_of,
+    scaled,
     unit_of_time,
     unit_of_values,
 )
-from ._tables import Table, list_tables, natural_key, printable, read_table, shorten
+from ._headers import QUANTITIES
+from ._tables import Column, Table, list_tables, natural_key, printable, read_table, shorten
+from ._units import split_header
+from .formats import list_recordings, read_recording
+from .formats.channel import Recording
+from .formats.sep005 import channels_of_sep005
 from .measured_backbones import read_backbones
 
 __all__ = ["QUANTITIES", "Record", "read_backbones", "read_records", "write_records"]
@@ -110,28 +120,30 @@ class Record:
 
 
 def read_records(
-    path: str | os.PathLike[str],
+    path: str | os.PathLike[str] | Mapping[str, Any] | Sequence[Mapping[str, Any]],
     *,
+    columns: str | Sequence[str] | None = None,
     quantity: str | None = None,
-    column: str | None = None,
     unit: str | None = None,
     sampling_rate: float | None = None,
 ) -> list[Record]:
-    """Read measured free decays from CSV files, convert them to SI units and check them.
+    """Read measured free decays from files, convert them to SI units and check them.
 
     Parameters
     ----------
-    path : str or path
-        A folder of ``.csv`` files (one specimen each, named after the file), one such file, or one
-        file with a further column ``specimen``.
+    path : str or path, or SEP-005 dictionaries
+        A file, or a folder of files of one kind (one specimen each, named after the file): CSV and other delimited
+        text, LabVIEW (``.lvm``), MATLAB (``.mat``, version 5 and 7.3), universal files (data set 58), NetCDF, NumPy
+        (``.npz``), SEP-005 as JSON. Or, from Python, one SEP-005 dictionary or a list of them.
+    columns : str or sequence of str, optional
+        The channels to take: names as the file has them, without regard to case; patterns such as ``"acc*"``; or
+        numbers counted from 1. ``"time=NAME"`` names the time channel. Each of several channels becomes a record.
     quantity : {"displacement", "velocity", "acceleration"}, optional
-        Which column to take where a file has several, or what ``column`` holds.
-    column : str, optional
-        Header of the column to take, for files whose headers do not name the quantity.
+        Which channel to take where a file has several, or what ``columns`` hold.
     unit : str, optional
-        Unit of that column, for files whose headers do not state it or state it wrongly.
+        Unit of the channels, for files that do not state it or state it wrongly.
     sampling_rate : float, optional
-        Samples per second [Hz]; replaces the time column, which may then be missing.
+        Samples per second [Hz]; replaces the time channel, which may then be missing.
 
     Returns
     -------
@@ -141,62 +153,112 @@ def read_records(
     Raises
     ------
     InputError
-        When anything cannot be used: the sentence names the file, line and column, what was
-        expected, and what to do.
+        When anything cannot be used: the sentence names the file, the place in it, what was expected, and what to do.
 
     Notes
     -----
-    A file has one header line, then one line per sample; blank lines and lines starting with ``#``
-    are skipped. The separator is the first of semicolon, tab and comma that the header holds, else
-    white space; decimal commas are understood where the separator is no comma. Columns are ``time``
-    [s] and one of ``displacement``, ``velocity``, ``acceleration``; a unit may follow in brackets
-    (``time [ms]``, ``Acc (g)``, ``angle [deg]``) and SI is assumed, and noted, where none does.
+    The format is told by the first bytes of a file. What is read of each, and what is refused: ``docs/formats.md``.
+
+    A text file has one header line, then one line per sample; blank lines, lines starting with ``#`` and what a logger
+    writes above the header are skipped. The separator is the first of semicolon, tab and comma that the header holds,
+    else white space; decimal commas and separators of thousands are told apart by the whole file. Columns are ``time``
+    [s] and one of ``displacement``, ``velocity``, ``acceleration``; a unit may follow in brackets (``time [ms]``,
+    ``Acc (g)``, ``angle [deg]``) and SI is assumed, and noted, where none does. A further column ``specimen`` divides a
+    file.
     """
-    if quantity is not None:
-        quantity = check_choice("quantity", quantity, QUANTITIES)
-    rate = None if sampling_rate is None else check_positive("sampling_rate", sampling_rate)
+    reading = reading_of(columns, quantity, unit, sampling_rate)
     records: dict[str, Record] = {}
-    for file in list_tables(path):
-        for record in _records_of(read_table(file), quantity, column, unit, rate):
-            if record.specimen in records:
-                raise InputError(
-                    f"{printable(file.name)}: specimen {shorten(record.specimen)!r} is also in "
-                    f"{printable(records[record.specimen].source)}; rename one of them."
-                )
-            records[record.specimen] = record
+    for record in _all_records(path, reading):
+        if record.specimen in records:
+            raise InputError(
+                f"{printable(record.source)}: specimen {shorten(record.specimen)!r} is also in "
+                f"{printable(records[record.specimen].source)}; rename one of them."
+            )
+        records[record.specimen] = record
     return [records[name] for name in sorted(records, key=natural_key)]
 
 
-def _records_of(
-    table: Table, quantity: str | None, wanted: str | None, unit_text: str | None, rate: float | None
-) -> list[Record]:
-    """Return the records of one table."""
+def _all_records(path: Any, reading: Reading) -> Iterator[Record]:
+    """Yield the records of all files, or of SEP-005 dictionaries."""
+    if isinstance(path, Mapping | list | tuple):
+        where = "SEP-005"
+        channels = channels_of_sep005(path, where)
+        stem = channels[0].name if len(channels) == 1 else ""
+        yield from _records_of_channels(Recording(Path(where), tuple(channels)), stem, reading)
+        return
+    for file in list_tables(path, list_recordings):
+        recording = read_recording(file)
+        if recording is None:
+            yield from _records_of_table(read_table(file), reading)
+        else:
+            yield from _records_of_channels(recording, file.stem, reading)
+
+
+def _records_of_table(table: Table, reading: Reading) -> Iterator[Record]:
+    """Yield the records of one table."""
     specimens = find_specimens(table)
-    value_column, quantity = find_values(table, quantity, wanted, unit_text)
-    unit, unit_notes = unit_of_values(table, value_column, quantity, unit_text)
-    notes = table.notes + unit_notes
-    stamps, time_column = None, None
-    if rate is None:
-        time_column = find_time(table)
-        time_unit = unit_of_time(table, time_column)
-        notes += () if time_unit.factor == 1.0 else (f"time was converted from {time_unit.written} to s",)
-        stamps = table.numbers(time_column) * time_unit.factor
-    else:
+    picked = find_values(table, reading)
+    units = [unit_of_values(table, column, quantity, reading.unit) for column, quantity in picked]
+    notes = table.notes
+    stamps, time_column, rate = None, None, reading.rate
+    if rate is not None:
         notes += (f"time was counted at the given {rate:g} samples per second",)
-    values = table.numbers(value_column) * unit.factor
-    records = []
-    for specimen, rows in specimens.items():
-        lines = [table.lines[row] for row in rows]
-        if len(lines) < MINIMUM_SAMPLES:
-            whose = f" of specimen {shorten(specimen)!r}" if len(specimens) > 1 else ""
-            table.fail(f"a record needs at least {MINIMUM_SAMPLES} samples, got {len(lines)}{whose}; record longer.")
-        time = np.arange(len(lines)) / rate if rate is not None else checked_time(table, time_column, stamps, rows)
-        picked = values[rows]
-        if not np.isfinite(picked).all() or not np.isfinite(time).all():
-            table.fail("numbers overflow on conversion to SI units; check the unit in the header.", None, value_column)
-        source = table.name if len(specimens) == 1 else f"{table.name} (specimen {shorten(printable(specimen))})"
-        records.append(Record(specimen, time, picked, quantity, unit.si, source, notes))
-    return records
+    else:
+        time_column = find_time(table, reading.time)
+        if time_column is not None:
+            time_unit = unit_of_time(table, time_column)
+            notes += () if time_unit.factor == 1.0 else (f"time was converted from {time_unit.written} to s",)
+            stamps = scaled(table.numbers(time_column), time_unit.factor)
+        elif table.rate is not None:
+            rate, line = table.rate
+            notes += (f"time was counted at {rate:g} samples per second, by the line {shorten(printable(line))!r}",)
+        else:
+            fail_without_time(table)
+    for (column, quantity), (unit, unit_notes) in zip(picked, units, strict=True):
+        values = scaled(table.numbers(column), unit.factor)
+        for specimen, rows in specimens.items():
+            if len(rows) < MINIMUM_SAMPLES:
+                whose = f" of specimen {shorten(specimen)!r}" if len(specimens) > 1 else ""
+                table.fail(f"a record needs at least {MINIMUM_SAMPLES} samples, got {len(rows)}{whose}; record longer.")
+            time = np.arange(len(rows)) / rate if rate is not None else checked_time(table, time_column, stamps, rows)
+            _check_finite(table, column, time, values[rows])
+            source = table.name if len(specimens) == 1 else f"{table.name} (specimen {shorten(printable(specimen))})"
+            whole = specimen if len(picked) == 1 else f"{specimen} {_label(column)}"
+            yield Record(whole, time, values[rows], quantity, unit.si, source, notes + unit_notes)
+
+
+def _records_of_channels(recording: Recording, stem: str, reading: Reading) -> Iterator[Record]:
+    """Yield the records of the channels of a file; one record is named by ``stem``, several by their channels too."""
+    picked = find_values(recording, reading)
+    for column, quantity in picked:
+        channel = recording.channels[column.index]
+        if channel.refusal:
+            recording.refuse(channel)
+        unit, notes = unit_of_values(recording, column, quantity, reading.unit)
+        notes = recording.notes + notes
+        time_notes: tuple[str, ...] = ()
+        if reading.rate is not None:
+            time = np.arange(channel.values.size) / reading.rate
+            notes += (f"time was counted at the given {reading.rate:g} samples per second",)
+        else:
+            found, time_notes = recording.time_of(column.index, reading)
+            time = fail_without_time(recording) if found is None else found
+        values = scaled(channel.values, unit.factor)
+        if np.isfinite(channel.values).all():  # else the record says which sample is not
+            _check_finite(recording, column, values)
+        source = recording.name if len(picked) == 1 else f"{recording.name} ({shorten(column.header)})"
+        whole = stem if stem and len(picked) == 1 else f"{stem} {_label(column)}".strip()
+        yield Record(whole, time, values, quantity, unit.si, source, notes + time_notes)
+
+
+def _check_finite(source: Source, column: Column, *arrays: FloatArray) -> None:
+    if not all(np.isfinite(array).all() for array in arrays):
+        source.fail("numbers overflow on conversion to SI units; check the unit in the header.", None, column)
+
+
+def _label(column: Column) -> str:
+    """Return the name of a channel as a part of a specimen's name."""
+    return " ".join(printable(split_header(column.header)[0] or column.header).split())
 
 
 def write_records(records: Iterable[Record], path: str | os.PathLike[str], *, overwrite: bool = False) -> list[Path]:

@@ -204,6 +204,43 @@ def write_files(folder: Path, writers: Mapping[str, Callable[[Path], Any]]) -> l
     return list(writers)
 
 
+def write_backbones(backbones: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
+    """Write backbones at levels to a file that `read_backbones` reads back.
+
+    Parameters
+    ----------
+    backbones : xarray.Dataset
+        From `backbones_at_levels` or `read_backbones`.
+    path : str or path
+        Ends in ``.nc`` (NetCDF: all there is, with the covariance over the levels) or ``.csv`` (a row for each specimen
+        and level, with standard errors, nine digits).
+    overwrite : bool, default False
+        Whether a file of that name may be replaced.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    InputError
+        When the name ends otherwise, the file exists and ``overwrite`` is False, or it cannot be written.
+    """
+    file = Path(os.fspath(path))
+    kind = file.suffix.lower()
+    if kind not in (".nc", ".csv"):
+        raise InputError(f"{file}: backbones are written as .nc or .csv; choose a name that ends so.")
+    if file.exists() and not overwrite:
+        raise InputError(f"{file}: exists already; choose another name or set overwrite=True.")
+    with _beside(file) as temporary:
+        if kind == ".nc":
+            _portable(backbones).to_netcdf(temporary, engine="h5netcdf")
+        else:
+            backbone_table(backbones).to_csv(temporary, index=False, float_format="%.9g")
+    return file
+
+
 def read_result(folder: str | os.PathLike[str]) -> dict[str, Any]:
     """Read ``result.json`` of an output folder; raise `InputError` if there is none of this program."""
     path = Path(folder) / RESULT

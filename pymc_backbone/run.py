@@ -15,7 +15,7 @@ import numpy as np
 import xarray as xr
 
 from ._checks import FloatArray, InputError, check_choice
-from ._describe import compare, describe_batch, describe_measured, describe_result
+from ._describe import compare, describe_batch, describe_measured, describe_reading, describe_result
 from .measurement import Levels, Measured, measure
 from .results import package_version, prepare_output, write_results
 
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from .oscillator import Oscillator
 
 Say = Callable[[str], None]
+Progress = Callable[[str, float], None]
 PREDICTIVE_DRAWS = 400
 MOST_WARNINGS = 5
 
@@ -34,6 +35,7 @@ def extract(
     *,
     output: str | os.PathLike[str],
     overwrite: bool = False,
+    progress: Progress | None = None,
     say: Say = print,
     **measurement: Any,
 ) -> dict[str, Any]:
@@ -47,10 +49,13 @@ def extract(
         Output folder.
     overwrite : bool, optional
         Whether the folder may hold something already.
+    progress : callable, optional
+        Called with the stage and the fraction done while cycles are extracted.
     say : callable, optional
         Called with each line of progress; ``print`` by default.
     **measurement
-        ``band``, ``start``, ``levels``, ``observables``, as in `measure`.
+        ``band``, ``start``, ``levels``, ``observables``, ``columns``, ``quantity``, ``unit``, ``sampling_rate``, as in
+        `measure`.
 
     Returns
     -------
@@ -59,7 +64,8 @@ def extract(
     """
     begin = time.perf_counter()
     folder = prepare_output(output, overwrite)
-    measured = measure(path, **measurement)
+    measured = measure(path, progress=progress, **measurement)
+    _say_assumptions(measured, say)
     say(describe_measured(measured.backbones))
     _say_warnings(measured, say)
     result: dict[str, Any] = {
@@ -91,6 +97,10 @@ def update(
     start: float | None = None,
     levels: Levels = None,
     observables: Sequence[str] | None = None,
+    columns: Sequence[str] | None = None,
+    quantity: str | None = None,
+    unit: str | None = None,
+    sampling_rate: float | None = None,
     likelihood: str = "auto",
     density: str = "product",
     marginal: str = "best",
@@ -103,6 +113,7 @@ def update(
     overwrite: bool = False,
     command: str = "update",
     true_values: Mapping[str, FloatArray] | None = None,
+    progress: Progress | None = None,
     say: Say = print,
 ) -> dict[str, Any]:
     """Infer the parameters of an oscillator from records, and write everything to an output folder.
@@ -119,7 +130,7 @@ def update(
         Bounds of Uniform priors that replace the default ones.
     fixed : mapping of str to float, optional
         Parameters that are not inferred.
-    is_table, band, start, levels, observables
+    is_table, band, start, levels, observables, columns, quantity, unit, sampling_rate
         As in `measure`.
     likelihood : {"auto", "population", "specimen", "pooled"}, optional
         As in `build_model`; "auto" takes "population" from 8 specimens that reach every level, else "specimen",
@@ -136,6 +147,8 @@ def update(
         Written to the result.
     true_values : mapping of str to array of float, optional
         Known parameters of the specimens, drawn in the figure of the posterior.
+    progress : callable, optional
+        Called with the stage and the fraction done while cycles are extracted.
     say : callable, optional
         Called with each line of progress; ``print`` by default.
 
@@ -146,14 +159,19 @@ def update(
     """
     begin = time.perf_counter()
     settings = {
-        name: value for name, value in locals().items() if name not in ("say", "true_values", "begin", "command")
+        name: value
+        for name, value in locals().items()
+        if name not in ("say", "progress", "true_values", "begin", "command")
     }
     folder = None if output is None else prepare_output(output, overwrite)
     from .oscillator import Oscillator
 
     oscillator = Oscillator(mass, effects)
     _check_names(oscillator, priors or {}, fixed or {})
-    measured = measure(path, is_table=is_table, band=band, start=start, levels=levels, observables=observables)
+    reading: dict[str, Any] = {"columns": columns, "quantity": quantity, "unit": unit, "sampling_rate": sampling_rate}
+    conditioning: dict[str, Any] = {"band": band, "start": start, "levels": levels, "observables": observables}
+    measured = measure(path, is_table=is_table, progress=progress, **conditioning, **reading)
+    _say_assumptions(measured, say)
     say(describe_batch(measured.backbones))
     _say_warnings(measured, say)
     read = time.perf_counter()
@@ -208,6 +226,12 @@ def update(
         say(f"\nAll numbers, draws and figures are in {folder}; begin with {folder / 'figures' / 'predictive.png'}.")
     result.setdefault("seconds", _seconds(begin, read, sampled))
     return result
+
+
+def _say_assumptions(measured: Measured, say: Say) -> None:
+    text = describe_reading(measured.records)
+    if text:
+        say(text + "\n")
 
 
 def _say_warnings(measured: Measured, say: Say) -> None:

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ._describe import aligned, short
+from ._describe import aligned, describe_reading, short
 from .measurement import Levels, measure
 from .results import REPORT, prepare_output, read_result
-from .run import Say
+from .run import Progress, Say
 
 if TYPE_CHECKING:
     from .discrepancy.study import Study
 
-Progress = Callable[[str, float], None]
 TOP_CANDIDATES = 5
 
 
@@ -35,6 +34,10 @@ def diagnose(
     band: tuple[float, float] | None = None,
     start: float | None = None,
     levels: Levels = None,
+    columns: Sequence[str] | None = None,
+    quantity: str | None = None,
+    unit: str | None = None,
+    sampling_rate: float | None = None,
     draws: int = 2000,
     tune: int = 1000,
     chains: int = 4,
@@ -66,7 +69,7 @@ def diagnose(
         How much to hold out, as in `find_missing_effect`.
     quick : bool, optional
         Whether to stop before sampling.
-    is_table, band, start, levels
+    is_table, band, start, levels, columns, quantity, unit, sampling_rate
         As in `measurement.measure`.
     draws, tune, chains, step, random_seed
         As in `sample`.
@@ -96,18 +99,27 @@ def diagnose(
     }
     settings.update({} if tolerance is None else {"tolerance": dict(tolerance)})
     settings.update({} if held_out is None else {"held_out": held_out})
+    reading: dict[str, Any] = {
+        "columns": columns,
+        "quantity": quantity,
+        "unit": unit,
+        "sampling_rate": sampling_rate,
+    }
     folder = prepare_output(output, overwrite)
     from .oscillator import Oscillator
 
     oscillator = Oscillator(mass, base)
     records: Sequence[Any] = ()
     if is_table:
-        data: Any = measure(path, is_table=True, band=band, start=start, levels=levels).backbones
+        data: Any = measure(path, is_table=True, band=band, start=start, levels=levels, **reading).backbones
         passed = {**settings, "levels": None}  # the tables are at the levels already
     else:
         from .records import read_records
 
-        data = records = read_records(path)
+        data = records = read_records(path, **reading)
+        assumed = describe_reading(records)
+        if assumed:
+            say(assumed + "\n")
         passed = settings
     from .discrepancy.workflow import find_missing_effect
 
@@ -117,7 +129,7 @@ def diagnose(
     from .diagnosis_files import write_study
 
     flags = {"backbones": is_table, "overwrite": overwrite}
-    command = command_line(path, mass, base, {**settings, "seed": study.seed}, flags, output)
+    command = command_line(path, mass, base, {**settings, **reading, "seed": study.seed}, flags, output)
     write_study(study, folder, overwrite=overwrite, command=command, records=records)
     say(describe_study(study))
     say(f"\nThe report is {Path(folder) / REPORT}; numbers, figures and a PyMC script are beside it.")
@@ -152,7 +164,8 @@ def command_line(
         elif value is not True:
             separator = ":" if name == "band" else ","
             parts = value if isinstance(value, list | tuple) else [value]
-            words.append(separator.join(f"{part:.15g}" if isinstance(part, float) else str(part) for part in parts))
+            texts = [f"{part:.15g}" if isinstance(part, float) else str(part) for part in parts]
+            words.append(separator.join(f'"{text}"' if "," in text else text for text in texts))
     words += [f"--{name}" for name, is_set in flags.items() if is_set]
     return shlex.join([*words, "--out", str(output)])
 

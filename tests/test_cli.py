@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
@@ -10,10 +11,13 @@ from pathlib import Path
 
 import pytest
 
-from pymc_backbone import _cli_common, _cli_update, cli, demo, run
+from pymc_backbone import _cli_update, cli, demo, run
 from pymc_backbone._checks import InputError
+from pymc_backbone._progress import ProgressBar
 from pymc_backbone.effects import LIBRARY
 from pymc_backbone.results import read_result
+
+from . import format_files
 
 ROOT = Path(__file__).resolve().parents[1]
 MASS = ["--mass", "1"]
@@ -63,6 +67,11 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> dict[str, dict]:
         (["update", "x", *MASS, "--observables", ","], "at least one"),
         (["update", "x", *MASS, "--colour"], "--colour"),
         (["extract", "x"], "--out"),
+        (["extract", "x", "--out", "o", "--columns", "a,,b"], "time=t,acc_z"),
+        (["extract", "x", "--out", "o", "--columns", '"a'], "time=t,acc_z"),
+        (["extract", "x", "--out", "o", "--quantity", "jerk"], "jerk"),
+        (["extract", "x", "--out", "o", "--sampling-rate", "fast"], "'fast'"),
+        (["completion", "tcsh"], "tcsh"),
         (["effects", "cubic_stifness"], "Did you mean 'cubic_stiffness'?"),
     ],
 )
@@ -72,7 +81,7 @@ def test_bad_options_are_one_sentence(capsys, arguments, words):
     assert is_one_sentence(error) and words in error
 
 
-@pytest.mark.parametrize("command", [[], ["extract"], ["update"], ["diagnose"], ["effects"], ["demo"]])
+@pytest.mark.parametrize("command", [[], ["extract"], ["update"], ["diagnose"], ["effects"], ["demo"], ["completion"]])
 def test_help_explains_each_command(capsys, command):
     with pytest.raises(SystemExit) as stop:
         cli.main([*command, "--help"])
@@ -116,15 +125,18 @@ def test_update_hands_on_every_option(capsys, calls, tmp_path):
         "--prior", "cubic_stiffness=-1e6:1e7", "--fix", "viscous_damping=0.8", "--observables", "offset,frequency",
         "--likelihood", "population", "--density", "joint", "--marginal", "kde", "--levels", "0.01,0.002",
         "--band", "5:20", "--start", "0.25", "--draws", "10", "--tune", "0", "--chains", "2", "--step", "nutpie",
-        "--seed", "7", "--out", str(tmp_path), "--overwrite",
+        "--seed", "7", "--out", str(tmp_path), "--overwrite", "--columns", "time=t,acc z", "--quantity", "velocity",
+        "--unit", "mm/s", "--sampling-rate", "512",
     )  # fmt: skip
     assert (code, error) == (0, "")
+    assert isinstance(calls["update"].pop("progress"), ProgressBar) and callable(calls["update"].pop("say"))
     assert calls["update"] == {
         "path": Path("records"), "mass": 1.5, "effects": ["cubic_stiffness", "freeplay", "iwan"],
         "priors": {"cubic_stiffness": (-1e6, 1e7)}, "fixed": {"viscous_damping": 0.8}, "is_table": False,
         "band": (5.0, 20.0), "start": 0.25, "levels": (0.002, 0.01), "observables": ("frequency", "offset"),
         "likelihood": "population", "density": "joint", "marginal": "kde", "draws": 10, "tune": 0, "chains": 2,
-        "step": "nutpie", "random_seed": 7, "output": tmp_path, "overwrite": True, "say": _cli_common.say,
+        "step": "nutpie", "random_seed": 7, "output": tmp_path, "overwrite": True,
+        "columns": ["time=t", "acc z"], "quantity": "velocity", "unit": "mm/s", "sampling_rate": 512.0,
     }  # fmt: skip
 
 
@@ -136,7 +148,7 @@ def test_defaults_of_update_are_those_of_the_function(capsys, calls):
     signature = inspect.signature(UPDATE)
     for name, value in calls["update"].items():
         default = signature.parameters[name].default
-        if default is not inspect.Parameter.empty and name != "say":
+        if default is not inspect.Parameter.empty and name not in ("say", "progress"):
             assert value == default or (not value and not default), name
 
 
@@ -155,9 +167,11 @@ def test_choices_are_those_of_the_modules():
 def test_extract_hands_on_every_option(capsys, calls):
     code, _, _ = run_cli(capsys, "extract", "r.csv", "--levels", "8", "--observables", "frequency", "--out", "o")
     assert code == 0
+    assert isinstance(calls["extract"].pop("progress"), ProgressBar) and callable(calls["extract"].pop("say"))
     assert calls["extract"] == {
         "path": Path("r.csv"), "output": Path("o"), "overwrite": False, "band": None, "start": None, "levels": 8,
-        "observables": ("frequency",), "say": _cli_common.say,
+        "observables": ("frequency",), "columns": None, "quantity": None, "unit": None,
+        "sampling_rate": None,
     }  # fmt: skip
 
 
@@ -233,12 +247,75 @@ def test_update_for_real(capsys, tmp_path):
         "--levels", "5", "--draws", "150", "--tune", "300", "--chains", "2", "--step", "demetropolisz", "--seed", "1",
         "--out", str(out),
     )  # fmt: skip
-    assert (code, error) == (0, "") and str(out) in text
+    assert code == 0 and str(out) in text, error
     result = read_result(out)
     stiffness = result["parameters"]["linear_stiffness"]["mean"]
     truth = demo.true_parameters()[1]["linear_stiffness"][:2]
     assert truth.min() - 100.0 < stiffness < truth.max() + 100.0  # N/m; one value for two specimens
     assert any("never moved" in s or "effective draws" in s or "R-hat" in s for s in result["findings"])  # too short
+
+
+# ---- reading, printing, completion ------------------------------------------------------------
+
+
+def test_words_of_reading_reach_the_records_and_what_was_assumed_is_said(capsys, tmp_path):
+    path = format_files.lvm(tmp_path / "a.lvm")
+    arguments = ["extract", str(path), "--columns", "hammer", "--unit", "mm", "--levels", "3", "--out"]
+    code, text, error = run_cli(capsys, *arguments, str(tmp_path / "out"))
+    assert code == 0, error
+    assert "Reading the records:\n- displacement was converted from mm to m\n" in text
+    result = read_result(tmp_path / "out")
+    assert result["settings"]["columns"] == ["hammer"] and result["settings"]["unit"] == "mm"
+    assert any("converted from mm to m" in note for note in result["notes"])
+    assert (tmp_path / "out" / "backbones.nc").exists() and (tmp_path / "out" / "backbones.csv").exists()
+
+
+def test_quiet_and_json(capsys, tmp_path):
+    path = format_files.mat5(tmp_path / "a.mat")
+    base = ["extract", str(path), "--levels", "3", "--out", str(tmp_path / "out"), "--overwrite"]
+    assert run_cli(capsys, *base, "--quiet") == (0, "", "")
+    code, text, error = run_cli(capsys, *base, "--json")
+    assert code == 0, error
+    printed, written = json.loads(text), read_result(tmp_path / "out")
+    assert printed["levels"] == written["levels"] and printed["notes"] == written["notes"]
+    assert "converted from g to m/s^2" in " ".join(printed["notes"])
+    assert run_cli(capsys, "extract", str(tmp_path / "none"), "--out", str(tmp_path / "o"), "-q")[0::2] == (
+        2,
+        f"pymc-backbone: {tmp_path / 'none'}: there is no such file or folder; check the path.\n",
+    )
+    code, text, _ = run_cli(capsys, "effects", "freeplay", "--json")
+    parameters = json.loads(text)["freeplay"]["parameters"]
+    assert list(parameters) == [parameter.name for parameter in LIBRARY["freeplay"].parameters]
+
+
+def complete(script: Path, *words: str) -> set[str]:
+    """Ask bash what it would complete after the words."""
+    line = " ".join(f"'{word}'" for word in words)
+    code = f"source {script}; COMP_WORDS=({line}); COMP_CWORD={len(words) - 1}; _pymc_backbone; echo ${{COMPREPLY[@]}}"
+    done = subprocess.run(["bash", "-c", code], capture_output=True, text=True, check=True, cwd=script.parent)
+    return set(done.stdout.split())
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="bash is not there to ask")
+def test_completion_in_bash(capsys, tmp_path):
+    script = tmp_path / "script.sh"
+    script.write_text(run_cli(capsys, "completion", "bash")[1])
+    name = cli.PROGRAM
+    assert complete(script, name, "e") == {"extract", "effects"}
+    assert complete(script, name, "update", "--like") == {"--likelihood"}
+    assert complete(script, name, "update", "--likelihood", "po") == {"population", "pooled"}
+    assert complete(script, name, "update", "--effect", "cub") == {e for e in LIBRARY if e.startswith("cub")}
+    assert complete(script, name, "effects", "free") == {"freeplay"}
+    assert complete(script, name, "extract", "scr") == {"script.sh"}
+
+
+@pytest.mark.parametrize("shell", ["zsh", "fish"])
+def test_completion_for_other_shells_names_every_option(capsys, shell):
+    text = run_cli(capsys, "completion", shell)[1]
+    for option in ("columns", "unit", "band", "start", "prior", "candidates", "json"):
+        assert f"--{option}" in text or f"-l {option}" in text
+    for name in LIBRARY:
+        assert name in text
 
 
 @pytest.mark.slow

@@ -10,7 +10,9 @@ import pytest
 
 from pymc_backbone._checks import InputError
 from pymc_backbone.backbone import backbones_at_levels
+from pymc_backbone.conditioning import condition
 from pymc_backbone.cycles import QUANTITIES, extract_cycles, extract_cycles_from_arrays
+from pymc_backbone.records import Record
 
 FREQUENCY, RATIO = 2.0, 0.01
 
@@ -213,3 +215,23 @@ def test_very_short_records_give_a_backbone_or_a_reason(rng: np.random.Generator
         backbones += 1
     assert any("at least four cycles" in reason for reason in reasons)
     assert len(reasons) >= 8 and backbones >= 10
+
+
+def test_four_cycles_of_a_quantised_acceleration_are_enough():
+    """Fewer cycles than bands of their covariance."""
+    time = 0.01 * np.arange(1, 101)
+    noise = 1e-6 * np.random.default_rng(100).normal(size=time.size)
+    values = np.round(1e3 * (np.exp(-time) * np.cos(10.0 * np.pi * time) + noise)) * 1e-9
+    cycles = extract_cycles(condition(Record("short", time, values, "acceleration")))
+    assert cycles.frequency.size == 4
+    # the damped frequency of cos(10 pi t) exp(-t), and its decrement over a fifth of a second
+    np.testing.assert_allclose(cycles.frequency, 5.0, rtol=5e-3)
+    np.testing.assert_allclose(cycles.damping, 0.2, rtol=0.15)
+
+
+def test_one_wrong_time_stamp_does_not_ask_for_all_memory():
+    time = 0.01 * np.arange(200)
+    time[150:] += 1e12
+    record = Record("beam", time, np.cos(0.3 * np.arange(200)))
+    with pytest.raises(InputError, match=r"beam: 1e\+12 s lie between the time stamps 1.49 and .* cut the record"):
+        condition(record)

@@ -87,6 +87,7 @@ def test_every_option_is_handed_on(capsys, calls, tmp_path):
         "candidates": ["jenkins", "bouc_wen"], "max_effects": 2, "tolerance": {"frequency": 0.002, "damping": 0.0},
         "held_out": 1, "random_seed": 7, "quick": True, "is_table": True, "draws": 10, "tune": 0, "chains": 2,
         "step": "slice", "levels": 8, "band": None, "start": None, "output": tmp_path, "overwrite": True,
+        "columns": None, "quantity": None, "unit": None, "sampling_rate": None,
     }  # fmt: skip
 
 
@@ -186,6 +187,31 @@ def test_bar_on_a_terminal_is_one_line_and_goes_away():
     assert text.endswith("\r\x1b[K")
 
 
+def test_time_left_is_estimated_once_there_is_something_to_go_by(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr("pymc_backbone._progress.time.monotonic", lambda: now[0])
+    stream = Terminal()
+    with ProgressBar(stream) as bar:
+        for at, share in ((0.0, 0.0), (1.0, 0.1), (10.0, 0.25), (20.0, 0.5)):
+            now[0] = at
+            bar("pairs", share)
+        now[0] = 40.0
+        bar("sampling", 0.5)  # a stage of its own, of which nothing is known yet
+    drawn = stream.getvalue().split("\r\x1b[K")
+    assert [text.partition("about ")[2] for text in drawn if text] == ["", "", "0:30 left", "0:20 left", ""]
+    silent = Terminal()
+    with ProgressBar(silent, is_shown=False) as bar:
+        bar("pairs", 0.5)
+    assert silent.getvalue() == ""
+    late = Terminal()
+    with ProgressBar(late, delay=2.0) as bar:
+        bar("extracting cycles", 0.1)
+        assert late.getvalue() == ""
+        now[0] = 43.0
+        bar("extracting cycles", 0.5)
+        assert "50%" in late.getvalue()
+
+
 def test_lines_now_and_then_where_there_is_no_terminal(monkeypatch):
     now = [100.0]
     monkeypatch.setattr("pymc_backbone._progress.time.monotonic", lambda: now[0])
@@ -196,7 +222,7 @@ def test_lines_now_and_then_where_there_is_no_terminal(monkeypatch):
             now[0] += 1.0
         bar("sampling", float("nan"))
     lines = stream.getvalue().splitlines()
-    assert lines[0] == "  0%  naming  (0:00)" and "\x1b" not in stream.getvalue()
+    assert lines[0] == "  0%  naming  (0:00)" and "left)" in lines[1] and "\x1b" not in stream.getvalue()
     assert len(lines) == 2 * (1 + int(49 / LINE_EVERY)) and any("sampling" in line for line in lines)
 
 

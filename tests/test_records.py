@@ -194,18 +194,18 @@ def test_several_quantities_need_a_choice(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="Did you mean 'velocity'"):
         read_records(path, quantity="velocty")
     axes = write(tmp_path / "b.csv", "time,acc x [g],acc y [g]", lines)
-    refuses(axes, "'acc x [g]', 'acc y [g]'", "`column`")
-    np.testing.assert_allclose(one(axes, column="ACC Y").values, 2.0 * VALUES * 9.80665, rtol=1e-8)
-    refuses(axes, "'acc z'", column="acc z")
+    refuses(axes, "'acc x [g]', 'acc y [g]'", "`columns`")
+    np.testing.assert_allclose(one(axes, columns="ACC Y").values, 2.0 * VALUES * 9.80665, rtol=1e-8)
+    refuses(axes, "'acc z'", columns="acc z")
 
 
 def test_column_unit_and_sampling_rate_can_be_given(tmp_path: Path) -> None:
     path = write(tmp_path / "a.csv", "n,signal", rows())
-    refuses(path, "what column 'signal' holds is not known", "`quantity`", column="signal")
-    record = one(path, column="signal", unit="deg", sampling_rate=50.0)
+    refuses(path, "what column 'signal' holds is not known", "`quantity`", columns="signal")
+    record = one(path, columns="signal", unit="deg", sampling_rate=50.0)
     assert (record.quantity, record.unit) == ("displacement", "rad")
     np.testing.assert_allclose(record.time, np.arange(60) / 50.0)
-    refuses(path, "`unit`", "Did you mean 'mm/s'", column="signal", quantity="velocity", unit="mms/s")
+    refuses(path, "`unit`", "Did you mean 'mm/s'", columns="signal", quantity="velocity", unit="mms/s")
     with pytest.raises(InputError, match="sampling_rate"):
         read_records(path, sampling_rate=-1.0)
 

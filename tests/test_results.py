@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from pymc_backbone._checks import InputError
 from pymc_backbone.measured_backbones import read_backbones
-from pymc_backbone.results import RESULT_KEYS, prepare_output, read_result, write_results
+from pymc_backbone.results import RESULT_KEYS, prepare_output, read_result, write_backbones, write_results
 
 
 @pytest.fixture
@@ -161,3 +161,30 @@ def test_not_a_result(tmp_path):
     (tmp_path / "result.json").write_text("[1, 2]")
     with pytest.raises(InputError, match="not a result"):
         read_result(tmp_path)
+
+
+@pytest.mark.parametrize("suffix", [".nc", ".csv"])
+def test_backbones_that_are_written_read_back(tmp_path, suffix):
+    error = np.full((2, 1, 3), 0.01)
+    dims = ("specimen", "observable", "level")
+    value = np.array([[[10.0, 10.5, 11.0]], [[9.0, 9.5, 10.5]]])
+    levels = [0.001, 0.002, 0.004]
+    covariance = 1e-4 * np.broadcast_to(np.eye(3), (2, 1, 3, 3))
+    data = xr.Dataset(
+        {"value": (dims, value), "standard_error": (dims, error), "covariance": ((*dims, "level_other"), covariance)},
+        coords={"specimen": ["a", "b"], "observable": ["frequency"], "level": levels, "level_other": levels},
+        attrs={"amplitude_unit": "rad", "notes": ["the first note"]},
+    )
+    path = write_backbones(data, tmp_path / f"backbones{suffix}")
+    again = read_backbones(path, levels=levels)
+    np.testing.assert_allclose(again["value"], value, rtol=1e-9)
+    np.testing.assert_allclose(again["standard_error"], error, rtol=1e-9)
+    assert again.attrs["amplitude_unit"] == "rad"
+    with pytest.raises(InputError, match="exists already"):
+        write_backbones(data, path)
+    write_backbones(data.isel(specimen=[0]), path, overwrite=True)
+    assert read_backbones(path).sizes["specimen"] == 1
+    with pytest.raises(InputError, match=r"\.nc or \.csv"):
+        write_backbones(data, tmp_path / "backbones.mat")
+    with pytest.raises(InputError, match="cannot be written"):
+        write_backbones(data, path / f"below{suffix}")
