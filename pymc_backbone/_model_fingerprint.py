@@ -41,7 +41,7 @@ def first_difference(stored: Mapping[str, str], now: Mapping[str, str]) -> str |
         if before is None or after is None:
             return f"{name} {'is new' if before is None else 'is gone'}"
         if max(len(before), len(after)) > _SHOWN or _is_digest(before):
-            return f"{name} {'have' if name.endswith('s') else 'has'} changed"
+            return f"{name} changed"
         return f"{name} was {before} and is now {after}"
     return None
 
