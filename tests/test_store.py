@@ -14,12 +14,13 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pymc as pm
 import pytest
 
-from pymc_backbone import InputError, _atomic_files, _recorder, _store_lock, build_model, fit_density, sample
+from pymc_backbone import InputError, _atomic_files, _recorder, _store_lock, build_model, fit_density, sample, sampling
 from pymc_backbone._atomic_files import replacing
 from pymc_backbone._draw_chunks import ChunkFolder
 from pymc_backbone._step_state import History, PlainState, StateError, encode_state, grow_lists, restore_state
@@ -95,7 +96,7 @@ def test_resumed_draws_are_those_of_an_undisturbed_run(step, tmp_path, small_chu
     for draws in (20, 95):  # in the tuning of the first chain, after that of the second
         with pytest.raises(Cut):
             sample(make(), **settings, store=tmp_path / "run", resume=True, callback=cut_after(draws))
-    resumed = sample(make(), **settings, store=tmp_path / "run", resume=True)
+    resumed = sample(make(), **{**settings, "progressbar": True}, store=tmp_path / "run", resume=True)
     assert_same(whole, resumed)
     assert resumed.attrs["evaluations"] == whole.attrs["evaluations"]
     assert resumed.attrs["failures"] == whole.attrs["failures"]
@@ -426,6 +427,19 @@ def test_at_most_a_hundred_draws_or_ten_seconds_are_lost(seconds, draws, monkeyp
     for _ in range(2 * draws + 1):
         step.step({})
     assert written == [draws, draws, 1]  # the last one with the end of the chain
+
+
+def test_time_left_counts_the_draws_that_took_time(monkeypatch, caplog):
+    now = 0.0
+    monkeypatch.setattr(sampling, "time", SimpleNamespace(monotonic=lambda: now))
+    report = sampling._Reporter(100, repeated=50)
+    with caplog.at_level(logging.INFO, "pymc_backbone"):
+        for _ in range(50):
+            report()
+        for _ in range(10):
+            now += 2.0
+            report()
+    assert "58 of 100 draws, about 84 s left" in caplog.text  # 42 draws at 2 s, said after 16 s
 
 
 def test_growing_lists_are_written_by_their_ends(rng):
