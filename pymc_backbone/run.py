@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 Say = Callable[[str], None]
 PREDICTIVE_DRAWS = 400
 MOST_WARNINGS = 5
+FEWEST_DRAWS = 20  # of a run that was ended early; nothing can be said from fewer
 
 
 def extract(
@@ -188,6 +189,9 @@ def update(
     kept: dict[str, Any] = {} if store is None else {"store": store, "resume": resume}
     posterior = sample(model, draws=draws, tune=tune, chains=chains, step=step, random_seed=seed, **kept)
     sampled = time.perf_counter()
+    if "interrupted" in posterior.attrs and posterior["posterior"].sizes["draw"] < FEWEST_DRAWS:
+        say(f"\n{posterior.attrs['interrupted']} These are too few for a summary.")
+        raise KeyboardInterrupt
 
     names = [name for name in bounds if name in posterior["posterior"]]
     table = summarise(posterior, names)
@@ -345,8 +349,9 @@ def _figures(
         "predictive": plots.plot_predictive(measured.backbones, predictive),
         "prior_posterior": plots.plot_prior_posterior(posterior, bounds, units=units, true_values=true_values),
         "trace": plots.plot_trace(posterior, names, units=units),
-        "rank": plots.plot_rank(posterior, names, units=units),
     }
+    if posterior["posterior"].sizes["chain"] > 1:
+        figures["rank"] = plots.plot_rank(posterior, names, units=units)
     if density is not None:
         figures["densities"] = plots.plot_densities(measured.backbones, density, simulated=predictive)
     if len(names) > 1:

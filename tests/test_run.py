@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from pymc_backbone import demo, run
+from pymc_backbone import demo, run, store  # noqa: F401  the store needs the model that the fixture replaces
 from pymc_backbone._checks import InputError
 from pymc_backbone._describe import compare, describe_measured
 from pymc_backbone.backbone import simulated_backbones
@@ -96,6 +96,19 @@ def test_resumed_run_replaces_what_an_interrupted_one_wrote_and_nothing_else(mon
     assert sampler["sample"]["resume"] is True
     with pytest.raises(InputError, match="is not empty"):  # a whole result is not replaced unasked
         update(monkeypatch, backbones, resume=True, **settings)
+
+
+def test_one_chain_that_was_ended_early_is_summarised_from_twenty_draws(monkeypatch, sampler, rng, tmp_path):
+    """Chains come one after another: Ctrl-C mostly leaves one."""
+    backbones = make_backbones(rng, 12)
+    sampler["attrs"] = {"interrupted": "Stopped with Ctrl-C."}
+    settings = {"store": tmp_path / "run", "chains": 1, "output": tmp_path / "out"}
+    result, _ = update(monkeypatch, backbones, draws=run.FEWEST_DRAWS, **settings)
+    assert result["parameters"]["linear_stiffness"]["mean"] == pytest.approx(7000.0, abs=4 * 140.0 / 20**0.5)
+    written = read_result(tmp_path / "out")
+    assert "figures/trace.png" in written["files"] and "figures/rank.png" not in written["files"]
+    with pytest.raises(KeyboardInterrupt):
+        update(monkeypatch, backbones, draws=run.FEWEST_DRAWS - 1, overwrite=True, **settings)
 
 
 @pytest.mark.parametrize(
