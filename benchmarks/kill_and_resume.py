@@ -28,7 +28,7 @@ from typing import Any
 
 import numpy as np
 
-NOTE = struct.Struct("qd")  # draws so far, and when the last one came
+NOTE = struct.Struct("qdd")  # draws so far, when the last one came, and when the first of this process began
 RUNS = {"metropolis": (1000, 12000), "demetropolisz": (1000, 12000), "nuts": (300, 900)}
 STRESS = {"metropolis": (200, 1500), "nuts": (100, 300)}
 CHAINS = 2
@@ -58,8 +58,15 @@ def work(options: argparse.Namespace) -> None:
     if options.store is not None:
         note = mmap.mmap(os.open(options.note, os.O_RDWR), NOTE.size)
 
+        begun = time.time()
+
         def count(trace: Any, draw: Any) -> None:
-            note[:] = NOTE.pack(draw.chain * (options.tune + options.draws) + draw.draw_idx + 1, time.time())
+            nonlocal begun
+            now = time.time()
+            draws = draw.chain * (options.tune + options.draws) + draw.draw_idx + 1
+            if draws <= options.stored:  # repeated, not drawn
+                begun = now
+            note[:] = NOTE.pack(draws, now, begun)
 
         kept = {"store": options.store, "resume": True, "callback": count}
     result = sample(
@@ -85,6 +92,7 @@ class Outcome:
     kills: int = 0
     sampling: int = 0
     damaged: int = 0
+    stored: int = 0
     differing: int = 0
     lost_draws: list[int] = field(default_factory=list)
     lost_seconds: list[float] = field(default_factory=list)
@@ -124,14 +132,16 @@ def torture(step: str, kills: int, every_draw: bool, rng: np.random.Generator, f
         outcome.runs += 1
         store, note, result = folder / f"store_{seed}", folder / "note", folder / "result.npz"
         result.unlink(missing_ok=True)
+        outcome.stored = 0
         whole = folder / "whole.npz"
         begin = time.monotonic()
         subprocess.run(command(step, seed, sizes, whole), check=True)
         undisturbed = time.monotonic() - begin
         more = ["--store", str(store), "--note", str(note)] + ["--every-draw"] * every_draw
         while not result.exists():
-            note.write_bytes(NOTE.pack(0, 0.0))
-            process = subprocess.Popen(command(step, seed, sizes, result, *more))
+            note.write_bytes(NOTE.pack(0, 0.0, 0.0))
+            known = ["--stored", str(outcome.stored)]
+            process = subprocess.Popen(command(step, seed, sizes, result, *more, *known))
             if outcome.kills == kills:
                 _check_end(process, process.wait())
             elif _is_killed(process, note, undisturbed, rng):
@@ -169,15 +179,18 @@ def _check_end(process: subprocess.Popen[bytes], code: int) -> None:
 
 def _account(outcome: Outcome, note: Path, store: Path) -> None:
     outcome.kills += 1
-    drawn, when = NOTE.unpack(note.read_bytes())
+    drawn, when, begun = NOTE.unpack(note.read_bytes())
     stored, last = stored_draws(store, outcome)
+    if stored < outcome.stored:
+        raise SystemExit(f"{outcome.step}: {outcome.stored} draws were stored, and {stored} are left")
+    outcome.stored = stored
     if drawn == 0:
         return  # it was importing, compiling or looking for starts
     outcome.sampling += 1
     # Killed while it repeated stored draws, or between the writing and the note, it lost none.
     lost = max(0, drawn - stored)
     outcome.lost_draws.append(lost)
-    outcome.lost_seconds.append(max(0.0, when - last) if lost and last else 0.0)
+    outcome.lost_seconds.append(when - max(last, begun) if lost else 0.0)
     print(f"{outcome.step}: kill {outcome.kills} after {drawn} draws, {stored} stored", flush=True)
 
 
@@ -188,23 +201,39 @@ def _same(first: Path, second: Path) -> bool:
         )
 
 
-def overhead(step: str, repeats: int, folder: Path) -> tuple[float, float]:
-    """Return seconds of sampling without a store and the ratio with one: medians of alternating runs."""
-    from pymc_backbone import sample
+def overhead(step: str, repeats: int, folder: Path) -> tuple[int, float, float]:
+    """Return chunks, milliseconds for each, and sampling with the writing to sampling without it, in the same runs.
+
+    The same runs, because a busy machine makes two runs differ by far more than what the writing costs.
+    """
+    from pymc_backbone import _recorder, sample
 
     tune, draws = RUNS[step]
-    seconds: dict[bool, list[float]] = {False: [], True: []}
-    for repeat in range(repeats):
-        for is_stored in (False, True):
+    write = _recorder.Recorder._write
+    spent: list[float] = []
+    ratios, means = [], []
+
+    def timed(recorder: Any) -> None:
+        begin = time.perf_counter()
+        write(recorder)
+        spent.append(time.perf_counter() - begin)
+
+    _recorder.Recorder._write = timed  # type: ignore[method-assign]
+    try:
+        for repeat in range(repeats):
+            spent.clear()
             store = folder / f"overhead_{step}_{repeat}"
-            kept = {"store": store} if is_stored else {}
             result = sample(
-                make_model(), draws=draws, tune=tune, chains=CHAINS, step=step, random_seed=1, progressbar=False, **kept
-            )
-            seconds[is_stored].append(float(result["posterior"].attrs["sampling_time"]))
-            shutil.rmtree(store, ignore_errors=True)
-    plain = float(np.median(seconds[False]))
-    return plain, float(np.median(seconds[True])) / plain
+                make_model(), draws=draws, tune=tune, chains=CHAINS, step=step, random_seed=1, progressbar=False,
+                store=store,
+            )  # fmt: skip
+            seconds = float(result["posterior"].attrs["sampling_time"])
+            ratios.append(seconds / (seconds - sum(spent)))
+            means.append(1e3 * float(np.mean(spent)))
+            shutil.rmtree(store)
+    finally:
+        _recorder.Recorder._write = write  # type: ignore[method-assign]
+    return len(spent), float(np.median(means)), float(np.median(ratios))
 
 
 def main() -> None:
@@ -220,6 +249,7 @@ def main() -> None:
         parser.add_argument(name, default=None, help=argparse.SUPPRESS)
     parser.add_argument("--tune", type=int, default=0, help=argparse.SUPPRESS)
     parser.add_argument("--draws", type=int, default=0, help=argparse.SUPPRESS)
+    parser.add_argument("--stored", type=int, default=0, help=argparse.SUPPRESS)
     parser.add_argument("--every-draw", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.worker:
@@ -237,7 +267,7 @@ def main() -> None:
         options.out.write_text(text, encoding="utf-8")
 
 
-def _tables(outcomes: list[Outcome], clocks: dict[str, tuple[float, float]], options: argparse.Namespace) -> str:
+def _tables(outcomes: list[Outcome], clocks: dict[str, tuple[int, float, float]], options: argparse.Namespace) -> str:
     lines = [
         "# Kill and resume",
         "",
@@ -249,7 +279,7 @@ def _tables(outcomes: list[Outcome], clocks: dict[str, tuple[float, float]], opt
         "the process and the end of an undisturbed run, the others up to three seconds after the first draw. *In the "
         "sampling*: kills after the first draw; the others came while importing, compiling or looking for starts. "
         "*Differing*: runs whose draws or statistics differ in any bit from a run without a store and without a kill. "
-        "*Lost*: drawn, but not in the store; the largest over the kills.",
+        "*Lost*: drawn by the killed process, but not in the store; the largest over the kills.",
         "",
         "| step | tune + draws | chunk | runs | kills | in the sampling | damaged chunks | differing runs | lost draws "
         "| lost seconds |",
@@ -267,9 +297,11 @@ def _tables(outcomes: list[Outcome], clocks: dict[str, tuple[float, float]], opt
         "As shipped, a chunk is written after 100 draws but not more than once a second, and after 10 seconds in any "
         "case: a slow model loses at most 100 draws or 10 seconds, a fast one at most about a second of draws.",
         "",
-        "| step | sampling without a store [s] | with a store, ratio |",
-        "|---|---|---|",
-        *(f"| {step} | {seconds:.2f} | {ratio:.3f} |" for step, (seconds, ratio) in clocks.items()),
+        "What the store costs: sampling with the writing to sampling without it, in the same run.",
+        "",
+        "| step | chunks | a chunk [ms] | ratio |",
+        "|---|---|---|---|",
+        *(f"| {step} | {chunks} | {mean:.1f} | {ratio:.3f} |" for step, (chunks, mean, ratio) in clocks.items()),
         "",
     ]
     return "\n".join(lines)

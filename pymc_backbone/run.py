@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 Say = Callable[[str], None]
 PREDICTIVE_DRAWS = 400
 MOST_WARNINGS = 5
+MOST_PAIRED = 6  # parameters against each other in one figure; ArviZ draws no more than 40 panels
 FEWEST_DRAWS = 20  # of a run that was ended early; nothing can be said from fewer
 
 
@@ -354,7 +355,8 @@ def _figures(
         figures["rank"] = plots.plot_rank(posterior, names, units=units)
     if density is not None:
         figures["densities"] = plots.plot_densities(measured.backbones, density, simulated=predictive)
-    if len(names) > 1:
+    scalars = sum(posterior["posterior"][name].isel(chain=0, draw=0).size for name in names)
+    if 1 < scalars <= MOST_PAIRED:
         figures["pair"] = plots.plot_pair(posterior, names, units=units)
     if measured.records:
         figures["records"] = plots.plot_records(measured.records)
