@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import Any
 
 from . import _options
@@ -57,6 +58,7 @@ about each parameter. Examples:
   pymc-backbone update ring_downs/ --mass 1.2 --effect cubic_stiffness --out result
   pymc-backbone update ring_downs/ --mass 1.2 --effect cubic_stiffness --effect coulomb_friction \\
       --prior cubic_stiffness=0:1e7 --fix viscous_damping=0.8 --density joint --seed 4 --out result
+  pymc-backbone update ring_downs/ --mass 1.2 --step nuts --seed 4 --store draws --resume --out result
   pymc-backbone update backbones.csv --backbones --mass 1.2 --effect quadratic_damping --step nutpie --out result
 """
 
@@ -135,6 +137,19 @@ def add_update(commands: Any) -> None:
     )
 
     add_sampling(parser)
+    kept = parser.add_argument_group("runs that survive")
+    kept.add_argument(
+        "--store",
+        type=Path,
+        metavar="DIR",
+        help="keep draws and the sampler's state on disk as they come; Ctrl-C then ends with what was drawn (not for "
+        "--step nutpie)",
+    )
+    kept.add_argument(
+        "--resume",
+        action="store_true",
+        help="continue the run in --store with the draws it would have had; begin one where there is none",
+    )
     add_output(parser, required=False)
     add_talk(parser)
     parser.set_defaults(run=_update)
@@ -174,9 +189,13 @@ def _update(options: argparse.Namespace) -> None:
             density=options.density,
             marginal=options.marginal,
             **sampling_of(options),
+            store=options.store,
+            resume=options.resume,
             output=options.out,
             overwrite=options.overwrite,
             progress=progress,
             say=say,
         )
     print_result(options, result)
+    if result.get("interrupted"):
+        raise KeyboardInterrupt

@@ -19,10 +19,8 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import tempfile
-from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,6 +29,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
+from ._atomic_files import replacing
 from ._checks import OBSERVABLE_UNITS, OBSERVABLES, InputError
 
 if TYPE_CHECKING:
@@ -68,6 +67,7 @@ RESULT_KEYS = {
     "parameters": "name: mean, sd, hdi_low, hdi_high, unit, r_hat, ess_bulk, ess_tail, prior_low, prior_high",
     "fixed": "name: value of the parameters that were not inferred",
     "comparison": "for each observable and level: mean and sd over the specimens, measured and simulated",
+    "interrupted": "what is missing where a stored run was ended with Ctrl-C, a sentence; else null",
     "findings": "sentences on what is wrong with the posterior; empty if nothing was found",
     "notes": "what was assumed or done while reading and conditioning the records",
     "failures": "number of simulations that gave no backbone; 0 too where they are not counted (see 'evaluations')",
@@ -199,7 +199,7 @@ def write_files(folder: Path, writers: Mapping[str, Callable[[Path], Any]]) -> l
         If a file cannot be written (no space, no permission).
     """
     for name, write in writers.items():
-        with _beside(folder / name) as temporary:
+        with replacing(folder / name) as temporary:
             write(temporary)
     return list(writers)
 
@@ -233,7 +233,7 @@ def write_backbones(backbones: xr.Dataset, path: str | os.PathLike[str], *, over
         raise InputError(f"{file}: backbones are written as .nc or .csv; choose a name that ends so.")
     if file.exists() and not overwrite:
         raise InputError(f"{file}: exists already; choose another name or set overwrite=True.")
-    with _beside(file) as temporary:
+    with replacing(file) as temporary:
         if kind == ".nc":
             _portable(backbones).to_netcdf(temporary, engine="h5netcdf")
         else:
@@ -289,24 +289,6 @@ def package_version() -> str:
 
 def _write_text(text: str, path: Path) -> None:
     path.write_text(text, encoding="utf-8", newline="\n")
-
-
-@contextmanager
-def _beside(path: Path) -> Iterator[Path]:
-    """Yield a temporary path to write; rename it to ``path`` at the end, remove it on any failure."""
-    temporary: Path | None = None
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(prefix=".writing-", dir=path.parent))
-        yield temporary / path.name
-        os.replace(temporary / path.name, path)
-    except OSError as error:
-        raise InputError(
-            f"{path} cannot be written ({error.strerror or error}); free space or name another folder."
-        ) from None
-    finally:
-        if temporary is not None:
-            shutil.rmtree(temporary, ignore_errors=True)
 
 
 def _portable(dataset: xr.Dataset) -> xr.Dataset:

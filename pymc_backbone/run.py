@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +18,7 @@ import xarray as xr
 from ._checks import FloatArray, InputError, check_choice
 from ._describe import compare, describe_batch, describe_measured, describe_reading, describe_result
 from .measurement import Levels, Measured, measure
-from .results import package_version, prepare_output, write_results
+from .results import package_version, prepare_output, read_result, write_results
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -28,6 +29,8 @@ Say = Callable[[str], None]
 Progress = Callable[[str, float], None]
 PREDICTIVE_DRAWS = 400
 MOST_WARNINGS = 5
+MOST_PAIRED = 6  # parameters against each other in one figure; ArviZ draws no more than 40 panels
+FEWEST_DRAWS = 20  # of a run that was ended early; nothing can be said from fewer
 
 
 def extract(
@@ -109,6 +112,8 @@ def update(
     chains: int = 4,
     step: str = "metropolis",
     random_seed: int | None = None,
+    store: str | os.PathLike[str] | None = None,
+    resume: bool = False,
     output: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
     command: str = "update",
@@ -139,10 +144,13 @@ def update(
         As in `fit_density`; for the population likelihood.
     draws, tune, chains, step, random_seed
         As in `sample`. Without a seed one is drawn, and written to the result.
+    store, resume
+        As in `sample`: a folder that keeps the draws as they come, and whether to continue the run that is there.
     output : path-like, optional
         Output folder; without one nothing is written.
     overwrite : bool, optional
-        Whether the folder may hold something already.
+        Whether the folder may hold something already; with ``resume`` it may hold the result of a run that Ctrl-C
+        ended early.
     command : str, optional
         Written to the result.
     true_values : mapping of str to array of float, optional
@@ -163,7 +171,10 @@ def update(
         for name, value in locals().items()
         if name not in ("say", "progress", "true_values", "begin", "command")
     }
-    folder = None if output is None else prepare_output(output, overwrite)
+    if store is not None and output is not None and Path(store).resolve() == Path(output).resolve():
+        raise InputError(f"The store and the output are both {output}; give each a folder of its own.")
+    folder = None if output is None else prepare_output(output, overwrite or (resume and _ended_early(output)))
+    seed = _seed(random_seed, store, resume)
     from .oscillator import Oscillator
 
     oscillator = Oscillator(mass, effects)
@@ -181,7 +192,6 @@ def update(
     from .model import build_model
     from .sampling import sample
 
-    seed = int(np.random.SeedSequence().generate_state(1)[0]) if random_seed is None else random_seed
     kind = _likelihood(likelihood, measured.backbones)
     fitted = fit_density(measured.backbones, kind=density, marginal=marginal) if kind == "population" else None
     bounds = _bounds(oscillator, measured, priors or {}, fixed or {})
@@ -195,8 +205,12 @@ def update(
     say(
         f"\n{oscillator.equation}\n\nSampling {chains} chains of {tune} + {draws} draws ({step}, {kind} likelihood) ..."
     )
-    posterior = sample(model, draws=draws, tune=tune, chains=chains, step=step, random_seed=seed)
+    kept: dict[str, Any] = {} if store is None else {"store": store, "resume": resume}
+    posterior = sample(model, draws=draws, tune=tune, chains=chains, step=step, random_seed=seed, **kept)
     sampled = time.perf_counter()
+    if "interrupted" in posterior.attrs and posterior["posterior"].sizes["draw"] < FEWEST_DRAWS:
+        say(f"\n{posterior.attrs['interrupted']} These are too few for a summary.")
+        raise KeyboardInterrupt
 
     names = [name for name in bounds if name in posterior["posterior"]]
     table = summarise(posterior, names)
@@ -214,11 +228,14 @@ def update(
         "parameters": _parameters(table, oscillator, bounds),
         "fixed": dict(fixed or {}),
         "comparison": compare(measured.backbones, predictive),
+        "interrupted": posterior.attrs.get("interrupted"),
         "findings": findings(posterior, bounds, units=oscillator.units),
         "failures": posterior.attrs.get("failures"),
         "evaluations": posterior.attrs.get("evaluations"),
     }
     say("\n" + describe_result(result))
+    if result["interrupted"]:
+        say(f"\n{result['interrupted']}")
     if folder is not None:
         figures = _figures(measured, fitted, predictive, posterior, bounds, oscillator.units, true_values)
         result["seconds"] = _seconds(begin, read, sampled)
@@ -232,6 +249,26 @@ def _say_assumptions(measured: Measured, say: Say) -> None:
     text = describe_reading(measured.records)
     if text:
         say(text + "\n")
+
+
+def _seed(random_seed: int | None, store: str | os.PathLike[str] | None, resume: bool) -> int:
+    """Return the seed: the one given, the one of the run that is resumed, or a new one; check the store on the way."""
+    if store is not None:
+        from .store import DrawStore
+
+        with DrawStore(store, resume) as kept:
+            return kept.seed(random_seed)
+    if resume:
+        raise InputError("--resume continues a run that was stored; name its folder with --store.")
+    return int(np.random.SeedSequence().generate_state(1)[0]) if random_seed is None else random_seed
+
+
+def _ended_early(output: str | os.PathLike[str]) -> bool:
+    """Whether a folder holds the result of a run that was ended early, which the rest of that run may replace."""
+    try:
+        return bool(read_result(output).get("interrupted"))
+    except InputError:
+        return False
 
 
 def _say_warnings(measured: Measured, say: Say) -> None:
@@ -337,11 +374,13 @@ def _figures(
         "predictive": plots.plot_predictive(measured.backbones, predictive),
         "prior_posterior": plots.plot_prior_posterior(posterior, bounds, units=units, true_values=true_values),
         "trace": plots.plot_trace(posterior, names, units=units),
-        "rank": plots.plot_rank(posterior, names, units=units),
     }
+    if posterior["posterior"].sizes["chain"] > 1:
+        figures["rank"] = plots.plot_rank(posterior, names, units=units)
     if density is not None:
         figures["densities"] = plots.plot_densities(measured.backbones, density, simulated=predictive)
-    if len(names) > 1:
+    scalars = sum(posterior["posterior"][name].isel(chain=0, draw=0).size for name in names)
+    if 1 < scalars <= MOST_PAIRED:
         figures["pair"] = plots.plot_pair(posterior, names, units=units)
     if measured.records:
         figures["records"] = plots.plot_records(measured.records)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import logging
+import os
 import sys
 import time
 import warnings
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
@@ -17,6 +19,7 @@ from ._checks import InputError, check_choice
 from ._proposal import make_metropolis
 from ._starts import StartFinder
 from .model import is_differentiable, targets_of
+from .store import DrawStore
 
 STEPS = ("metropolis", "elementwise", "demetropolisz", "slice", "nuts", "nutpie")
 _COUNTS = {
@@ -39,6 +42,8 @@ def sample(
     random_seed: int | None = None,
     cores: int = 1,
     progressbar: bool | None = None,
+    store: str | os.PathLike[str] | None = None,
+    resume: bool = False,
     **kwargs: Any,
 ) -> xr.DataTree:
     """Sample the posterior of a model that holds backbone likelihoods.
@@ -62,6 +67,12 @@ def sample(
         Processes. A cheap likelihood gains nothing from several; a slow function does.
     progressbar : bool, optional
         Default: where there is a terminal; elsewhere a line is logged every 15 seconds.
+    store : path-like, optional
+        Folder that keeps draws and the sampler's state on disk as they come; empty or new. For all steps by name but
+        ``nutpie``, in one process. A Ctrl-C then ends the run after the draw it comes in, with what was drawn.
+    resume : bool, default False
+        Continue the run in ``store``, with the draws that it would have had without the interruption; begin one where
+        there is none. ``draws`` may be more than before.
     **kwargs
         Passed on to `pymc.sample`, or to `nutpie.sample` with step ``nutpie``.
 
@@ -69,13 +80,15 @@ def sample(
     -------
     xarray.DataTree
         Groups ``posterior``, ``sample_stats``, ...; ``attrs`` holds ``step``, ``seconds`` and, of the population
-        likelihoods in this process while it sampled: ``evaluations`` asked for, ``simulations`` made for a value alone
-        (fewer: the present point is remembered), ``gradients`` made with a value, and ``failures``.
+        likelihoods in this process while it sampled (with ``store``: of the run): ``evaluations`` asked for,
+        ``simulations`` made for a value alone (fewer: the present point is remembered), ``gradients`` made with a
+        value, and ``failures``; and ``interrupted``, a sentence, where Ctrl-C ended a stored run.
 
     Raises
     ------
     InputError
-        No finite start, an unknown step, or a step that needs a gradient the model has not.
+        No finite start, an unknown step, or a step that needs a gradient the model has not; a store that is in use,
+        cannot be written, or holds something else than this run.
     """
     model = pm.modelcontext(model)
     if isinstance(step, str):
@@ -85,20 +98,55 @@ def sample(
     for label, value, least in (("draws", draws, 1), ("tune", tune, 0), ("chains", chains, 1), ("cores", cores, 1)):
         if int(value) != value or value < least:
             raise InputError(f"`{label}` must be a whole number of at least {least}, got {value}.")
+    arguments = (model, draws, tune, chains, step, cores, progressbar, kwargs)
+    if store is None:
+        if resume:
+            raise InputError("`resume` continues a run that was stored; name its folder with `store`.")
+        return _run(random_seed, None, *arguments)
+    if step == "nutpie":
+        raise InputError("step 'nutpie' keeps its state to itself and cannot be stored; use step 'nuts'.")
+    if not isinstance(step, str):
+        raise InputError(f"a step of your own cannot be stored; use one of {', '.join(STEPS[:-1])}.")
+    if cores != 1:
+        raise InputError(f"a run that is stored draws its chains one after another: `cores` must be 1, got {cores}.")
+    with DrawStore(store, resume) as kept:
+        return _run(kept.seed(random_seed), kept, *arguments)
+
+
+def _run(
+    random_seed: int | None,
+    kept: DrawStore | None,
+    model: pm.Model,
+    draws: int,
+    tune: int,
+    chains: int,
+    step: str | Any,
+    cores: int,
+    progressbar: bool | None,
+    kwargs: dict[str, Any],
+) -> xr.DataTree:
+    """Find starts, sample, and note what it took; in the order that gives a stored run the draws of any other."""
     begin = time.perf_counter()
     seeds = np.random.SeedSequence(random_seed).generate_state(2)
     finder = StartFinder(model, int(seeds[0]))
-    starts = finder.find(chains)
+    if kept is None:
+        starts = finder.find(chains)
+    else:
+        settings = {"draws": draws, "tune": tune, "chains": chains, "step": step, "random_seed": random_seed}
+        starts = kept.starts(model, finder, settings)
     before = _counts(model)
     shown = sys.stderr.isatty() if progressbar is None else progressbar
+    recorder = None
     if step == "nutpie":
         result = _sample_nutpie(model, draws, tune, chains, int(seeds[1]), starts, shown, cores, kwargs)
     else:
         stepper = make_metropolis(model, finder) if step == "metropolis" else _make_step(step, model)
+        recorder = None if kept is None else kept.record(stepper, lambda: _counts(model))
         if not shown and progressbar is None:
-            kwargs.setdefault("callback", _Reporter(chains * (draws + tune)))
+            repeated = 0 if recorder is None else recorder.kept
+            kwargs.setdefault("callback", _Reporter(chains * (draws + tune), repeated))
         before = _counts(model)
-        with model, warnings.catch_warnings():
+        with model, warnings.catch_warnings(), nullcontext() if recorder is None else recorder.ending_early():
             # PyMC warns that several processes under fork may deadlock; one process is the default here.
             warnings.filterwarnings("ignore", message="We recommend running at least 4 chains", category=UserWarning)
             result = pm.sample(
@@ -115,11 +163,21 @@ def sample(
                 **kwargs,
             )
     after = _counts(model)
+    earlier = [] if kept is None else kept.stored
     result.attrs.update(
-        {name: int(after[name] - before[name]) for name in before},
+        {
+            name: int(after[name] - before[name] + sum(chain.counts.get(name, 0.0) for chain in earlier))
+            for name in before
+        },
         step=step if isinstance(step, str) else type(step).__name__,
-        seconds=time.perf_counter() - begin,
+        seconds=time.perf_counter() - begin + sum(chain.seconds for chain in earlier),
     )
+    if recorder is not None and recorder.is_stopping:
+        sizes = result["posterior"].sizes
+        result.attrs["interrupted"] = (
+            f"Stopped with Ctrl-C after {recorder.kept} of {chains * (tune + draws)} draws, tuning included; this is "
+            f"{sizes['chain']} of {chains} chains with {sizes['draw']} of {draws} draws. Resume to have the rest."
+        )
     return result
 
 
@@ -188,8 +246,8 @@ def _copies_of_memories(model: pm.Model, compiled: Any) -> list[tuple[Any, Any]]
 class _Reporter:
     """Logs how far a run is, now and then, where no progress bar can be shown."""
 
-    def __init__(self, total: int) -> None:
-        self.total = total
+    def __init__(self, total: int, repeated: int = 0) -> None:
+        self.total, self.repeated = total, repeated  # draws of an earlier run, which take no time
         self.done = 0
         self.begin = self.last = time.monotonic()
 
@@ -199,5 +257,5 @@ class _Reporter:
         now = time.monotonic()
         if now - self.last >= _LOG_EVERY:
             self.last = now
-            left = (now - self.begin) * (self.total - self.done) / self.done
+            left = (now - self.begin) * (self.total - self.done) / max(1, self.done - self.repeated)
             logger.info("%d of %d draws, about %.0f s left", self.done, self.total, left)

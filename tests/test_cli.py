@@ -37,10 +37,13 @@ def is_one_sentence(text: str) -> bool:
 def calls(monkeypatch: pytest.MonkeyPatch) -> dict[str, dict]:
     """Keep what the command line hands on, instead of running it."""
     kept: dict[str, dict] = {}
+
+    def keep(name: str, path: object, settings: dict) -> dict:
+        kept[name] = {"path": path, **settings}
+        return {"interrupted": None}
+
     for name in ("extract", "update"):
-        monkeypatch.setattr(
-            run, name, lambda path, name=name, **settings: kept.update({name: {"path": path, **settings}})
-        )
+        monkeypatch.setattr(run, name, lambda path, name=name, **settings: keep(name, path, settings))
     return kept
 
 
@@ -124,8 +127,9 @@ def test_update_hands_on_every_option(capsys, calls, tmp_path):
         capsys, "update", "records", "--mass", "1.5", "--effect", "cubic_stiffness", "--effect", "freeplay,iwan",
         "--prior", "cubic_stiffness=-1e6:1e7", "--fix", "viscous_damping=0.8", "--observables", "offset,frequency",
         "--likelihood", "population", "--density", "joint", "--marginal", "kde", "--levels", "0.01,0.002",
-        "--band", "5:20", "--start", "0.25", "--draws", "10", "--tune", "0", "--chains", "2", "--step", "nutpie",
-        "--seed", "7", "--out", str(tmp_path), "--overwrite", "--columns", "time=t,acc z", "--quantity", "velocity",
+        "--band", "5:20", "--start", "0.25", "--draws", "10", "--tune", "0", "--chains", "2", "--step", "nuts",
+        "--seed", "7", "--store", "kept", "--resume", "--out", str(tmp_path), "--overwrite",
+        "--columns", "time=t,acc z", "--quantity", "velocity",
         "--unit", "mm/s", "--sampling-rate", "512",
     )  # fmt: skip
     assert (code, error) == (0, "")
@@ -135,7 +139,7 @@ def test_update_hands_on_every_option(capsys, calls, tmp_path):
         "priors": {"cubic_stiffness": (-1e6, 1e7)}, "fixed": {"viscous_damping": 0.8}, "is_table": False,
         "band": (5.0, 20.0), "start": 0.25, "levels": (0.002, 0.01), "observables": ("frequency", "offset"),
         "likelihood": "population", "density": "joint", "marginal": "kde", "draws": 10, "tune": 0, "chains": 2,
-        "step": "nutpie", "random_seed": 7, "output": tmp_path, "overwrite": True,
+        "step": "nuts", "random_seed": 7, "store": Path("kept"), "resume": True, "output": tmp_path, "overwrite": True,
         "columns": ["time=t", "acc z"], "quantity": "velocity", "unit": "mm/s", "sampling_rate": 512.0,
     }  # fmt: skip
 
@@ -191,6 +195,13 @@ def test_errors_become_one_sentence(capsys, monkeypatch, error, code, words):
     monkeypatch.delenv(cli.TRACEBACK_VARIABLE, raising=False)
     got, _, text = run_cli(capsys, "extract", "x", "--out", "o")
     assert got == code and is_one_sentence(text) and words in text
+
+
+def test_update_that_was_ended_early_exits_as_interrupted(capsys, monkeypatch):
+    """Its results are written; a script must not take them for those of the whole run."""
+    monkeypatch.setattr(run, "update", lambda *_, **__: {"interrupted": "Stopped with Ctrl-C."})
+    code, _, error = run_cli(capsys, "update", "records", *MASS, "--store", "kept")
+    assert code == 130 and is_one_sentence(error) and "already written are complete" in error
 
 
 def test_traceback_can_be_asked_for(capsys, monkeypatch):

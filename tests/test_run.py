@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from pymc_backbone import demo, run
+from pymc_backbone import demo, run, store  # noqa: F401  the store needs the model that the fixture replaces
 from pymc_backbone._checks import InputError
 from pymc_backbone._describe import compare, describe_measured
 from pymc_backbone.backbone import simulated_backbones
@@ -50,7 +50,9 @@ def sampler(monkeypatch, rng) -> dict:
         dims: tuple[str, ...] = ("chain", "draw")
         names = [name for name in MEANS if name in kept["model"]["bounds"]]
         draws = {name: (dims, rng.normal(*MEANS[name], shape)) for name in names}
-        return xr.DataTree.from_dict({"posterior": xr.Dataset(draws)})
+        tree = xr.DataTree.from_dict({"posterior": xr.Dataset(draws)})
+        tree.attrs.update(kept.get("attrs", {}))
+        return tree
 
     for name, function in (("model", build_model), ("sampling", sample)):
         module = ModuleType(f"pymc_backbone.{name}")
@@ -80,6 +82,44 @@ def test_update_writes_what_it_returns(monkeypatch, sampler, rng, tmp_path):
     assert str(tmp_path / "out") in text and "viscous_damping" in text
     figures = {Path(name).stem for name in written["files"] if name.endswith(".png")}
     assert figures == {"backbones", "densities", "predictive", "prior_posterior", "trace", "rank", "pair"}
+
+
+def test_resumed_run_replaces_what_an_interrupted_one_wrote_and_nothing_else(monkeypatch, sampler, rng, tmp_path):
+    backbones, settings = make_backbones(rng, 12), {"store": tmp_path / "run", "output": tmp_path / "out"}
+    sampler["attrs"] = {"interrupted": "Stopped with Ctrl-C after 9 of 99 draws."}
+    result, text = update(monkeypatch, backbones, **settings)
+    assert result["interrupted"] in text and read_result(tmp_path / "out")["interrupted"] == result["interrupted"]
+    assert sampler["sample"]["store"] == tmp_path / "run" and sampler["sample"]["resume"] is False
+    sampler["attrs"] = {}
+    result, _ = update(monkeypatch, backbones, resume=True, **settings)
+    assert result["interrupted"] is None and read_result(tmp_path / "out")["interrupted"] is None
+    assert sampler["sample"]["resume"] is True
+    with pytest.raises(InputError, match="is not empty"):  # a whole result is not replaced unasked
+        update(monkeypatch, backbones, resume=True, **settings)
+
+
+def test_one_chain_that_was_ended_early_is_summarised_from_twenty_draws(monkeypatch, sampler, rng, tmp_path):
+    """Chains come one after another: Ctrl-C mostly leaves one."""
+    backbones = make_backbones(rng, 12)
+    sampler["attrs"] = {"interrupted": "Stopped with Ctrl-C."}
+    settings = {"store": tmp_path / "run", "chains": 1, "output": tmp_path / "out"}
+    result, _ = update(monkeypatch, backbones, draws=run.FEWEST_DRAWS, **settings)
+    assert result["parameters"]["linear_stiffness"]["mean"] == pytest.approx(7000.0, abs=4 * 140.0 / 20**0.5)
+    written = read_result(tmp_path / "out")
+    assert "figures/trace.png" in written["files"] and "figures/rank.png" not in written["files"]
+    with pytest.raises(KeyboardInterrupt):
+        update(monkeypatch, backbones, draws=run.FEWEST_DRAWS - 1, overwrite=True, **settings)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [({"resume": True}, "name its folder with --store"), ({"store": "a", "output": "b/../a"}, "a folder of its own")],
+)
+def test_store_that_cannot_be_is_refused_before_reading(monkeypatch, sampler, rng, tmp_path, settings, words):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(run, "measure", lambda *_, **__: pytest.fail("the records were read"))
+    with pytest.raises(InputError, match=words):
+        run.update("records", mass=1.0, **settings)
 
 
 def test_without_output_nothing_is_written(monkeypatch, sampler, rng, tmp_path):
