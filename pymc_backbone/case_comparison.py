@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike
 from scipy import stats
 
 from ._checks import OBSERVABLE_UNITS, FloatArray
@@ -51,7 +50,7 @@ class Comparison:
     overlap: float
     wasserstein: float
 
-    def density(self, side: str) -> Callable[[ArrayLike], FloatArray]:
+    def density(self, side: str) -> Callable[[FloatArray], FloatArray]:
         """Return the fitted density of one side, ``measured`` or ``simulated``, as a function."""
         fit = self.measured_fit if side == "measured" else self.simulated_fit
         if self.family == "uniform":
@@ -75,20 +74,22 @@ def compare_distributions(measured: xr.Dataset, simulated: xr.Dataset, family: s
     result = []
     for observable in [str(name) for name in measured["observable"].values]:
         for place, k in places.items():
-            sides = []
-            for backbones in (measured, simulated):
-                value = np.asarray(backbones["value"].sel(observable=observable))[:, k]
-                sides.append(value[np.isfinite(value)])
-            if min(side.size for side in sides) < 3 or min(float(np.ptp(side)) for side in sides) == 0.0:
+            one, other = (_values(backbones, observable, k) for backbones in (measured, simulated))
+            if min(one.size, other.size) < 3 or min(float(np.ptp(one)), float(np.ptp(other))) == 0.0:
                 continue
-            fits = [_fit(side, family) for side in sides]
+            fits = _fit(one, family), _fit(other, family)
+            distance = float(stats.wasserstein_distance(one, other))
             result.append(
                 Comparison(
-                    observable, place, float(levels[k]), family, *sides, *fits, overlap(*sides),
-                    float(stats.wasserstein_distance(*sides)),
+                    observable, place, float(levels[k]), family, one, other, *fits, overlap(one, other), distance
                 )
-            )  # fmt: skip
+            )
     return result
+
+
+def _values(backbones: xr.Dataset, observable: str, k: int) -> FloatArray:
+    value = np.asarray(backbones["value"].sel(observable=observable))[:, k]
+    return value[np.isfinite(value)]
 
 
 def _fit(values: FloatArray, family: str) -> tuple[float, ...]:

@@ -85,7 +85,12 @@ def chunk(rng) -> tuple:
     """Points, statistics, state and costs of three draws."""
     points = [{"x": rng.standard_normal(2), "y": np.array(value)} for value in rng.standard_normal(3)]
     stats = [[{"accept": value, "accepted": True}] for value in rng.uniform(size=3)]
-    return points, stats, PlainState({"tree": 1}, {"state_0": rng.standard_normal(4)}, {}), (6.0, 1.0, 0.5)
+    return (
+        points,
+        stats,
+        PlainState({"tree": 1}, {"state_0": rng.standard_normal(4)}, {}),
+        ({"evaluations": 6.0, "failures": 1.0}, 0.5),
+    )
 
 
 @pytest.mark.parametrize("step", ["metropolis", "elementwise", "demetropolisz", "slice", "nuts"])
