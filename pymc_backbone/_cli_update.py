@@ -22,7 +22,7 @@ from ._cli_common import (
 )
 
 LIKELIHOODS = ("auto", "population", "specimen", "pooled")
-DENSITIES = ("product", "joint")
+DENSITIES = ("product", "joint", "data_consistent")
 MARGINALS = ("best", "uniform", "normal", "kde", "gev")
 
 EXTRACT_DESCRIPTION = """\
@@ -127,7 +127,7 @@ def add_update(commands: Any) -> None:
         choices=DENSITIES,
         default="product",
         help="population density: independent at each level (product, as in arXiv:2410.11902; recovers too little "
-        "scatter), or joint over the levels (default: product)",
+        "scatter), joint over the levels, or data_consistent: over what the priors predict (default: product)",
     )
     likelihood.add_argument(
         "--marginal",

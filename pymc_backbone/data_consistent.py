@@ -22,7 +22,10 @@ from .oscillator import Oscillator
 
 Bounds = Mapping[str, tuple[float, float]]
 
-_PILOT, _PILOTS = 768, 3  # draws that narrow the box, and how often
+_PILOT, _PILOTS = 768, 15  # draws that narrow the box, and how often at most
+_SETTLED = 0.7  # share of the box's volume that a pilot must leave for the box to be the last one
+_REFINEMENTS = 2  # of the surrogate, once the box has settled
+_FEWEST_EFFECTIVE = 50.0
 _CANDIDATES = 2**14  # points tried at once for their predicted coordinates, at most
 _MOST_ROUNDS = 64
 _CENTRES = 1500  # of the predicted density: each costs 10 ns a call and dimension
@@ -73,7 +76,7 @@ def fit_data_consistent(
     subtract_measurement : bool, default True
         Take the measurement variance out of the population's.
     draws : int, default 16384
-        Backbones that are simulated for the final estimate; some 4400 more find the region and judge the result.
+        Backbones that are simulated for the final estimate; some thousands more find the region and judge the result.
     random_seed : int, default 0
         Of the quasi-random draws.
 
@@ -81,16 +84,16 @@ def fit_data_consistent(
     -------
     Density
         ``diagnostics`` holds ``mean_ratio`` (prior mean of observed over predicted density, before calibration: near 1
-        where the priors can produce the measured population), ``effective_draws`` (share of the simulated draws in the
-        region that carry the result), ``directions`` (how many combinations of parameters the backbones determine),
-        ``explained`` (by parameter: the share of its prior variance that the backbones determine), ``undetermined``
-        (the parameters for which this is below one half: their posterior is the prior's doing), and ``mean`` and ``sd``
+        where the priors can produce the measured population), ``effective_draws`` (how many independent draws the
+        simulated ones are worth), ``directions`` (how many combinations of parameters the backbones determine),
+        ``explained`` (by parameter: the share of its variance near the population that they determine),
+        ``undetermined`` (the parameters for which this is below one half: their posterior is the prior's doing), and ``mean`` and ``sd``
         (by parameter: what the calibration draws say the posterior is).
 
     Raises
     ------
     InputError
-        Too few specimens or prior draws near them, nothing that the backbones determine, bad bounds.
+        Too few specimens or (effective) prior draws near them, nothing that the backbones determine, bad bounds.
 
     Notes
     -----
@@ -127,8 +130,11 @@ def fit_data_consistent(
     for _ in range(_PILOTS):
         parameters, values = predictor.draw(_PILOT)
         coordinates = _find_coordinates(parameters, values, measured, error, subtract_measurement)
-        predictor.narrow(parameters, coordinates.distance(values))
+        if predictor.narrow(parameters, coordinates.distance(values)) > _SETTLED:
+            break
     region = _Region(coordinates, parameters, values)
+    for _ in range(_REFINEMENTS):
+        region = _Region(coordinates, *predictor.draw(_PILOT, region))
     parameters, values = predictor.draw(draws, region)
     return _fit_ratio(joint, predictor, region, parameters, values)
 
@@ -171,14 +177,19 @@ class _Predictor:
             )
         return parameters[good], values[good]
 
-    def narrow(self, parameters: FloatArray, distance: FloatArray) -> None:
-        """Shrink the box to what comes near the population (``distance`` below 1), with a margin."""
+    def narrow(self, parameters: FloatArray, distance: FloatArray) -> float:
+        """Shrink the box to what comes near the population (``distance`` below 1), with a margin.
+
+        Return the share of its volume that is left.
+        """
         near = distance < 1.0
         if near.sum() < _FEWEST_NEAR:
             near = distance <= np.sort(distance)[_FEWEST_NEAR - 1]
         low, high = parameters[near].min(axis=0), parameters[near].max(axis=0)
         margin = 0.1 * (high - low)
+        before = self.high - self.low
         self.low, self.high = np.maximum(self.low, low - margin), np.minimum(self.high, high + margin)
+        return float(np.prod((self.high - self.low) / before))
 
 
 @dataclass(frozen=True)
@@ -307,6 +318,12 @@ def _fit_ratio(
     normal = float(logsumexp(tilted) - np.log(rest.size / share))
     final = assemble(scale - normal, linear, quadratic)
     weights = np.exp(tilted - logsumexp(tilted))
+    effective = float(1.0 / (weights**2).sum())
+    if effective < _FEWEST_EFFECTIVE:
+        raise InputError(
+            f"the data-consistent density rests on {effective:.0f} effective of {rest.size} prior draws near the "
+            "measured population, too few to trust; narrow the priors, or raise `draws`."
+        )
     mean = weights @ inside[rest]
     sd = np.sqrt(weights @ (inside[rest] - mean) ** 2)
     _, fresh = predictor.draw(_FRESH, region)
@@ -315,7 +332,7 @@ def _fit_ratio(
     explained = dict(zip(predictor.names, coordinates.explained.tolist(), strict=True))
     diagnostics = {
         "mean_ratio": mean_ratio,
-        "effective_draws": float(1.0 / (weights**2).sum() / weights.size),
+        "effective_draws": effective,
         "directions": r,
         "explained": explained,
         "undetermined": [name for name, part in explained.items() if part < _DETERMINED],

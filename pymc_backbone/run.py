@@ -141,7 +141,7 @@ def update(
         As in `build_model`; "auto" takes "population" from 8 specimens that reach every level, else "specimen",
         and "pooled" for one.
     density, marginal : str, optional
-        As in `fit_density`; for the population likelihood.
+        As in `build_model`; for the population likelihood.
     draws, tune, chains, step, random_seed
         As in `sample`. Without a seed one is drawn, and written to the result.
     store, resume
@@ -187,21 +187,22 @@ def update(
     _say_warnings(measured, say)
     read = time.perf_counter()
 
-    from .density_fit import fit_density
     from .diagnostics import findings, summarise
-    from .model import build_model
+    from .model import build_model, targets_of
     from .sampling import sample
 
     kind = _likelihood(likelihood, measured.backbones)
-    fitted = fit_density(measured.backbones, kind=density, marginal=marginal) if kind == "population" else None
     bounds = _bounds(oscillator, measured, priors or {}, fixed or {})
     model = build_model(
         oscillator,
-        measured.backbones if fitted is None else fitted,
+        measured.backbones,
         bounds=bounds,
         fixed=dict(fixed or {}),
         likelihood=kind,
+        density=density,
+        marginal=marginal,
     )
+    fitted = targets_of(model)[0].density
     say(
         f"\n{oscillator.equation}\n\nSampling {chains} chains of {tune} + {draws} draws ({step}, {kind} likelihood) ..."
     )
