@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pymc as pm
+import pytensor.tensor as pt
 from scipy.optimize import least_squares
 
 from ._checks import OBSERVABLE_UNITS, FloatArray, InputError
@@ -22,6 +24,15 @@ _CORRECTIONS = 2
 _FORLORN = 30.0  # a mode this much lower in log-density holds nothing of the posterior
 _PRIOR_PRECISION = 3.0 / np.pi**2  # of a Uniform prior on PyMC's unconstrained (logistic) scale
 _FAILED = 30.0  # standardised distance that stands for a failed simulation in a search
+_RULE_DRAWS = 64
+
+StartRule = Callable[[np.random.Generator], dict[str, FloatArray]]
+_RULES: weakref.WeakKeyDictionary[pm.Model, StartRule] = weakref.WeakKeyDictionary()
+
+
+def set_starts(model: pm.Model, rule: StartRule) -> None:
+    """Let ``model`` start where ``rule`` draws: values of its free variables on their natural scale."""
+    _RULES[model] = rule
 
 
 class StartFinder:
@@ -62,6 +73,8 @@ class StartFinder:
             Where no point with a finite log-density exists within the prior, as far as the search can tell; the
             sentence names the observable and the level at fault.
         """
+        if self.model in _RULES:
+            return self._find_by_rule(chains, _RULES[self.model])
         draws = [self.draw_point(int(seed)) for seed in self.generator.integers(2**31, size=PRIOR_DRAWS)]
         heights = np.array([self.height(point) for point in draws])
         order = np.argsort(-heights)
@@ -87,6 +100,29 @@ class StartFinder:
         good = [point for height, point in found if height > highest - _FORLORN]
         self.shape = self._find_shape()
         return [self._natural(self._disperse(good[i % len(good)])) for i in range(chains)]
+
+    def _find_by_rule(self, chains: int, rule: StartRule) -> list[dict[str, FloatArray]]:
+        """Return starts that the model's own rule draws, those with a finite log-density."""
+        with self.model:
+            to_values = {
+                variable: self.model.rvs_to_transforms[variable] for variable in self.model.free_RVs
+            }
+        found = []
+        for _ in range(_RULE_DRAWS * chains):
+            natural = rule(self.generator)
+            point = {}
+            for variable, transform in to_values.items():
+                value = np.asarray(natural[variable.name], dtype=np.float64)
+                if transform is not None:
+                    value = transform.forward(pt.as_tensor(value), *variable.owner.inputs).eval()
+                point[self.model.rvs_to_values[variable].name] = value
+            if np.isfinite(self.height(point)):
+                found.append(natural)
+            if len(found) == chains:
+                return found
+        raise InputError(
+            "no start near the fits of the specimens can be simulated at all levels; drop the outermost levels."
+        )
 
     def _disperse(self, centre: dict[str, FloatArray]) -> dict[str, FloatArray]:
         """Return a point some standard deviations away from ``centre``, nearer where the log-density is not finite."""
