@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pymc as pm
-import pytensor.tensor as pt
 from scipy.optimize import least_squares
 
 from ._checks import OBSERVABLE_UNITS, FloatArray, InputError
@@ -31,7 +30,7 @@ _RULES: weakref.WeakKeyDictionary[pm.Model, StartRule] = weakref.WeakKeyDictiona
 
 
 def set_starts(model: pm.Model, rule: StartRule) -> None:
-    """Let ``model`` start where ``rule`` draws: values of its free variables on their natural scale."""
+    """Let ``model`` start where ``rule`` draws: unconstrained values of its variables, by the names of these."""
     _RULES[model] = rule
 
 
@@ -103,21 +102,11 @@ class StartFinder:
 
     def _find_by_rule(self, chains: int, rule: StartRule) -> list[dict[str, FloatArray]]:
         """Return starts that the model's own rule draws, those with a finite log-density."""
-        with self.model:
-            to_values = {
-                variable: self.model.rvs_to_transforms[variable] for variable in self.model.free_RVs
-            }
         found = []
         for _ in range(_RULE_DRAWS * chains):
-            natural = rule(self.generator)
-            point = {}
-            for variable, transform in to_values.items():
-                value = np.asarray(natural[variable.name], dtype=np.float64)
-                if transform is not None:
-                    value = transform.forward(pt.as_tensor(value), *variable.owner.inputs).eval()
-                point[self.model.rvs_to_values[variable].name] = value
+            point = rule(self.generator)
             if np.isfinite(self.height(point)):
-                found.append(natural)
+                found.append(self._natural(point))
             if len(found) == chains:
                 return found
         raise InputError(

@@ -16,7 +16,7 @@ from ._checks import FloatArray, InputError, check_choice, check_positive
 from ._population import Coordinate, cut_moments, edge_ranges, normal_specimens, uniform_specimens
 from ._response import make_response
 from ._specimen_fits import SpecimenFits, fit_specimens
-from ._starts import set_starts
+from ._starts import StartRule, set_starts
 from .model import backbone_likelihood, prior_intervals, select_observables
 from .oscillator import Oscillator
 
@@ -235,25 +235,24 @@ def _add_uniform(
     return uniform_specimens(offsets, edge_low, edge_high, fits)
 
 
-def _make_starts(model: pm.Model, fits: SpecimenFits, low: FloatArray, high: FloatArray) -> Any:
+def _make_starts(model: pm.Model, fits: SpecimenFits, low: FloatArray, high: FloatArray) -> StartRule:
     """Return a rule for starts: the moments of the fits, dispersed, and offsets near zero."""
     width = high - low
-    centre = np.clip(fits.point.mean(axis=0), low + 0.05 * width, high - 0.05 * width)
+    share = np.clip((fits.point.mean(axis=0) - low) / width, 0.05, 0.95)
     spread = np.clip(fits.point.std(axis=0), 0.02 * width, 0.5 * width)
     n, p = fits.point.shape
+    # On the unconstrained scale: logistic for bounded variables, logarithmic for spreads.
+    centres = {
+        "specimen_offsets": (np.zeros((n, p)), 0.5),
+        "population_location": (np.log(share / (1.0 - share)), 0.2),
+        "population_spread": (np.log(spread), 0.3),
+        "population_low_share": (np.full(p, 1.0), 0.7),
+        "population_high_share": (np.full(p, -1.0), 0.7),
+        "correlation_factor": (np.zeros(p * (p - 1) // 2), 0.2),
+    }
+    chosen = {model.rvs_to_values[variable].name: centres[variable.name] for variable in model.free_RVs}
 
     def draw(rng: np.random.Generator) -> dict[str, FloatArray]:
-        point = {"specimen_offsets": 0.5 * rng.standard_normal((n, p))}
-        if "population_location" in model.named_vars:
-            moved = centre + rng.standard_normal(p) * spread / np.sqrt(n)
-            point["population_location"] = np.clip(moved, low + 0.02 * width, high - 0.02 * width)
-            point["population_spread"] = spread * np.exp(0.3 * rng.standard_normal(p))
-        else:
-            point["population_low_share"] = rng.uniform(0.3, 0.9, p)
-            point["population_high_share"] = rng.uniform(0.1, 0.7, p)
-        if "correlation_factor" in model.named_vars:
-            rows = np.tril(rng.normal(0.0, 0.2, (p, p)), -1) + np.eye(p)
-            point["correlation_factor"] = rows / np.linalg.norm(rows, axis=1, keepdims=True)
-        return point
+        return {name: middle + sd * rng.standard_normal(middle.shape) for name, (middle, sd) in chosen.items()}
 
     return draw
