@@ -7,8 +7,8 @@ compiled once with the arrays among them as shared variables, the log-density se
 
 from __future__ import annotations
 
-import nutpie
 import numpy as np
+import nutpie
 import pymc as pm
 import pytensor
 from nutpie.compiled_pyfunc import from_pyfunc

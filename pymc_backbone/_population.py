@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import pytensor.tensor as pt
-from pytensor.tensor.linalg import solve_triangular
 
 from ._checks import FloatArray
 from ._specimen_fits import SpecimenFits
@@ -124,16 +123,16 @@ def normal_specimens(
     peak, root = pt.stack(peaks), pt.sqrt(pt.stack(curvatures))
     inverse = np.eye(p)
     if correlation_factor is not None:
-        inverse = solve_triangular(correlation_factor, pt.eye(p), lower=True)
+        inverse = _invert_lower(correlation_factor, p)
     whitener = inverse * root
-    precision = whitener.T @ whitener
+    precision = (whitener[:, :, None] * whitener[:, None, :]).sum(axis=0)
     eta, log_determinant = _standardise(
-        offsets, pt.as_tensor(information) + precision, pt.as_tensor(known) + precision @ peak
+        offsets, pt.as_tensor(information) + precision, pt.as_tensor(known) + (precision * peak).sum(axis=1)
     )
     columns = [c.value(eta[:, j]) for j, c in enumerate(coordinates)]
     log_slopes = sum((c.log_slope(eta[:, j]).sum() for j, c in enumerate(coordinates)), start=pt.constant(0.0))
     specimens = pt.stack(columns, axis=1)
-    distance = ((specimens - mean) / sd) @ inverse.T
+    distance = (((specimens - mean) / sd)[:, None, :] * inverse).sum(axis=-1)
     log_density = -0.5 * (distance**2).sum() - n * (pt.log(sd).sum() + 0.5 * p * _LOG_TWO_PI)
     if correlation_factor is not None:
         log_density -= n * pt.log(pt.diagonal(correlation_factor)).sum()
@@ -181,9 +180,7 @@ def uniform_specimens(offsets: Any, low: Any, high: Any, fits: SpecimenFits) -> 
     at, slope = pt.log(above / below), (high - low) * share * (1.0 - share)
     information = slope[:, :, None] * fits.information * slope[:, None, :]
     known = slope * fits.slope + (information * at[:, None, :]).sum(axis=-1)
-    eta, log_determinant = _standardise(
-        offsets, information + _LOGISTIC_PRECISION * np.eye(fits.point.shape[1]), known
-    )
+    eta, log_determinant = _standardise(offsets, information + _LOGISTIC_PRECISION * np.eye(fits.point.shape[1]), known)
     # The slope of the logistic, (high - low) w (1 - w), cancels the density's 1 / (high - low).
     log_density = -(pt.softplus(eta) + pt.softplus(-eta)).sum()
     return low + (high - low) * pt.sigmoid(eta), log_density + log_determinant
@@ -199,6 +196,21 @@ def edge_ranges(fits: SpecimenFits, low: FloatArray, high: FloatArray) -> tuple[
 def _softly_positive(distance: Any, error: FloatArray) -> Any:
     """Return a distance that passes over to a positive one where it is within an error of zero or negative."""
     return 0.5 * (distance + pt.sqrt(distance**2 + 4.0 * error**2))
+
+
+def _invert_lower(factor: Any, p: int) -> Any:
+    """Return the inverse of a small lower triangular matrix.
+
+    Entry by entry, as sums are taken here instead of products of matrices: these would look for a BLAS library to link
+    with, and warn where there is none.
+    """
+    rows: list[Any] = []
+    for i in range(p):
+        total = pt.as_tensor(np.eye(p)[i])
+        for k, row in enumerate(rows):
+            total = total - factor[i, k] * row
+        rows.append(total / factor[i, i])
+    return pt.stack(rows)
 
 
 def _standardise(offsets: Any, precision: Any, known: Any) -> tuple[Any, Any]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from ._checks import FloatArray, InputError
@@ -44,7 +45,7 @@ class SpecimenFits:
     information: FloatArray
     slope: FloatArray
     error: FloatArray
-    unidentified: FloatArray
+    unidentified: NDArray[np.bool_]
 
 
 def fit_specimens(

@@ -160,9 +160,7 @@ def build_hierarchical_model(
         values: dict[str, Any] = dict(fixed)
         for j, name in enumerate(names):
             values[name] = pm.Deterministic(name, specimens[:, j], dims="specimen")
-        backbone_likelihood(
-            "backbone", oscillator, data, values, release_amplitude=release_amplitude, virgin=virgin
-        )
+        backbone_likelihood("backbone", oscillator, data, values, release_amplitude=release_amplitude, virgin=virgin)
     _UNIDENTIFIED[model] = tuple(name for name, is_free in zip(names, fits.unidentified, strict=True) if is_free)
     if _UNIDENTIFIED[model]:
         logger.warning(
@@ -208,7 +206,9 @@ def _add_normal(
     factor = None
     if correlation_shape is not None:
         factor = pm.LKJCorr("correlation_factor", n=len(names), eta=correlation_shape)
-        pm.Deterministic("correlation", factor @ factor.T, dims=("parameter", "parameter_other"))
+        pm.Deterministic(
+            "correlation", (factor[:, None, :] * factor).sum(axis=-1), dims=("parameter", "parameter_other")
+        )
     for j, name in enumerate(names):
         mean, sd = cut_moments(coordinates[j], location[j], spread[j])
         pm.Deterministic(f"{name}_mean", mean)
