@@ -34,6 +34,7 @@ def build_hierarchical_model(
     population: str = "normal",
     correlated: bool = False,
     correlation_shape: float = 1.0,
+    linearised: bool = False,
     fixed: Mapping[str, float] | None = None,
     observables: Sequence[str] | None = None,
     release_amplitude: float | None = None,
@@ -65,6 +66,10 @@ def build_hierarchical_model(
         Whether parameters may be correlated over the population (``normal`` only).
     correlation_shape : float, default 1.0
         Of the LKJ prior; 1 is uniform over correlation matrices, larger values favour small correlations.
+    linearised : bool, default False
+        Whether level values are taken as linear in a specimen's parameters about its own fit, instead of simulated at
+        every step: for many specimens with small errors. The variable ``backbone`` is then a potential, without
+        log-likelihoods for leave-one-out.
     fixed : mapping of str to float, optional
         Parameters that are known and the same for all specimens.
     observables : sequence of str, optional
@@ -160,7 +165,14 @@ def build_hierarchical_model(
         values: dict[str, Any] = dict(fixed)
         for j, name in enumerate(names):
             values[name] = pm.Deterministic(name, specimens[:, j], dims="specimen")
-        backbone_likelihood("backbone", oscillator, data, values, release_amplitude=release_amplitude, virgin=virgin)
+        if linearised:
+            away = specimens - fits.point
+            squared = (away[:, :, None] * fits.information * away[:, None, :]).sum()
+            pm.Potential("backbone", (fits.slope * away).sum() - 0.5 * squared)
+        else:
+            backbone_likelihood(
+                "backbone", oscillator, data, values, release_amplitude=release_amplitude, virgin=virgin
+            )
     _UNIDENTIFIED[model] = tuple(name for name, is_free in zip(names, fits.unidentified, strict=True) if is_free)
     if _UNIDENTIFIED[model]:
         logger.warning(

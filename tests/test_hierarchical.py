@@ -77,7 +77,7 @@ def expected_log_density(data, population, theta, own):
 @NO_BLAS
 @pytest.mark.parametrize("population", list(OWN))
 def test_density_is_that_of_the_generative_model(rng, population):
-    """Whatever the coordinates: with the Jacobian of the whole map, taken numerically, they must give SciPy's density."""
+    """Whatever the coordinates: with the numerical Jacobian of the whole map they must give SciPy's density."""
     n = 3
     data, _ = linear_batch(rng, n)
     model = build_hierarchical_model(
@@ -189,6 +189,28 @@ def test_what_the_data_do_not_see_is_named(rng, caplog):
     assert unidentified_parameters(model) == ("viscous_damping",)
     assert "the backbones say nothing about viscous_damping" in caplog.text
     assert unidentified_parameters(build_hierarchical_model(LINEAR, data, LINEAR_BOUNDS)) == ()
+
+
+def test_linearised_likelihood_is_tangent_to_the_exact_one(rng):
+    data, _ = linear_batch(rng, 3)
+    values = {}
+    for linearised in (False, True):
+        model = build_hierarchical_model(LINEAR, data, LINEAR_BOUNDS, linearised=linearised)
+        logp = pytensor.function(model.value_vars, model.logp(), mode=AT_ONCE)
+        start = [np.asarray(model.initial_point()[v.name], dtype=float) for v in model.value_vars]
+        index = [v.name for v in model.value_vars].index("specimen_offsets")
+        generator = np.random.default_rng(4)
+        heights = []
+        for width in (0.3, 0.3, 30.0):
+            point = list(start)
+            point[index] = width * generator.standard_normal(start[index].shape)
+            heights.append(float(logp(*point)))
+        values[linearised] = np.diff(heights)
+    exact, tangent = values[False], values[True]
+    # Errors of 0.1 % and 2 % leave 1e-4 of a squared distance of some units to the curvature of the backbone.
+    assert tangent[0] == pytest.approx(exact[0], abs=0.02)
+    # Negative control: a hundred times further out the two are apart.
+    assert abs(tangent[1] - exact[1]) > 1.0
 
 
 @NO_BLAS

@@ -26,13 +26,15 @@ from pymc_backbone import build_model  # noqa: E402
 from pymc_backbone.hierarchical import build_hierarchical_model  # noqa: E402
 
 
-def build(fit: str, data):
+def build(fit: str, data, linearised: bool):
     if fit == "pooled":
         return build_model(OSCILLATOR, data, CASE.prior_bounds, likelihood="pooled")
-    return build_hierarchical_model(OSCILLATOR, data, CASE.prior_bounds, population=fit)
+    return build_hierarchical_model(OSCILLATOR, data, CASE.prior_bounds, population=fit, linearised=linearised)
 
 
-def calibrate(population, fit, repeats, specimens, seed, *, draws=300, tune=150, from_records=False, say=print):
+def calibrate(
+    population, fit, repeats, specimens, seed, *, draws=300, tune=150, linearised=False, from_records=False, say=print
+):
     """Return coverage of mean and sd (2, 3), their mean widths over the truth, and the share of divergences."""
     rng = np.random.default_rng(seed)
     covariance = template()
@@ -43,7 +45,7 @@ def calibrate(population, fit, repeats, specimens, seed, *, draws=300, tune=150,
     for repeat in range(repeats):
         parameters = draw_population(population, specimens, rng)
         data = extract(parameters, rng, CASE.levels) if from_records else measure(parameters, covariance, rng)
-        model = build(fit, data)
+        model = build(fit, data, linearised)
         if compiled is None:
             compiled = Reusable(model, wanted)
         compiled.load(model)
@@ -61,7 +63,7 @@ def calibrate(population, fit, repeats, specimens, seed, *, draws=300, tune=150,
             say(f"{population} by {fit}: {repeat + 1} of {repeats}, {np.mean(held, axis=0)}", flush=True)
     return {
         "population": population, "fit": fit, "repeats": repeats, "specimens": specimens, "seed": seed,
-        "from_records": from_records, "names": wanted, "coverage": np.mean(held, axis=0).tolist(),
+        "linearised": linearised, "from_records": from_records, "names": wanted, "coverage": np.mean(held, axis=0).tolist(),
         "width_in_sd": np.mean(width, axis=0).tolist(), "diverging": float(np.mean(divergences)),
         "steps": float(np.mean(steps)), "seconds": time.perf_counter() - begin,
     }  # fmt: skip
@@ -74,12 +76,14 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=60)
     parser.add_argument("--specimens", type=int, default=9)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--linearised", action="store_true")
     parser.add_argument("--extract", action="store_true")
     parser.add_argument("--out", default="-")
     options = parser.parse_args()
     result = calibrate(
-        options.population, options.fit, options.repeats, options.specimens, options.seed, from_records=options.extract
-    )
+        options.population, options.fit, options.repeats, options.specimens, options.seed,
+        linearised=options.linearised, from_records=options.extract,
+    )  # fmt: skip
     line = json.dumps(result)
     print(line)
     if options.out != "-":
