@@ -213,6 +213,7 @@ def test_linearised_likelihood_is_tangent_to_the_exact_one(rng):
     assert abs(tangent[1] - exact[1]) > 1.0
 
 
+@pytest.mark.slow
 @NO_BLAS
 def test_starts_are_finite_and_apart(rng, random_seed):
     model = build_hierarchical_model(LINEAR, linear_batch(rng, 3)[0], LINEAR_BOUNDS, correlated=True)

@@ -63,7 +63,8 @@ def calibrate(
             say(f"{population} by {fit}: {repeat + 1} of {repeats}, {np.mean(held, axis=0)}", flush=True)
     return {
         "population": population, "fit": fit, "repeats": repeats, "specimens": specimens, "seed": seed,
-        "linearised": linearised, "from_records": from_records, "names": wanted, "coverage": np.mean(held, axis=0).tolist(),
+        "linearised": linearised, "from_records": from_records, "names": wanted,
+        "coverage": np.mean(held, axis=0).tolist(),
         "width_in_sd": np.mean(width, axis=0).tolist(), "diverging": float(np.mean(divergences)),
         "steps": float(np.mean(steps)), "seconds": time.perf_counter() - begin,
     }  # fmt: skip
