@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from .discrepancy.study import Study
     from .discrepancy.workflow import find_missing_effect
     from .effects import LIBRARY, Effect, Parameter, get_effect
+    from .hierarchical import build_hierarchical_model, unidentified_parameters
     from .measured_backbones import read_backbones
     from .model import backbone_likelihood, build_model, simulated_backbone
     from .op import BackboneLogLikelihood, SimulatedBackbone
@@ -68,6 +69,7 @@ _WHERE = {
     "discrepancy.study": ("Study",),
     "discrepancy.workflow": ("find_missing_effect",),
     "effects": ("LIBRARY", "Effect", "Parameter", "get_effect"),
+    "hierarchical": ("build_hierarchical_model", "unidentified_parameters"),
     "measured_backbones": ("read_backbones",),
     "model": ("backbone_likelihood", "build_model", "simulated_backbone"),
     "op": ("BackboneLogLikelihood", "SimulatedBackbone"),
@@ -97,6 +99,7 @@ __all__ = [
     "WaveformResult",
     "backbone_likelihood",
     "backbones_at_levels",
+    "build_hierarchical_model",
     "build_model",
     "condition",
     "demo_folder",
@@ -115,6 +118,7 @@ __all__ = [
     "simulated_backbone",
     "simulated_backbones",
     "summarise",
+    "unidentified_parameters",
     "write_backbones",
     "write_records",
     "write_study",

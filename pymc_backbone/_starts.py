@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Callable
 from typing import Any
 
@@ -24,6 +25,15 @@ _CORRECTIONS = 2
 _FORLORN = 30.0  # a mode this much lower in log-density holds nothing of the posterior
 _PRIOR_PRECISION = 3.0 / np.pi**2  # of a Uniform prior on PyMC's unconstrained (logistic) scale, near its middle
 _FAILED = 30.0  # standardised distance that stands for a failed simulation in a search
+_RULE_DRAWS = 64
+
+StartRule = Callable[[np.random.Generator], dict[str, FloatArray]]
+_RULES: weakref.WeakKeyDictionary[pm.Model, StartRule] = weakref.WeakKeyDictionary()
+
+
+def set_starts(model: pm.Model, rule: StartRule) -> None:
+    """Let ``model`` start where ``rule`` draws: unconstrained values of its variables, by the names of these."""
+    _RULES[model] = rule
 
 
 class StartFinder:
@@ -67,6 +77,8 @@ class StartFinder:
             Where no point with a finite log-density exists within the prior, as far as the search can tell; the
             sentence names the observable and the level at fault.
         """
+        if self.model in _RULES:
+            return self._find_by_rule(chains, _RULES[self.model])
         draws = [self.draw_point(int(seed)) for seed in self.generator.integers(2**31, size=PRIOR_DRAWS)]
         heights = np.array([self.height(point) for point in draws])
         order = np.argsort(-heights)
@@ -92,6 +104,19 @@ class StartFinder:
         good = [point for height, point in found if height > highest - _FORLORN]
         self.shape = self._find_shape()
         return [self._natural(self._disperse(good[i % len(good)])) for i in range(chains)]
+
+    def _find_by_rule(self, chains: int, rule: StartRule) -> list[dict[str, FloatArray]]:
+        """Return starts that the model's own rule draws, those with a finite log-density."""
+        found = []
+        for _ in range(_RULE_DRAWS * chains):
+            point = rule(self.generator)
+            if np.isfinite(self.height(point)):
+                found.append(self._natural(point))
+            if len(found) == chains:
+                return found
+        raise InputError(
+            "no start near the fits of the specimens can be simulated at all levels; drop the outermost levels."
+        )
 
     def _disperse(self, centre: dict[str, FloatArray]) -> dict[str, FloatArray]:
         """Return a point some standard deviations away from ``centre``, nearer where it would lie out of reach.

@@ -87,8 +87,8 @@ def fit_data_consistent(
         where the priors can produce the measured population), ``effective_draws`` (how many independent draws the
         simulated ones are worth), ``directions`` (how many combinations of parameters the backbones determine),
         ``explained`` (by parameter: the share of its variance near the population that they determine),
-        ``undetermined`` (the parameters for which this is below one half: their posterior is the prior's doing), and ``mean`` and ``sd``
-        (by parameter: what the calibration draws say the posterior is).
+        ``undetermined`` (the parameters for which this is below one half: their posterior is the prior's doing), and
+        ``mean`` and ``sd`` (by parameter: what the calibration draws say the posterior is).
 
     Raises
     ------

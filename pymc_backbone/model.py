@@ -119,7 +119,7 @@ def backbone_likelihood(
             )
         levels, names = data.levels, data.observables
     elif isinstance(data, xr.Dataset):
-        data = _select(data, observables)
+        data = select_observables(data, observables)
         levels, names = np.asarray(data["level"]), tuple(str(v) for v in data["observable"].values)
     else:
         raise InputError(f"`data` must be a Density or a Dataset of backbones, got {type(data).__name__}.")
@@ -237,7 +237,7 @@ def build_model(
     check_choice("likelihood", likelihood, LIKELIHOODS)
     fixed = dict(fixed or {})
     data, kind = _choose(data, likelihood, observables)
-    intervals = _intervals(source, data, dict(bounds or {}), fixed)
+    intervals = prior_intervals(source, data, dict(bounds or {}), fixed)
     if not intervals:
         raise InputError("every parameter is fixed; leave at least one to infer.")
     if kind == "population" and isinstance(data, xr.Dataset):
@@ -286,7 +286,7 @@ def _choose(
         return data, "population"
     if not isinstance(data, xr.Dataset):
         raise InputError(f"`data` must be a Density or a Dataset of backbones, got {type(data).__name__}.")
-    data = _select(data, observables)
+    data = select_observables(data, observables)
     if likelihood == "auto":
         complete = int(np.isfinite(np.asarray(data["value"])).all(axis=(1, 2)).sum())
         likelihood = "population" if complete >= POPULATION_SIZE else "specimen"
@@ -295,7 +295,7 @@ def _choose(
     return data, "pooled" if data.sizes["specimen"] == 1 else likelihood
 
 
-def _select(data: xr.Dataset, observables: Sequence[str] | None) -> xr.Dataset:
+def select_observables(data: xr.Dataset, observables: Sequence[str] | None) -> xr.Dataset:
     """Return the wanted observables in the canonical order."""
     held = [str(v) for v in data["observable"].values]
     wanted = held if observables is None else list(observables)
@@ -304,7 +304,7 @@ def _select(data: xr.Dataset, observables: Sequence[str] | None) -> xr.Dataset:
     return data.sel(observable=[name for name in OBSERVABLES if name in wanted])
 
 
-def _intervals(
+def prior_intervals(
     source: Source,
     data: Density | xr.Dataset,
     bounds: dict[str, tuple[float, float]],
@@ -372,7 +372,7 @@ def _stack(response: Response, parameters: Mapping[str, Any], n_specimens: int, 
     return pt.stack([pt.broadcast_to(tensor, (n_specimens,)) for tensor in tensors], axis=-1)
 
 
-def _whitening(data: xr.Dataset) -> tuple[FloatArray, FloatArray, FloatArray]:
+def whiten_specimens(data: xr.Dataset) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return measured values (n, d) (0 where missing), whitening (n, d, d) (rows of 0 there) and log constants (n,)."""
     values = np.asarray(data["value"], dtype=np.float64)
     errors = np.asarray(data["standard_error"], dtype=np.float64)
@@ -410,7 +410,7 @@ def _whitening(data: xr.Dataset) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 def _observed(name: str, response: Response, data: xr.Dataset, theta: Any) -> Any:
     """Return the observed variable: one Gaussian vector of level values per specimen."""
-    values, whitening, constants = _whitening(data)
+    values, whitening, constants = whiten_specimens(data)
     op = SimulatedBackbone(response)
     size = values.shape[1]
 
