@@ -34,6 +34,10 @@ _RESOLUTION = 0.01  # of the specimens' spread: smaller differences are no infor
 _DETERMINED = 0.5  # share of a parameter's prior variance that the backbones must explain
 _MARGIN = 3.0  # bandwidths around the specimens that belong to the region looked at
 _FEWEST_NEAR = 64
+_OUT_OF_REACH = (
+    "of the draws from the priors, {} can be simulated at all levels and come near the measured backbones; widen the "
+    "priors, check mass and units, or add the effect that is missing."
+)
 _SMALLEST_SHARE = 0.01  # of the measured variance that is left where measurement error explains all of it
 
 
@@ -127,8 +131,14 @@ def fit_data_consistent(
         raise InputError(f"`bounds` or `fixed` must hold every parameter of the model; {', '.join(missing)} missing.")
     predictor = _Predictor(response, bounds, fixed, random_seed)
     error = measurement_covariance(backbones, names, complete)
+    closest = np.inf
     for _ in range(_PILOTS):
         parameters, values = predictor.draw(_PILOT)
+        # how far the population lies outside of what is predicted, in the spread of either
+        spread = np.hypot(values.std(axis=0), measured.std(axis=0))
+        before, closest = closest, float((np.abs(values - measured.mean(axis=0)) / spread).max(axis=1).min())
+        if closest > 3.0 and closest > 0.9 * before:
+            raise InputError(_OUT_OF_REACH.format("none"))
         coordinates = _find_coordinates(parameters, values, measured, error, subtract_measurement)
         if predictor.narrow(parameters, coordinates.distance(values)) > _SETTLED:
             break
@@ -171,10 +181,7 @@ class _Predictor:
         values = np.array([np.ravel(self.response.evaluate(row, False)[0]) for row in theta])
         good = np.isfinite(values).all(axis=1) if len(values) else np.zeros(0, dtype=bool)
         if good.sum() < _FEWEST_NEAR:
-            raise InputError(
-                f"only {int(good.sum())} draws from the priors can be simulated at all levels near the measured "
-                "backbones; widen the priors, check mass and units, or add the effect that is missing."
-            )
+            raise InputError(_OUT_OF_REACH.format(f"only {int(good.sum())}"))
         return parameters[good], values[good]
 
     def narrow(self, parameters: FloatArray, distance: FloatArray) -> float:
@@ -284,10 +291,7 @@ def _fit_ratio(
     coordinates = region.coordinates
     near = coordinates.distance(values) < 1.0
     if near.sum() < 4 * _FEWEST_NEAR:
-        raise InputError(
-            f"only {int(near.sum())} of {near.size} backbones that the priors predict come near the measured ones; "
-            "widen the priors, check mass and units, or add the effect that is missing."
-        )
+        raise InputError(_OUT_OF_REACH.format(f"only {int(near.sum())}"))
     z, inside = coordinates.of(values)[near], parameters[near]
     order = predictor.generator.permutation(len(z))
     chosen = order[: min(_CENTRES, len(z) // 2)]
