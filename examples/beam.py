@@ -25,7 +25,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--draws", type=float, default=1.0, help="factor on the number of draws")
     options = parser.parse_args()
-    logging.getLogger("pymc").setLevel(logging.WARNING)  # the tables are all that is wanted
+    logging.disable(logging.INFO)  # the tables are all that is wanted
     draws = max(int(options.draws * 4000), 100)
     settings = {"draws": draws, "tune": draws // 2, "random_seed": 1}
 

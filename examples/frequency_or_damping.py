@@ -9,8 +9,8 @@ Run with ``python -m uv run examples/frequency_or_damping.py`` in the project's 
 import argparse
 import logging
 
+import pymc_backbone as pb
 from pymc_backbone.case_study import run_case
-from pymc_backbone.diagnostics import findings
 
 
 def main() -> None:
@@ -18,7 +18,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--draws", type=float, default=1.0, help="factor on the number of draws")
     options = parser.parse_args()
-    logging.getLogger("pymc").setLevel(logging.WARNING)  # the table is all that is wanted
+    logging.disable(logging.INFO)  # the table is all that is wanted
 
     draws = max(int(options.draws * 4000), 100)
     for observables in (("frequency",), ("frequency", "damping")):
@@ -33,7 +33,7 @@ def main() -> None:
             )
             label = f"{record['parameter']} [{record['unit']}]"
             print(f"{label:<26}" + "".join(f"{f'{mean:.4g} +- {sd:.3g}':>18}" for mean, sd in pairs))
-        for sentence in findings(result.posterior, result.case.prior_bounds):
+        for sentence in pb.findings(result.posterior, result.case.prior_bounds):
             print("-", sentence)
 
 
