@@ -144,7 +144,10 @@ def test_public_names_are_documented_and_there():
     assert set(names) <= set(dir(pymc_backbone))
 
 
-@pytest.mark.parametrize("name", ["README.md", "examples/first_posterior.py", "examples/compare_samplers.py"])
+EXAMPLES = sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "examples").glob("*.py"))
+
+
+@pytest.mark.parametrize("name", ["README.md", *EXAMPLES])
 def test_names_that_the_documentation_uses_are_public(name):
     import pymc_backbone
 
