@@ -58,7 +58,8 @@ def plot_likelihood(backbones: xr.Dataset, density: Density) -> Figure:
         pair.set_xlabel(f"{label}, lowest level")
         pair.set_ylabel(f"{label}, highest level")
         pair.spines[["top", "right"]].set_visible(False)
-    axes[0, 1].legend(fontsize=8, frameon=False)
+    handles, labels = axes[0, 1].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=8, frameon=False)
     figure.suptitle(
         f"Likelihood ({density.kind.replace('_', '-')}): densities at the levels, and together", fontsize=11
     )
