@@ -66,6 +66,7 @@ class StartFinder:
         }
         self.best: dict[str, FloatArray] = {}
         self.shape: FloatArray | None = None
+        self.prior_sd = np.ones(0)
         self.draw_point = pm.initial_point.make_initial_point_fn(model=model, default_strategy="prior")
 
     def find(self, chains: int) -> list[dict[str, FloatArray]]:
@@ -80,6 +81,8 @@ class StartFinder:
         if self.model in _RULES:
             return self._find_by_rule(chains, _RULES[self.model])
         draws = [self.draw_point(int(seed)) for seed in self.generator.integers(2**31, size=PRIOR_DRAWS)]
+        spread = np.std([self._flatten(point)[0] for point in draws], axis=0)
+        self.prior_sd = np.where(np.isfinite(spread) & (spread > 0.0), spread, 1.0)
         heights = np.array([self.height(point) for point in draws])
         order = np.argsort(-heights)
         if not self.targets:
@@ -166,15 +169,18 @@ class StartFinder:
         size = centre.size
         if size > MAXIMUM_DIMENSIONS:
             return None
-        steps = 1e-4 * np.eye(size)
+        # an unbounded variable has its own unit: the prior's spread is the length to step and to weigh by
+        bounded = self._bounded(self.best)
+        length = np.where(bounded, 1.0, self.prior_sd)
+        steps = 1e-4 * np.diag(length)
         jacobian = np.column_stack(
             [(self.distances(unpack(centre + h)) - self.distances(unpack(centre - h))) / 2e-4 for h in steps]
         )
         # where the best point lies near a bound, the slope of the log-density there bends with the scale: by as much as
         # the prior's own slope, with which it is in balance
-        slope = np.where(self._bounded(self.best), np.tanh(0.5 * centre) ** 2, 0.0)
-        precision = np.diag(_PRIOR_PRECISION * (1.0 - slope) + slope)
-        shape: FloatArray = np.linalg.inv(jacobian.T @ jacobian + precision)
+        slope = np.where(bounded, np.tanh(0.5 * centre) ** 2, 0.0)
+        precision = np.diag(np.where(bounded, _PRIOR_PRECISION, 1.0) * (1.0 - slope) + slope)
+        shape: FloatArray = np.linalg.inv(jacobian.T @ jacobian + precision) * np.outer(length, length)
         for _ in range(_CORRECTIONS):
             corrected = self._correct_shape(centre, unpack, 0.5 * (shape + shape.T))
             if corrected is None:

@@ -7,7 +7,15 @@ import numpy as np
 import pymc as pm
 import pytest
 
-from pymc_backbone import InputError, Oscillator, build_model, fit_density, sample, simulate_backbone
+from pymc_backbone import (
+    InputError,
+    Oscillator,
+    backbone_likelihood,
+    build_model,
+    fit_density,
+    sample,
+    simulate_backbone,
+)
 from pymc_backbone._starts import StartFinder
 
 from .test_model import BOUNDS, DUFFING, LEVELS, TRUTH, batch, noisy
@@ -170,3 +178,23 @@ def test_what_was_counted_is_what_was_simulated(rng):
     result = sample(exact, draws=20, tune=30, chains=1, step="nutpie", random_seed=7)
     assert result.attrs["gradients"] > int(result["sample_stats"]["n_steps"].sum()) > 20
     assert result.attrs["simulations"] == 0
+
+
+def test_priors_without_bounds_are_walked_in_their_own_unit(rng, random_seed):
+    """Normal priors of a hundred and of a million: the first proposals must reach as far as Uniform ones do."""
+    density = fit_density(batch(rng, 30), kind="joint")
+    with pm.Model() as model:
+        parameters = {
+            name: pm.Normal(name, 0.5 * (low + high), 0.25 * (high - low)) for name, (low, high) in BOUNDS.items()
+        }
+        backbone_likelihood("backbone", DUFFING, density, parameters)
+    found = StartFinder(model, random_seed)
+    found.find(2)
+    bounded = StartFinder(build_model(DUFFING, density, BOUNDS), random_seed)
+    bounded.find(2)
+    low, high = np.array([BOUNDS[name] for name in DUFFING.parameter_names]).T
+    # the derivative of the Uniform's scale, (high - low) u (1 - u), takes its spread into the parameter's unit
+    centre = np.array([float(bounded._natural(bounded.best)[name]) for name in DUFFING.parameter_names])
+    slope = (centre - low) * (high - centre) / (high - low)
+    ratio = np.sqrt(np.diag(found.shape)) / (np.sqrt(np.diag(bounded.shape)) * slope)
+    assert np.all((0.3 < ratio) & (ratio < 3.0))
