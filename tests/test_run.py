@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +15,7 @@ from pymc_backbone import demo, run, store  # noqa: F401  the store needs the mo
 from pymc_backbone._checks import InputError
 from pymc_backbone._describe import compare, describe_measured
 from pymc_backbone.backbone import simulated_backbones
+from pymc_backbone.density_fit import fit_density
 from pymc_backbone.oscillator import Oscillator
 from pymc_backbone.results import RESULT_KEYS, backbone_table, read_result
 
@@ -54,9 +55,17 @@ def sampler(monkeypatch, rng) -> dict:
         tree.attrs.update(kept.get("attrs", {}))
         return tree
 
-    for name, function in (("model", build_model), ("sampling", sample)):
+    def targets_of(model):
+        called = kept["model"]
+        density = None
+        if called["likelihood"] == "population":
+            density = fit_density(called["data"], kind=called["density"], marginal=called["marginal"])
+        return [SimpleNamespace(density=density)]
+
+    for name, functions in (("model", (build_model, targets_of)), ("sampling", (sample,))):
         module = ModuleType(f"pymc_backbone.{name}")
-        setattr(module, function.__name__, function)
+        for function in functions:
+            setattr(module, function.__name__, function)
         module.POPULATION_SIZE = 8  # type: ignore[attr-defined]
         monkeypatch.setitem(sys.modules, module.__name__, module)
     return kept
@@ -149,7 +158,7 @@ def test_settings_reach_model_and_sampler(monkeypatch, sampler, rng):
 def test_auto_likelihood_depends_on_the_size_of_the_batch(monkeypatch, sampler, rng, specimens, kind):
     result, _ = update(monkeypatch, make_backbones(rng, specimens))
     assert sampler["model"]["likelihood"] == result["settings"]["likelihood"] == kind
-    assert isinstance(sampler["model"]["data"], xr.Dataset) == (kind != "population")
+    assert (result["density"] is not None) == (kind == "population")
     assert (result["density"] is None) == (kind != "population")
 
 

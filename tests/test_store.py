@@ -89,7 +89,8 @@ def chunk(rng) -> tuple:
         points,
         stats,
         PlainState({"tree": 1}, {"state_0": rng.standard_normal(4)}, {}),
-        ({"evaluations": 6.0, "failures": 1.0}, 0.5),
+        {"evaluations": 6.0, "failures": 1.0},
+        0.5,
     )
 
 
@@ -248,7 +249,7 @@ def test_damaged_manifest_is_refused(tmp_path):
 
 
 def test_chunks_come_back_as_they_were(tmp_path, chunk):
-    points, stats, state, took = chunk
+    points, stats, state, *took = chunk
     folder = ChunkFolder(tmp_path / "chain_0", "run")
     folder.append(points, stats, state, *took)
     folder.append(points[:1], stats[:1], state, *took)
@@ -427,7 +428,7 @@ def test_at_most_a_hundred_draws_or_ten_seconds_are_lost(seconds, draws, monkeyp
     monkeypatch.setattr(_recorder, "time", Clock)
     monkeypatch.setattr(_recorder, "encode_state", lambda *_: (None, History()))
     step = Step()
-    _recorder.Recorder(step, [Folder()], [_recorder.StoredChain()], lambda: (0.0, 0.0))
+    _recorder.Recorder(step, [Folder()], [_recorder.StoredChain()], lambda: {"evaluations": 0.0})
     step.setup_chain(None, 0, 2 * draws + 1)
     for _ in range(2 * draws + 1):
         step.step({})

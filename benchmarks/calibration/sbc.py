@@ -137,7 +137,7 @@ def judge(ranks, seed: int = 0) -> dict[str, float | bool]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("cases", nargs="*", default=list(CASES))
+    parser.add_argument("cases", nargs="*", default=[name for name in CASES if name.isdigit()])
     parser.add_argument("--simulations", type=int, default=200)
     parser.add_argument("--wrong", type=float, nargs="*", default=[0.5, 2.0])
     parser.add_argument("--seed", type=int, default=1)
