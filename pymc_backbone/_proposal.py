@@ -30,6 +30,7 @@ class JointMetropolisState(MetropolisState):
     factor: np.ndarray
     tuned_draws: int
     window: tuple[int, int]
+    origin: np.ndarray
     total: np.ndarray
     squares: np.ndarray
 
@@ -80,6 +81,7 @@ class JointMetropolis(pm.Metropolis):
 
     def _clear(self) -> None:
         size = len(self.factor)
+        self.origin = getattr(self, "origin", np.zeros(size))
         self.total, self.squares = np.zeros(size), np.zeros((size, size))
 
     def reset_tuning(self) -> None:
@@ -98,9 +100,11 @@ class JointMetropolis(pm.Metropolis):
         self.tuned_draws += 1
         begin, end = self.window
         if self.tuned_draws <= begin:
+            self.origin = point.copy()
             return
-        self.total = self.total + point
-        self.squares = self.squares + np.outer(point, point)
+        offset = point - self.origin  # sums of squares of small numbers: a variable's unit may be large
+        self.total = self.total + offset
+        self.squares = self.squares + np.outer(offset, offset)
         if self.tuned_draws < end:
             return
         count = end - begin
@@ -108,13 +112,14 @@ class JointMetropolis(pm.Metropolis):
         covariance = self.squares / count - np.outer(mean, mean)
         old = self.factor @ self.factor.T
         weight = _WEIGHT_OF_OLD * len(mean)
-        with np.errstate(invalid="ignore"):
-            shape = (count * covariance + weight * old) / (count + weight)
+        shape = (count * covariance + weight * old) / (count + weight)
         try:
-            self.factor = np.linalg.cholesky(0.5 * (shape + shape.T))
-            self.scaling = np.atleast_1d(2.38 / np.sqrt(len(mean)))
+            factor = np.linalg.cholesky(0.5 * (shape + shape.T))
         except np.linalg.LinAlgError:  # rounding, where the window hardly moved: the shape so far stays
-            pass
+            factor = self.factor
+        if np.isfinite(factor).all():
+            self.factor = factor
+            self.scaling = np.atleast_1d(2.38 / np.sqrt(len(mean)))
         self.window = (end, end + 2 * count)
         self._clear()
 

@@ -24,6 +24,7 @@ _DISPERSION = 3.0  # standard deviations
 _CORRECTIONS = 2
 _FORLORN = 30.0  # a mode this much lower in log-density holds nothing of the posterior
 _PRIOR_PRECISION = 3.0 / np.pi**2  # of a Uniform prior on PyMC's unconstrained (logistic) scale, near its middle
+_AT_BOUND = 25.0  # unconstrained value that lies 1e-11 of the interval beside its bound
 _FAILED = 30.0  # standardised distance that stands for a failed simulation in a search
 _RULE_DRAWS = 64
 
@@ -223,7 +224,12 @@ class StartFinder:
         return value if np.isfinite(value) else -np.inf
 
     def _natural(self, point: dict[str, FloatArray]) -> dict[str, FloatArray]:
-        values = self.to_natural(self._inputs(point))
+        # a value that rounds to its bound has no place on the unconstrained scale: a chain from there never moves
+        inside = {
+            name: np.clip(value, -_AT_BOUND, _AT_BOUND) if self.bounded[name] else value
+            for name, value in self._inputs(point).items()
+        }
+        values = self.to_natural(inside)
         return {variable.name: np.asarray(v) for variable, v in zip(self.model.free_RVs, values, strict=True)}
 
     def _inputs(self, point: dict[str, FloatArray]) -> dict[str, FloatArray]:
