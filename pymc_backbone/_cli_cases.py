@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import os
 from typing import Any
 
 from . import _options
-from ._cli_common import add_output, add_talk, hush_libraries, print_result, say_of
+from ._cli_common import add_output, add_talk, print_result, say_of
+from ._quiet import hush_libraries
 
 NAMES = ("1", "2", "3", "4", "5", "single", "beam", "all")
 LIKELIHOODS = ("product", "joint", "data_consistent", "all")
@@ -61,13 +63,17 @@ def add_cases(commands: Any) -> None:
             name, type=_options.count(name, least), default=default, metavar="N", help=f"{meaning} ({default})"
         )
     sampler.add_argument("--seed", type=_options.count("--seed", 0), default=1, metavar="N", help="(1)")
+    sampler.add_argument(
+        "--workers", type=_options.count("--workers"), default=min(2, os.cpu_count() or 1), metavar="N",
+        help="processes that run cases side by side (%(default)s)",
+    )  # fmt: skip
     add_output(parser, required=False)
     add_talk(parser)
     parser.set_defaults(run=_cases)
 
 
 def _cases(options: argparse.Namespace) -> None:
-    hush_libraries()
+    hush_libraries(options.quiet)
     from .run_cases import run_cases
 
     records = run_cases(
@@ -76,6 +82,7 @@ def _cases(options: argparse.Namespace) -> None:
         output=options.out,
         overwrite=options.overwrite,
         say=say_of(options),
+        workers=options.workers,
         specimens=options.specimens,
         draws=options.draws,
         tune=options.tune,

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import logging
-import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -179,21 +177,6 @@ def add_sampling(parser: argparse.ArgumentParser) -> None:
     sampler.add_argument(
         "--seed", type=_options.count("--seed", 0), default=None, metavar="N", help="repeats a run exactly"
     )
-
-
-def hush_libraries(is_quiet: bool = False) -> None:
-    """Keep PyMC's own messages from the terminal, whose content the findings give; show this package's progress.
-
-    ``is_quiet`` keeps the progress away too.
-    """
-    logging.getLogger("pymc").setLevel(logging.CRITICAL)
-    logging.root.addHandler(logging.NullHandler())  # else PyMC, imported later, sets up its own
-    # PyMC averages exp(log acceptance ratio), which overflows where a proposal is far better than the start.
-    warnings.filterwarnings("ignore", message="overflow encountered in exp", category=RuntimeWarning)
-    progress = logging.getLogger(__package__)
-    if not progress.handlers:
-        progress.addHandler(logging.StreamHandler())
-    progress.setLevel(logging.WARNING if is_quiet else logging.INFO)
 
 
 def say(text: str) -> None:

@@ -13,13 +13,13 @@ from ._cli_common import (
     add_records,
     add_sampling,
     add_talk,
-    hush_libraries,
     measurement_of,
     print_result,
     sampling_of,
     say_of,
 )
 from ._progress import ProgressBar
+from ._quiet import hush_libraries
 
 DESCRIPTION = """\
 Find where simulation and measurement disagree, name the missing effect, add it, and show the gap shrink.

@@ -15,11 +15,11 @@ from ._cli_common import (
     add_sampling,
     add_talk,
     extraction_progress,
-    hush_libraries,
     measurement_of,
     print_result,
     sampling_of,
 )
+from ._quiet import hush_libraries
 
 LIKELIHOODS = ("auto", "population", "specimen", "pooled")
 DENSITIES = ("product", "joint", "data_consistent")

@@ -36,9 +36,10 @@ class JointMetropolisState(MetropolisState):
 
 
 class JointMetropolis(pm.Metropolis):
-    """PyMC's Metropolis with one joint proposal a draw, whose covariance is learned while tuning.
+    """PyMC's Metropolis with joint proposals, as many a draw as there are variables; their covariance is learned.
 
     PyMC's own updates a vector one entry at a time, each entry with two evaluations, whatever covariance it is given.
+    As there, a draw is a sweep: d proposals, of which a random walk needs some ten times d for one effective draw.
     Tuning draws are collected in windows of doubling length, from draw 50 on, and their covariance is the proposal's
     from the end of each window on [1]_; kept draws never change it, so they are those of one Markov chain.
 
@@ -91,10 +92,13 @@ class JointMetropolis(pm.Metropolis):
 
     def astep(self, q0: Any) -> tuple[Any, Any]:
         """Draw once; while tuning, learn."""
-        result, statistics = super().astep(q0)
+        result, sweep = q0, []
+        for _ in range(len(self.factor)):
+            result, [statistics] = super().astep(result)
+            sweep.append(statistics)
         if self.tune:
             self._learn(np.asarray(floatX(result.data), dtype=np.float64))
-        return result, statistics
+        return result, [{name: np.mean([entry[name] for entry in sweep]) for name in sweep[0]}]
 
     def _learn(self, point: FloatArray) -> None:
         self.tuned_draws += 1

@@ -21,10 +21,8 @@ def describe_case(result: CaseResult) -> str:
     """Return a case as Markdown: true, prior, published and ours for every parameter, then what is to be said of it."""
     case, records = result.case, result.records
     first = records[0]
-    used = " and ".join(first["observables"])
-    name = f"Case {case.name}" if case.name.isdigit() else case.name.capitalize()
     lines = [
-        f"## {name} ({case.title}), {result.likelihood} likelihood of {used}",
+        f"{_heading(case, result.likelihood)} of {' and '.join(first['observables'])}",
         "",
         "| parameter | unit | true | drawn | prior | published | ours | 95 % HDI | R-hat | ESS |",
         "|---|---|---|---|---|---|---|---|---|---|",
@@ -50,6 +48,16 @@ def describe_case(result: CaseResult) -> str:
         lines += ["", *_comparison_table(result.comparisons)]
         lines += _published_fits(case)
     return "\n".join(lines) + "\n"
+
+
+def describe_refusal(case: Case, likelihood: str, reason: str) -> str:
+    """Return a case that came to no posterior as Markdown."""
+    return f"{_heading(case, likelihood)}\n\nNo posterior: {reason}\n"
+
+
+def _heading(case: Case, likelihood: str) -> str:
+    name = f"Case {case.name}" if case.name.isdigit() else case.name.capitalize()
+    return f"## {name} ({case.title}), {likelihood} likelihood"
 
 
 def _sentences(result: CaseResult) -> list[str]:
@@ -160,4 +168,4 @@ def write_cases(folder: Path, records: Sequence[dict[str, Any]], texts: Sequence
     )
 
 
-__all__ = ["describe_case", "write_cases", "write_figures"]
+__all__ = ["describe_case", "describe_refusal", "write_cases", "write_figures"]

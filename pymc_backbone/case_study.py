@@ -163,6 +163,36 @@ def _predict(case: Case, posterior: xr.DataTree, backbones: xr.Dataset, random_s
     return simulated_backbones(case.model, np.column_stack(columns), case.levels, names)
 
 
+def refused_records(
+    case: Case, likelihood: str, observables: Sequence[str] | None, random_seed: int
+) -> list[dict[str, Any]]:
+    """Return the records of a run that came to no posterior: None where its numbers would stand."""
+    names = case.observables if observables is None else observables
+    nothing = dict.fromkeys(KEYS)
+    return [
+        {**nothing, **_known(case, likelihood, parameter), "observables": list(names), "seed": random_seed}
+        for parameter in case.prior
+    ]
+
+
+def _known(case: Case, likelihood: str, parameter: str) -> dict[str, Any]:
+    """Return what a record holds before anything is run."""
+    true, published = (held.get(parameter, (None, None)) for held in (case.true, case.published))
+    bounds = case.prior_bounds[parameter]
+    return {
+        "case": case.name,
+        "likelihood": likelihood,
+        "parameter": parameter,
+        "unit": {item.name: item.unit for item in case.model.parameters}[parameter],
+        **{
+            key: value
+            for name, pair in (("true", true), ("published", published))
+            for key, value in zip((f"{name}_mean", f"{name}_sd"), pair, strict=True)
+        },
+        **dict(zip(("prior_low", "prior_high"), bounds, strict=True)),
+    }
+
+
 def _record(
     case: Case,
     likelihood: str,
@@ -173,21 +203,18 @@ def _record(
     facts: tuple[float | None, float, int],
 ) -> dict[str, Any]:
     """Return one record of ``cases.json``; None where there is no such number."""
-    true = case.true.get(parameter, (None, None))
-    published = case.published.get(parameter, (None, None))
-    low, high = case.prior_bounds[parameter]
     drawn: tuple[float | None, float | None] = (None, None)
     if parameter in case.true:
         column = vectors[:, case.data.parameter_names.index(parameter)]
         drawn = (float(column.mean()), float(column.std()))
-    row = table.loc[parameter]
-    unit = {item.name: item.unit for item in case.model.parameters}[parameter]
-    values = (
-        case.name, likelihood, [str(v) for v in backbones["observable"].values], parameter, unit, *true, low, high,
-        *published, *drawn, *(float(row[key]) for key in ("mean", "sd", "hdi_low", "hdi_high", "r_hat", "ess_bulk")),
-        *facts,
-    )  # fmt: skip
-    return dict(zip(KEYS, values, strict=True))
+    held = {
+        **_known(case, likelihood, parameter),
+        "observables": [str(v) for v in backbones["observable"].values],
+        **dict(zip(("drawn_mean", "drawn_sd"), drawn, strict=True)),
+        **{key: float(table.loc[parameter, key]) for key in ("mean", "sd", "hdi_low", "hdi_high", "r_hat", "ess_bulk")},
+        **dict(zip(("acceptance_rate", "seconds", "seed"), facts, strict=True)),
+    }
+    return {key: held[key] for key in KEYS}
 
 
-__all__ = ["KEYS", "LIKELIHOODS", "CaseResult", "run_case"]
+__all__ = ["KEYS", "LIKELIHOODS", "CaseResult", "refused_records", "run_case"]

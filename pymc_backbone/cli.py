@@ -17,6 +17,7 @@ from typing import Any, NoReturn
 
 from . import _cli_cases, _cli_common, _cli_completion, _cli_diagnose, _cli_update
 from ._checks import InputError
+from ._quiet import hush_libraries
 
 PROGRAM = "pymc-backbone"
 INTERRUPTED = "Interrupted; files already written are complete."
@@ -196,7 +197,7 @@ def _effect_text(effect: Any) -> str:
 def _demo(options: argparse.Namespace) -> None:
     from . import demo
 
-    _cli_common.hush_libraries(options.quiet)
+    hush_libraries(options.quiet)
     result = demo.run_demo(options.out, overwrite=options.overwrite, say=_cli_common.say_of(options))
     _cli_common.print_result(options, result)
 

@@ -78,7 +78,7 @@ def findings(
     names: Sequence[str] | None = None,
     units: Mapping[str, str] | None = None,
     failures: int | None = None,
-    evaluations: int | None = None,
+    simulations: int | None = None,
 ) -> list[str]:
     """Say in sentences what is wrong with a posterior; an empty list means nothing was found.
 
@@ -97,7 +97,7 @@ def findings(
         Variables to look at; by default those in ``bounds``, or all if there are no bounds.
     units : mapping of str to str, optional
         Units to print behind the bounds.
-    failures, evaluations : int, optional
+    failures, simulations : int, optional
         Number of simulations that gave no backbone, and of all simulations; by default those that `sample` noted in
         ``posterior.attrs``.
 
@@ -120,7 +120,7 @@ def findings(
     units = units or {}
     failed = _failures(
         posterior.attrs.get("failures") if failures is None else failures,
-        posterior.attrs.get("evaluations") if evaluations is None else evaluations,
+        simulations_of(posterior) if simulations is None else simulations,
     )
     frozen = _frozen_chains(dataset, names)
     if frozen:  # nothing else can be told from such draws
@@ -269,12 +269,19 @@ def _sampler(posterior: xr.DataTree) -> list[str]:
     return sentences
 
 
-def _failures(failures: int | None, evaluations: int | None) -> list[str]:
+def simulations_of(posterior: xr.DataTree) -> int | None:
+    """Return how many simulations `sample` noted, with and without gradient; None where it noted nothing."""
+    if not {"simulations", "gradients"} <= set(posterior.attrs):
+        return None
+    return int(posterior.attrs["simulations"]) + int(posterior.attrs["gradients"])
+
+
+def _failures(failures: int | None, simulations: int | None) -> list[str]:
     if not failures:
         return []
-    many = bool(evaluations) and failures > MANY_FAILURES * float(evaluations or 0)
+    many = bool(simulations) and failures > MANY_FAILURES * float(simulations or 0)
     remedy = "narrow the priors or lower the highest level" if many else "harmless where no parameter leans on a bound"
-    total = f"{failures} of {evaluations} simulations" if evaluations else f"{failures} simulations"
+    total = f"{failures} of {simulations} simulations" if simulations else f"{failures} simulations"
     return [f"{total} gave no backbone, and those proposals were refused: {remedy}."]
 
 

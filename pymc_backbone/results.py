@@ -70,8 +70,8 @@ RESULT_KEYS = {
     "interrupted": "what is missing where a stored run was ended with Ctrl-C, a sentence; else null",
     "findings": "sentences on what is wrong with the posterior; empty if nothing was found",
     "notes": "what was assumed or done while reading and conditioning the records",
-    "failures": "number of simulations that gave no backbone; 0 too where they are not counted (see 'evaluations')",
-    "evaluations": "number of simulations counted: those of the population likelihood; 0 for the others",
+    "failures": "number of simulations that gave no backbone; 0 too where they are not counted (see 'simulations')",
+    "simulations": "number of simulations counted: those of the population likelihood; 0 for the others",
     "seconds": "reading, sampling and in total",
     "files": "written by this run, relative to the folder",
 }

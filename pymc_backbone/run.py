@@ -187,7 +187,7 @@ def update(
     _say_warnings(measured, say)
     read = time.perf_counter()
 
-    from .diagnostics import findings, summarise
+    from .diagnostics import findings, simulations_of, summarise
     from .model import build_model, targets_of
     from .sampling import sample
 
@@ -232,7 +232,7 @@ def update(
         "interrupted": posterior.attrs.get("interrupted"),
         "findings": findings(posterior, bounds, units=oscillator.units),
         "failures": posterior.attrs.get("failures"),
-        "evaluations": posterior.attrs.get("evaluations"),
+        "simulations": simulations_of(posterior),
     }
     say("\n" + describe_result(result))
     if result["interrupted"]:

@@ -58,9 +58,9 @@ def sample(
     draws, tune, chains : int
         Per chain; ``tune`` draws are discarded.
     step : {"metropolis", "elementwise", "demetropolisz", "slice", "nuts", "nutpie"} or a PyMC step object
-        ``metropolis`` is PyMC's Metropolis with joint proposals in the shape of the posterior near its best point
-        (PyMC's own where no shape is found); ``elementwise`` is `pymc.Metropolis` as it comes, one variable at a time;
-        ``nuts`` and ``nutpie`` need the gradient that oscillators have and functions have not.
+        ``metropolis`` is PyMC's Metropolis with joint proposals in the shape of the posterior, d of them a draw for d
+        parameters (PyMC's own where no shape is found); ``elementwise`` is `pymc.Metropolis` as it comes, one variable
+        at a time; ``nuts`` and ``nutpie`` need the gradient that oscillators have and functions have not.
     random_seed : int, optional
         Seed of starts and draws.
     cores : int, default 1

@@ -127,3 +127,22 @@ def test_unknown_names_end_in_one_sentence(tmp_path, capsys):
     assert main(["cases", "9", "--out", str(tmp_path / "out")]) == 2
     assert "'9'" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_processes_give_the_numbers_of_one_process_and_a_refusal_stops_nothing(tmp_path):
+    """The polynomial model of case 5 cannot produce the population: no posterior, a sentence, and the others run."""
+    said: list[str] = []
+    settings = {**SMALL, "draws": 60, "tune": 100, "specimens": 40}
+    side_by_side = run_cases(
+        ["5", "beam"], ["data_consistent"], output=tmp_path / "out", say=said.append, workers=2, **settings
+    )
+    alone = run_cases(["beam"], ["data_consistent"], say=lambda text: None, **settings)
+    beam = [row for row in side_by_side if row["case"] == "beam"]
+    assert [{**row, "seconds": None} for row in beam] == [{**row, "seconds": None} for row in alone]
+    refused = [row for row in side_by_side if row["case"] == "5"]
+    assert len(refused) == len(CASES["5"].prior) and all(tuple(row) == KEYS for row in refused)
+    assert all(row["mean"] is None and row["prior_low"] is not None for row in refused)
+    assert said[0].startswith("## Case 5") and "No posterior: of the draws from the priors, none" in said[0]
+    assert json.loads((tmp_path / "out" / "cases.json").read_text()) == json.loads(json.dumps(side_by_side))
+    with pytest.raises(InputError, match="`draws` must be"):  # nothing but refusals is an error
+        run_cases(["beam"], ["product"], say=lambda text: None, **{**settings, "draws": 0})

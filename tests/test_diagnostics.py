@@ -151,17 +151,17 @@ def test_divergences_are_counted(good):
     [
         ({"failures": 37}, "37 simulations gave no backbone"),
         (
-            {"failures": 37, "evaluations": 9000},
+            {"failures": 37, "simulations": 9000},
             "37 of 9000 simulations gave no backbone, and those proposals were refused: harmless",
         ),
-        ({"failures": 900, "evaluations": 9000}, "narrow the priors"),
+        ({"failures": 900, "simulations": 9000}, "narrow the priors"),
     ],
 )
 def test_failures_are_counted(good, counts, words):
     tree = make_tree(**good)
     (sentence,) = findings(tree, BOUNDS, **counts)
     assert words in sentence
-    tree.attrs.update(counts)  # as `sample` leaves them
+    tree.attrs.update(counts, gradients=0)  # as `sample` leaves them
     assert findings(tree, BOUNDS) == [sentence]
 
 
