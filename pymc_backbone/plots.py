@@ -39,6 +39,7 @@ from .diagnostics import Bounds
 
 MOST_PANELS = 24
 MOST_PARAMETERS = 12
+_FEWEST_TO_THIN = 100.0  # effective draws
 
 
 def plot_records(records: Sequence[Any], *, most: int = MOST_PANELS) -> Figure:
@@ -348,17 +349,20 @@ def plot_rank(
     """Draw rank plots (ArviZ's ``plot_rank``): p below alpha marks chains that disagree.
 
     The draws are thinned to independent ones first: the test takes correlated draws of one chain for disagreement.
+    Where they are worth fewer than 100 independent ones, thinning would leave nothing to see: they stay as they are.
     """
     import arviz as az
 
     draws, arguments = _for_arviz(posterior, names, units)
     count = _scalars(draws)
+    effective = min(float(values.min()) for values in az.ess(draws).data_vars.values())
+    is_thinned = effective >= _FEWEST_TO_THIN
     size = (3.6 * min(count, 4) + 0.5, 2.6 * -(-count // 4) + 0.8)
-    collection = az.plot_rank(draws, figure_kwargs={"figsize": size, "layout": layout()}, thin=True, **arguments)
-    return _finished(
-        collection,
-        "Ranks of the draws by chain (difference from uniform); p below \N{GREEK SMALL LETTER ALPHA}: they disagree",
-    )
+    collection = az.plot_rank(draws, figure_kwargs={"figsize": size, "layout": layout()}, thin=is_thinned, **arguments)
+    meaning = "p below \N{GREEK SMALL LETTER ALPHA}: they disagree"
+    if not is_thinned:
+        meaning = f"all draws, of which only {effective:.0f} are effective: too few to tell"
+    return _finished(collection, f"Ranks of the draws by chain (difference from uniform); {meaning}")
 
 
 def plot_pair(

@@ -196,6 +196,21 @@ def test_arviz_figures_are_labelled_and_closed(posterior, name):
     assert drawn_without_overlap(figure)
 
 
+def test_ranks_show_chains_that_do_not_mix(rng, posterior):
+    """Four chains, each on a place of its own: thinned to independent draws, next to nothing would be left to rank."""
+    apart = posterior["posterior"].to_dataset() + 1e-3 * xr.DataArray(np.arange(4.0), dims="chain")
+    stuck = apart.isel(draw=[0]).drop_vars("draw").squeeze() + 1e-9 * xr.DataArray(
+        rng.normal(size=(4, 250)), dims=("chain", "draw")
+    )
+    reach = {}
+    for label, tree in (("stuck", xr.DataTree.from_dict({"posterior": stuck})), ("good", posterior)):
+        figure = plots.plot_rank(tree, list(UNITS), units=UNITS)
+        reach[label] = max(np.ptp(line.get_ydata()) for axis in figure.axes for line in axis.lines)
+        title = figure.get_suptitle()
+        assert ("too few to tell" in title) == (label == "stuck") == ("p below" not in title)
+    assert reach["stuck"] > 5.0 * reach["good"]
+
+
 def test_many_specimens_are_not_all_drawn(rng):
     draws = xr.Dataset({"k": (("chain", "draw", "specimen"), rng.normal(size=(2, 100, 40)))})
     figure = plots.plot_trace(xr.DataTree.from_dict({"posterior": draws}))
