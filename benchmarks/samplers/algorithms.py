@@ -205,7 +205,7 @@ BASE, DEFAULT = "pm.Metropolis, scalars", "joint Metropolis (default)"
 SAMPLERS: dict[str, Callable[[Problem, int, int], Run]] = {
     BASE: _step("elementwise", float),
     "pm.Metropolis, one vector": _step("elementwise", float, blocked=True),
-    DEFAULT: _step("metropolis", lambda size: 1.0),
+    DEFAULT: _step("metropolis", float),
     "DEMetropolisZ": _step("demetropolisz", lambda size: 1.0),
     "Slice": _step("slice", lambda size: 6.0 * size),
     "SMC": run_smc,
