@@ -6,11 +6,12 @@ notebook display it. Amplitudes are drawn on the horizontal axis, the observable
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import xarray as xr
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
@@ -187,7 +188,7 @@ def plot_predictive(measured: xr.Dataset, simulated: xr.Dataset, *, probability:
             [], [], color=SIMULATED, linewidth=6, alpha=0.4, label=f"posterior predictive, {probability:.0%}"
         )[0],
     ]
-    axes[0, 0].legend(handles=handles, fontsize=8, frameon=False)
+    figure.legend(handles=handles, loc="outside lower center", ncols=2, fontsize=8, frameon=False)
     figure.suptitle("Measured against simulated backbones", fontsize=11)
     return figure
 
@@ -338,6 +339,7 @@ def plot_trace(
         **arguments,
     )
     figure = _finished(collection, "Densities and traces of the chains")
+    _stand_on_zero((axis for axis in figure.axes if axis.get_xlabel() != "Draw"), 5)
     for axis in figure.axes:  # the label of a specimen's parameter has two lines, longer than a row is high
         axis.yaxis.label.set_fontsize(7)
     return figure
@@ -379,7 +381,18 @@ def plot_pair(
         visuals={"scatter": {"alpha": 0.25, "size": 8, "width": 0}},
         **arguments,
     )
-    return _finished(collection, "Pairs of parameters")
+    figure = _finished(collection, "Pairs of parameters")
+    _stand_on_zero((axis for axis in figure.axes if not axis.collections), 3)
+    for axis in figure.axes:
+        axis.xaxis.set_major_locator(MaxNLocator(3))
+    return figure
+
+
+def _stand_on_zero(densities: Iterable[Axes], ticks: int) -> None:
+    """Let densities begin at zero, or waves of a flat one fill the panel; and keep numbers from running together."""
+    for axis in densities:
+        axis.set_ylim(0.0, None)
+        axis.xaxis.set_major_locator(MaxNLocator(ticks))
 
 
 def _for_arviz(
