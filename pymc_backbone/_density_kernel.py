@@ -14,12 +14,13 @@ Layout of ``codes`` and ``table`` (offsets count from 0; ``d`` = observables x l
   r)]``. With z = whitening (y - mean) the density is a Gaussian mixture over the n centres in the first r coordinates
   times a standard normal in the others.
 
-- data-consistent: ``codes = [DATA_CONSISTENT, d, r, n, m, ...]``; ``table = [log constant, bandwidth, mean (d),
-  projection (r x d), centres (n x r), predicted centres (m x r), reach (r), linear (r), quadratic (r x r), ...]``. With
-  z = projection (y - mean) the log density is that of a Gaussian mixture over the centres, less that over the predicted
-  centres, plus ``linear . z + z . quadratic z``. Beyond the reach (the box |z| <= reach) that polynomial keeps its
-  value at the edge and the density falls like the kernel. The dots stand for codes and table of the joint density of
-  the same population.
+- data-consistent: ``codes = [DATA_CONSISTENT, d, q, r, n, m, ...]``; ``table = [log constant, bandwidth, is log (d),
+  centre (d), projection (q x d), inner reach (q), polynomials (r x f), centres (n x r), predicted centres (m x r),
+  reach (r), linear (r), quadratic (r x r), ...]``. With t = y, or its logarithm, u = projection (t - centre) and z
+  the r polynomials of second degree in u (f = 1 + q + q (q + 1) / 2), the log density is that of a Gaussian mixture
+  over the centres, less that over the predicted centres, plus ``linear . z + z . quadratic z``. Beyond a reach (the
+  boxes |u| <= inner reach, |z| <= reach) the polynomials keep their values at the edge and the density falls like the
+  kernel. The dots stand for codes and table of the joint density of the same population.
 """
 
 from __future__ import annotations
@@ -197,24 +198,65 @@ def _mixture(table: FloatArray, start: int, n: int, r: int, inverse_square: floa
 
 
 @numba.njit(cache=True, error_model="numpy")
+def _polynomial(table: FloatArray, start: int, u: FloatArray, slopes: FloatArray) -> float:
+    """Return a polynomial of second degree; fill ``slopes``."""
+    q = u.size
+    value = table[start]
+    for a in range(q):
+        slopes[a] = table[start + 1 + a]
+        value += slopes[a] * u[a]
+    place = start + 1 + q
+    for a in range(q):
+        for b in range(a, q):
+            factor = table[place]
+            value += factor * u[a] * u[b]
+            slopes[a] += factor * u[b]
+            slopes[b] += factor * u[a]
+            place += 1
+    return value
+
+
+@numba.njit(cache=True, error_model="numpy")
 def _data_consistent(codes: IntArray, table: FloatArray, y: FloatArray, gradient: FloatArray) -> float:
     """Return the log ratio of observed to predicted density; fill ``gradient``."""
-    d, r, n, m = codes[1], codes[2], codes[3], codes[4]
-    projection = 2 + d
-    observed = projection + r * d
+    d, q, r, n, m = codes[1], codes[2], codes[3], codes[4], codes[5]
+    f = 1 + q + q * (q + 1) // 2
+    centre = 2 + d
+    projection = centre + d
+    inner_reach = projection + q * d
+    polynomials = inner_reach + q
+    observed = polynomials + r * f
     predicted = observed + n * r
     reach = predicted + m * r
     linear = reach + r
     quadratic = linear + r
     inverse_square = 1.0 / (table[1] * table[1])
-    scratch = np.empty(2 * r)
+    total = table[0]
+    u, inner_slopes = np.zeros(q), np.zeros(q)
+    for j in range(d):
+        gradient[j] = 1.0  # of t with respect to y, for now
+        t = y[j]
+        if table[2 + j] != 0.0:
+            if not t > 0.0:
+                return -np.inf
+            gradient[j] = 1.0 / t
+            t = math.log(t)
+        t -= table[centre + j]
+        for a in range(q):
+            u[a] += table[projection + a * d + j] * t
+    is_inside = np.empty(q)
+    for a in range(q):
+        edge = table[inner_reach + a]
+        inside_u = min(max(u[a], -edge), edge)
+        beyond = u[a] - inside_u
+        total -= 0.5 * beyond * beyond * inverse_square
+        inner_slopes[a] = -beyond * inverse_square
+        is_inside[a] = 1.0 if beyond == 0.0 else 0.0
+        u[a] = inside_u
+    scratch, steepness = np.empty(2 * r), np.empty((r, q))
     for k in range(r):
-        z = 0.0
-        row = projection + k * d
-        for j in range(d):
-            z += table[row + j] * (y[j] - table[2 + j])
-        scratch[k] = z
-    total = table[0] + _mixture(table, observed, n, r, inverse_square, scratch)
+        scratch[k] = _polynomial(table, polynomials + k * f, u, steepness[k])
+    total += _mixture(table, observed, n, r, inverse_square, scratch)
     slopes = scratch[r:].copy()
     total -= _mixture(table, predicted, m, r, inverse_square, scratch)
     inside = np.empty(r)
@@ -234,10 +276,14 @@ def _data_consistent(codes: IntArray, table: FloatArray, y: FloatArray, gradient
             for j in range(r):
                 slope += table[quadratic + j * r + k] * inside[j]
             slopes[k] += slope
-    for j in range(d):
-        gradient[j] = 0.0
+    for a in range(q):
         for k in range(r):
-            gradient[j] += slopes[k] * table[projection + k * d + j]
+            inner_slopes[a] += is_inside[a] * slopes[k] * steepness[k, a]
+    for j in range(d):
+        slope = 0.0
+        for a in range(q):
+            slope += inner_slopes[a] * table[projection + a * d + j]
+        gradient[j] *= slope
     return total
 
 
@@ -311,8 +357,8 @@ def mixture_marginal(
 
 def data_consistent_size(codes: IntArray) -> int:
     """Return how many numbers of the table are the ratio's own; those of the joint density follow."""
-    _, d, r, n, m = (int(code) for code in codes[:5])
-    return 2 + d + r * (d + n + m + 2 + r)
+    _, d, q, r, n, m = (int(code) for code in codes[:6])
+    return 2 + d * (2 + q) + q + r * (1 + q + q * (q + 1) // 2 + n + m + 2 + r)
 
 
 def is_layout(codes: IntArray, table_size: int, kind: int, size: int) -> bool:
@@ -327,10 +373,10 @@ def is_layout(codes: IntArray, table_size: int, kind: int, size: int) -> bool:
             and table_size == 2 + size + size**2 + codes[2] * codes[3]
         )
     if kind == DATA_CONSISTENT:
-        if codes.size != 9 or not (1 <= codes[2] <= size and codes[3] >= 1 and codes[4] >= 1):
+        if codes.size != 10 or not (1 <= codes[2] <= size and np.all(codes[3:6] >= 1)):
             return False
         own = data_consistent_size(codes)
-        return table_size > own and is_layout(codes[5:], table_size - own, JOINT, size)
+        return table_size > own and is_layout(codes[6:], table_size - own, JOINT, size)
     if codes.size != 2 + 3 * size:
         return False
     family, start, length = codes[2:].reshape(size, 3).T

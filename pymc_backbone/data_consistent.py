@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
@@ -12,9 +11,10 @@ from scipy.special import logsumexp
 from scipy.stats import qmc
 
 from ._checks import FloatArray, InputError
+from ._coordinates import DETERMINED, Coordinates, find_coordinates
 from ._density_data import measurement_covariance, population_values
 from ._density_kernel import DATA_CONSISTENT, log_density_batch
-from ._density_marginals import kernel_bandwidth, shrunk_centres
+from ._density_marginals import shrunk_centres
 from ._response import Response, make_response
 from .density import Density
 from .density_fit import fit_density
@@ -30,15 +30,11 @@ _CANDIDATES = 2**14  # points tried at once for their predicted coordinates, at 
 _MOST_ROUNDS = 64
 _CENTRES = 1500  # of the predicted density: each costs 10 ns a call and dimension
 _FRESH = 2048  # draws that judge the result
-_RESOLUTION = 0.01  # of the specimens' spread: smaller differences are no information, even where there is no error
-_DETERMINED = 0.5  # share of a parameter's prior variance that the backbones must explain
-_MARGIN = 3.0  # bandwidths around the specimens that belong to the region looked at
 _FEWEST_NEAR = 64
 _OUT_OF_REACH = (
     "of the draws from the priors, {} can be simulated at all levels and come near the measured backbones; widen the "
     "priors, check mass and units, or add the effect that is missing."
 )
-_SMALLEST_SHARE = 0.01  # of the measured variance that is left where measurement error explains all of it
 
 
 def fit_data_consistent(
@@ -102,13 +98,13 @@ def fit_data_consistent(
     Notes
     -----
     The ratio is not taken in the space of the o x l values, which lie on a surface of as many dimensions as parameters,
-    but in the r coordinates z that predict the parameters best (linear regression of the parameters on the values of
-    prior draws, with the measurement error in the values; directions that explain less than half of a parameter's prior
-    variance are dropped). Both densities have the same Gaussian kernels, so an edge that they share does not move; the
-    measured one has its centres drawn in, so that its variance is the sample's. The predicted one comes from
-    quasi-random draws of that box within the priors whose backbones come near the population. What smoothing still
-    changes is taken back: a quadratic in z is added to the log ratio so that mean and covariance of z, over draws of
-    the prior weighted with the ratio, are those of the measured population.
+    but in the r coordinates z that predict the parameters best (regression of the parameters on the values of prior
+    draws, or their logarithms, by polynomials of second degree, with the measurement error in the values; directions
+    of which they explain less than half are dropped). Both densities have the same Gaussian kernels, so an edge that
+    they share does not move; the measured one has its centres drawn in, so that its variance is the sample's. The
+    predicted one comes from quasi-random draws of that box within the priors whose backbones come near the population.
+    What smoothing still changes is taken back: a quadratic in z is added to the log ratio so that mean and covariance
+    of z, over draws of the prior weighted with the ratio, are those of the measured population.
 
     References
     ----------
@@ -139,7 +135,7 @@ def fit_data_consistent(
         before, closest = closest, float((np.abs(values - measured.mean(axis=0)) / spread).max(axis=1).min())
         if closest > 3.0 and closest > 0.9 * before:
             raise InputError(_OUT_OF_REACH.format("none"))
-        coordinates = _find_coordinates(parameters, values, measured, error, subtract_measurement)
+        coordinates = find_coordinates(parameters, values, measured, error, subtract_measurement, len(names))
         if predictor.narrow(parameters, coordinates.distance(values)) > _SETTLED:
             break
     region = _Region(coordinates, parameters, values)
@@ -199,44 +195,20 @@ class _Predictor:
         return float(np.prod((self.high - self.low) / before))
 
 
-@dataclass(frozen=True)
-class _Coordinates:
-    """z = projection (y - mean), in which the population has zero mean and unit covariance."""
-
-    mean: FloatArray
-    projection: FloatArray
-    sample: FloatArray  # (n, r), of unit covariance
-    bandwidth: float
-    explained: FloatArray  # share of each parameter's variance in the box
-
-    @property
-    def radius(self) -> float:
-        """How far the region of the population goes."""
-        return float(np.linalg.norm(self.sample, axis=1).max()) + _MARGIN * self.bandwidth
-
-    def of(self, values: FloatArray) -> FloatArray:
-        """Return coordinates (n, r) of values (n, d)."""
-        return np.asarray((values - self.mean) @ self.projection.T)
-
-    def distance(self, values: FloatArray) -> FloatArray:
-        """Return the distance from the population's mean, 1 at the end of its region."""
-        return np.asarray(np.linalg.norm(self.of(values), axis=1) / self.radius)
-
-
 class _Region:
-    """Where the population lies: a ball in the coordinates, and how to tell from parameters what falls into it."""
+    """Where the population lies, and how to tell from parameters whether their backbones fall into it."""
 
-    def __init__(self, coordinates: _Coordinates, parameters: FloatArray, values: FloatArray) -> None:
+    def __init__(self, coordinates: Coordinates, parameters: FloatArray, values: FloatArray) -> None:
         self.coordinates = coordinates
         self.centre, self.scale = parameters.mean(axis=0), parameters.std(axis=0)
-        z = coordinates.of(values)
-        near = np.linalg.norm(z, axis=1) < 2.0 * coordinates.radius
+        u, distance = coordinates.inner(values), coordinates.distance(values)
+        near = distance < 2.0
         if near.sum() < 4 * self._features(parameters[:1]).shape[1]:
-            near = np.ones(len(z), dtype=bool)
+            near = np.isfinite(distance)
         features = self._features(parameters[near])
-        self.coefficients = np.linalg.lstsq(features, z[near], rcond=None)[0]
-        misses = np.linalg.norm(z[near] - features @ self.coefficients, axis=1)
-        self.radius = coordinates.radius + 3.0 * float(np.sqrt(np.mean(misses**2)))
+        self.coefficients = np.linalg.lstsq(features, u[near], rcond=None)[0]
+        misses = coordinates.distance_of_inner(features @ self.coefficients) - distance[near]
+        self.limit = 1.0 + 3.0 * float(np.sqrt(np.mean(misses**2)))
 
     def _features(self, parameters: FloatArray) -> FloatArray:
         scaled = (parameters - self.centre) / self.scale
@@ -245,43 +217,7 @@ class _Region:
 
     def expects(self, parameters: FloatArray) -> NDArray[np.bool_]:
         """Return whether the backbones of parameters (n, p) are expected near the population."""
-        return np.asarray(np.linalg.norm(self._features(parameters) @ self.coefficients, axis=1) < self.radius)
-
-
-def _find_coordinates(
-    parameters: FloatArray, values: FloatArray, measured: FloatArray, error: FloatArray, subtract: bool
-) -> _Coordinates:
-    """Return the coordinates that predict the parameters best, scaled to the measured population."""
-    spread = values.std(axis=0)
-    scaled = (values - values.mean(axis=0)) / spread
-    wanted = (parameters - parameters.mean(axis=0)) / parameters.std(axis=0)
-    noise = (error + np.diag((_RESOLUTION * measured.std(axis=0)) ** 2)) / np.outer(spread, spread)
-    covariance = scaled.T @ scaled / len(scaled)
-    gain = np.linalg.solve(covariance + noise, scaled.T @ wanted / len(scaled))
-    explained = gain.T @ covariance @ gain
-    shares, vectors = np.linalg.eigh(explained)
-    kept = shares > _DETERMINED
-    if not kept.any():
-        raise InputError(
-            "the backbones determine none of the parameters: simulated ones hardly change within the priors, or less "
-            "than their errors. Add observables or levels, or widen the priors."
-        )
-    r, n = int(kept.sum()), len(measured)
-    if n < r + 3:
-        raise InputError(
-            f"a data_consistent density with {r} determined parameters needs at least {r + 3} specimens that reach "
-            f"every level, got {n}. Fix parameters, or use likelihood='specimen'."
-        )
-    rough = gain @ vectors[:, kept] / spread[:, None]
-    sample = (measured - measured.mean(axis=0)) @ rough
-    factor = np.linalg.cholesky(np.atleast_2d(np.cov(sample.T)))
-    whitener = np.linalg.inv(factor)
-    remaining = np.eye(r) - (whitener @ rough.T @ error @ rough @ whitener.T if subtract else 0.0)
-    sizes, axes = np.linalg.eigh(0.5 * (remaining + remaining.T))
-    projection = (axes.T / np.sqrt(np.maximum(sizes, _SMALLEST_SHARE))[:, None]) @ whitener @ rough.T
-    sample = sample @ whitener.T @ axes
-    bandwidth, _ = kernel_bandwidth(sample)
-    return _Coordinates(measured.mean(axis=0), projection, sample, bandwidth, np.clip(np.diag(explained), 0.0, 1.0))
+        return self.coordinates.distance_of_inner(self._features(parameters) @ self.coefficients) < self.limit
 
 
 def _fit_ratio(
@@ -297,14 +233,15 @@ def _fit_ratio(
     chosen = order[: min(_CENTRES, len(z) // 2)]
     rest = order[chosen.size :]
     centres = shrunk_centres(coordinates.sample, coordinates.bandwidth)
-    d, r = values.shape[1], z.shape[1]
+    d, q, r = values.shape[1], len(coordinates.projection), z.shape[1]
     share = float(near.mean())
 
     def assemble(constant: float, linear: FloatArray, quadratic: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
-        codes = np.array([DATA_CONSISTENT, d, r, len(centres), chosen.size, *joint.codes])
+        codes = np.array([DATA_CONSISTENT, d, q, r, len(centres), chosen.size, *joint.codes])
         pieces = (
-            [constant, coordinates.bandwidth], coordinates.mean, coordinates.projection.ravel(), centres.ravel(),
-            z[chosen].ravel(), np.full(r, coordinates.radius), linear, quadratic.ravel(), joint.table,
+            [constant, coordinates.bandwidth], coordinates.is_log, coordinates.centre, coordinates.projection.ravel(),
+            coordinates.inner_reach, coordinates.polynomials.ravel(), centres.ravel(), z[chosen].ravel(),
+            np.full(r, coordinates.radius), linear, quadratic.ravel(), joint.table,
         )  # fmt: skip
         return codes.astype(np.int64), np.concatenate([np.asarray(piece, dtype=np.float64) for piece in pieces])
 
@@ -339,7 +276,7 @@ def _fit_ratio(
         "effective_draws": effective,
         "directions": r,
         "explained": explained,
-        "undetermined": [name for name, part in explained.items() if part < _DETERMINED],
+        "undetermined": [name for name, part in explained.items() if part < DETERMINED],
         "mean": dict(zip(predictor.names, mean.tolist(), strict=True)),
         "sd": dict(zip(predictor.names, sd.tolist(), strict=True)),
     }

@@ -161,7 +161,7 @@ class Density:
         if self.kind != "data_consistent":
             return self
         own = data_consistent_size(self.codes)
-        return Density("joint", self.levels, self.observables, self.codes[5:], self.table[own:], "", self.rows)
+        return Density("joint", self.levels, self.observables, self.codes[6:], self.table[own:], "", self.rows)
 
     def standardise(self, values: ArrayLike) -> FloatArray:
         """Return values (..., o, l) as distances from the population's mean, shape (..., d).
