@@ -60,14 +60,15 @@ def _header(survey: Survey, found: Sequence[Quantity]) -> str:
         paragraph(survey.interrupted) if survey.interrupted else "",
     ]
     figures: list[tuple[object, object]] = [
-        (number, _pill(verdict)) for verdict, number in survey.counts.items() if number and verdict != "failed"
+        (number, verdict) for verdict, number in survey.counts.items() if number and verdict != "failed"
     ]
     if survey.failed:
         figures.append((len(survey.failed), "could not be diagnosed"))
     for quantity in found:
         if quantity.name in ("frequency", "damping_ratio") and len(quantity.structures) > 1:
             words = f"median {quantity.name.replace('_', ' ')}, {_spread(quantity)} from structure to structure"
-            figures.append((_with_unit(quantity.median, quantity.unit), words))
+            unit_name = "" if quantity.unit == "1" else f" {quantity.unit}"
+            figures.append((Raw(f"{number(quantity.median)}{unit_name}"), words))
     return "\n".join(part for part in [*parts, tiles(figures)] if part) + "\n</header>\n"
 
 
@@ -99,18 +100,17 @@ def _structures(survey: Survey) -> str:
         ("verdict", ""),
         ("missing effects", ""),
         ("probability", "n"),
-        ("frequency [Hz]", "n"),
-        ("damping ratio", "n"),
-        ("gap before", "n"),
-        ("after", "n"),
         ("look at", "n"),
+        ("frequency", ""),
+        ("damping ratio", ""),
+        ("gap", ""),
     )
     rows = [_row(item) for item in survey.ranked]
     strong = [i for i, item in enumerate(survey.ranked) if item.name in survey.standing_out]
     note = (
         "Those that stand out come first. Probability: of the most probable set. Frequency and damping ratio: of the "
         "linear part. Gap: reduced \N{GREEK SMALL LETTER CHI}\N{SUPERSCRIPT TWO} on held-out data, with the base model "
-        "and with the extended one. Look at: number of failed checks and findings, which the report explains."
+        "and with the extended one; 1 is noise. Look at: number of failed checks and findings, which the report explains."
     )
     first, rest = rows[:MOST_OPEN], rows[MOST_OPEN:]
     more = details(f"{len(rest)} more structures", table(columns, rest))
@@ -132,11 +132,10 @@ def _row(item: Structure) -> tuple[object, ...]:
         _pill(str(item.verdict)),
         effects_in_words(item),
         percent(item.probability),
-        number(item.frequency),
-        number(item.damping_ratio, 3),
-        number(item.gap_before, 3),
-        number(item.gap_after, 3),
         len(item.warnings) or Raw("&ndash;"),
+        Raw(f'<span class="u">{number(item.frequency)} Hz</span>'),
+        Raw(f'<span class="u">{number(100.0 * item.damping_ratio, 3)} %</span>'),
+        Raw(f"{number(item.gap_before, 3)} &rarr; {number(item.gap_after, 3)}"),
     )
 
 
@@ -218,11 +217,6 @@ def _pill(verdict: str) -> Raw:
 
 def _spread(quantity: Quantity) -> str:
     return f"\N{PLUS-MINUS SIGN}{100.0 * quantity.spread / abs(quantity.median):.2g} %" if quantity.median else "?"
-
-
-def _with_unit(value: float, name: str) -> Raw:
-    shown = number(value)
-    return shown if name in ("1", "-") else Raw(f"{shown} {unit(name)}")
 
 
 __all__ = ["survey_html"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
 import os
@@ -159,6 +160,9 @@ def run_job(job: Job) -> dict[str, Any]:
             entries.update(error=f"{type(error).__name__} where none was expected ({said}): a fault of the program.")
             entries.update(traceback=traceback.format_exc())
         entries["seconds"] = time.perf_counter() - begun
+        if job.folder is not None and entries["error"] is not None:
+            with contextlib.suppress(OSError):
+                os.rmdir(job.folder)  # if nothing is in it
         if job.folder is not None and entries["error"] is None:
             try:
                 write_entries(Path(job.folder), entries, job.request)
