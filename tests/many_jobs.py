@@ -33,10 +33,11 @@ def die_once(task: tuple[str, int]) -> int:
     return square(value)
 
 
-def die(task: tuple[str, int]) -> int:
+def die(task: tuple[str, int], wait: float = 0.0) -> int:
     """Kill the own process every time; a file counts."""
     mark, value = task
     if mark:
+        time.sleep(wait)
         with Path(mark).open("a") as stream:
             stream.write("x")
         os.kill(os.getpid(), signal.SIGKILL)
@@ -80,6 +81,11 @@ def diagnosis(job: Any) -> dict[str, Any]:
     return {**blank(job), **found}
 
 
-def worker_after(seconds: float) -> int:
-    time.sleep(seconds)
-    return os.getpid()
+def die_later(task: tuple[str, int]) -> int:
+    """Kill the own process every time, but not before Dask is done with starting it: its nanny would wait for ever."""
+    return die(task, 1.5)
+
+
+def pause_and_square(value: int) -> int:
+    time.sleep(0.3)
+    return value * value

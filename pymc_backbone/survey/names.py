@@ -95,7 +95,7 @@ def folder_names(names: Sequence[str]) -> dict[str, str]:
     for name in names:
         safe = re.sub(r"[^\w .+=@()-]", "_", name)[:MOST_CHARACTERS].strip(" .")
         is_reserved = re.fullmatch(r"(?i)(con|prn|aux|nul|com\d|lpt\d)(\..*)?", safe) is not None
-        if safe != name or is_reserved or folded.count(name.casefold()) > 1:
+        if not safe or safe != name or is_reserved or folded.count(name.casefold()) > 1:
             safe = f"{safe or 'structure'}-{_digest(name)[:8]}"
         result[name] = safe
     return result

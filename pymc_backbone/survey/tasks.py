@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
+import uuid
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from contextlib import contextmanager
@@ -79,7 +80,7 @@ def run_tasks(
             for attempt in (1, 2):
                 queue = iter(names)
                 while True:
-                    _fill(flying, queue, most, lambda name: executor.submit(function, tasks[name]), suspects)
+                    _fill(flying, queue, most, lambda name: executor.submit(call, function, tasks[name], uuid.uuid4().hex), suspects)
                     if not flying:
                         break
                     finished = wait(flying, POLL, FIRST_COMPLETED).done
@@ -102,6 +103,11 @@ def run_tasks(
     for name, error in suspects:
         done(name, Lost(_reason(error)), 2)
     return False
+
+
+def call(function: Callable[[Any], Any], task: Any, token: str) -> Any:
+    """Call a function; the token makes each submission new to Dask, which else answers it with the former failure."""
+    return function(task)
 
 
 def _fill(
