@@ -151,8 +151,8 @@ def main() -> None:
             "are comparable.",
             "",
             "Each structure is two simulated records of 520 samples, diagnosed with `quick=True` and three candidates; "
-            "nothing is written. Every process first loads PyMC and the compiled code, which is in the last time but one "
-            "and not in the rates.",
+            "nothing is written. Every process first loads PyMC and the compiled code, which is in the time from start "
+            "to end and not in the rates.",
             "",
             *throughput(some),
             "",

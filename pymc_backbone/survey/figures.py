@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 
 from .._checks import FloatArray
 from .._figures import MEASURED, QUIET, SIMULATED, drawable, layout, parameter_axis
-from .outliers import FAR, Quantity
+from .outliers import Quantity, far
 from .structure import Structure
 
 MOST_NAMED = 5  # structures that a panel names
@@ -35,7 +35,7 @@ def plot_quantity(quantity: Quantity, order: Sequence[str]) -> Figure:
     Returns
     -------
     matplotlib.figure.Figure
-        Bars span 95 % of each value's own uncertainty; the band is that of a value which stands out.
+        Bars span 95 % of each value's own uncertainty.
     """
     figure, axis = _panel()
     scale, label = _labelled(quantity)
@@ -43,7 +43,7 @@ def plot_quantity(quantity: Quantity, order: Sequence[str]) -> Figure:
     x = np.array([place[name] for name in quantity.structures], dtype=float)
     y, error = scale * quantity.values, 1.96 * scale * np.nan_to_num(quantity.errors)
     scores = quantity.scores()
-    is_far = np.abs(scores) > FAR
+    is_far = np.abs(scores) > far(len(scores))
     axis.axhline(scale * quantity.median, color=QUIET, linewidth=1.0, zorder=1)
     for chosen, colour in ((~is_far, MEASURED), (is_far, SIMULATED)):
         if chosen.any():

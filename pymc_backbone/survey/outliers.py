@@ -11,13 +11,25 @@ import numpy as np
 from .._checks import FloatArray
 from .structure import Structure
 
-FAR = 3.5
-"""Robust z-score from which a value stands out (Iglewicz and Hoaglin, 1993)."""
-LEAST = 5
+LEAST = 6
 """Structures that must share a quantity before one of them can stand out."""
 _NORMAL = 1.4826  # median absolute deviation to standard deviation, for a normal distribution
 _LEAST_SPREAD = 1e-9  # of the median; below it values differ by rounding alone
 _OF_LINEAR_PART = ("linear_stiffness", "viscous_damping")
+
+
+def far(count: int) -> float:
+    """Return the robust z-score from which a value of so many stands out: 4.2 + 30 / count.
+
+    Of quantities that are normally distributed with nothing standing out, one or two in a hundred reach it; the median
+    absolute deviation of few values is too small now and then, so that few need a larger distance.
+
+    Examples
+    --------
+    >>> far(10), far(60)
+    (7.2, 4.7)
+    """
+    return 4.2 + 30.0 / count
 
 
 @dataclass(frozen=True)
@@ -121,7 +133,7 @@ def stand_out(structures: Sequence[Structure]) -> dict[str, tuple[str, ...]]:
     Returns
     -------
     dict
-        Reasons by name: nothing explains it, another set of effects than most, or a robust z-score beyond `FAR`.
+        Reasons by name: nothing explains it, another set of effects than most, or a robust z-score beyond `far`.
     """
     most = majority(structures)
     reasons: dict[str, list[str]] = {}
@@ -133,7 +145,7 @@ def stand_out(structures: Sequence[Structure]) -> dict[str, tuple[str, ...]]:
             rank[item.name][0 if item.verdict == "unexplained" else 1] = 1.0
     for quantity in quantities(structures):
         for name, value, score in zip(quantity.structures, quantity.values, quantity.scores(), strict=True):
-            if abs(score) > FAR:
+            if abs(score) > far(len(quantity.structures)):
                 reasons.setdefault(name, []).append(_value_reason(quantity, float(value), float(score)))
                 rank[name][2] = max(rank[name][2], abs(float(score)))
     order = sorted(reasons, key=lambda name: [-part for part in rank[name]])
@@ -174,4 +186,4 @@ def _relative_error(item: Structure, name: str) -> float:
     return abs(sd / mean) if mean and sd is not None else 0.0
 
 
-__all__ = ["FAR", "LEAST", "Quantity", "majority", "quantities", "stand_out"]
+__all__ = ["LEAST", "Quantity", "far", "majority", "quantities", "stand_out"]

@@ -25,7 +25,7 @@ from .._html import (
 from ..diagnosis_plots import percent
 from ..report import VERDICT_MEANS, VERDICT_WORDS
 from .figures import drawn_quantities, plot_damping_against_frequency, plot_quantity
-from .outliers import FAR, LEAST, Quantity, quantities
+from .outliers import LEAST, Quantity, far, quantities
 from .structure import Structure
 from .survey import Survey, effects_in_words
 
@@ -77,8 +77,9 @@ def _standing_out(survey: Survey) -> str:
     rows = [(_linked(by_name[name]), Raw("<br>".join(map(prose, why)))) for name, why in survey.standing_out.items()]
     note = (
         "A structure stands out where no effect explains it, where it lacks another set of effects than more than half "
-        f"of the others, or where a value lies more than {FAR:g} robust standard deviations (its own uncertainty "
-        f"included) from the median of at least {LEAST} structures."
+        f"of the others, or where a value lies far from the median of at least {LEAST} structures: more than "
+        f"{far(max(len(survey.done), LEAST)):.1f} robust standard deviations (of so many structures; the value's own "
+        "uncertainty is included)."
     )
     parts = [table((("structure", "head"), ("why", "text")), rows)] if rows else [paragraph("None does.")]
     return section("What stands out", *parts, paragraph(note, "soft")) if survey.done else ""
@@ -110,7 +111,7 @@ def _structures(survey: Survey) -> str:
     note = (
         "Those that stand out come first. Probability: of the most probable set. Frequency and damping ratio: of the "
         "linear part. Gap: reduced \N{GREEK SMALL LETTER CHI}\N{SUPERSCRIPT TWO} on held-out data, with the base model "
-        "and with the extended one; 1 is noise. Look at: number of failed checks and findings, which the report explains."
+        "and with the extended one; 1 is noise. Look at: failed checks and findings, explained in the report."
     )
     first, rest = rows[:MOST_OPEN], rows[MOST_OPEN:]
     more = details(f"{len(rest)} more structures", table(columns, rest))
@@ -189,8 +190,8 @@ def _reproduce(survey: Survey) -> str:
     words += f"; {again} run twice because a worker was lost" if again else ""
     parts.append(
         paragraph(
-            f"pymc-backbone {survey.version}, seed {survey.seed}: {words}. summary.json holds all numbers, summary.csv "
-            "a row for each structure."
+            f"pymc-backbone {survey.version}, seed {survey.seed}: {words}. summary.json holds all numbers, "
+            "summary.csv a row for each structure."
         )
     )
     rows = [(name.replace("_", " "), _words(value)) for name, value in survey.settings.items()]

@@ -80,7 +80,13 @@ def run_tasks(
             for attempt in (1, 2):
                 queue = iter(names)
                 while True:
-                    _fill(flying, queue, most, lambda name: executor.submit(call, function, tasks[name], uuid.uuid4().hex), suspects)
+                    _fill(
+                        flying,
+                        queue,
+                        most,
+                        lambda name: executor.submit(call, function, tasks[name], uuid.uuid4().hex),
+                        suspects,
+                    )
                     if not flying:
                         break
                     finished = wait(flying, POLL, FIRST_COMPLETED).done
