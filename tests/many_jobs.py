@@ -72,7 +72,7 @@ def diagnosis(job: Any) -> dict[str, Any]:
     if name.startswith("poison"):
         os.kill(os.getpid(), signal.SIGKILL)
     if name.startswith("slow"):
-        time.sleep(30.0)
+        time.sleep(600.0)
     found = {
         "verdict": "found", "sentence": "Dry friction is missing.", "missing_effects": ("coulomb_friction",),
         "effects": ("coulomb_friction",), "probability": 0.97, "frequency": 5.0, "damping_ratio": 0.01,
