@@ -4,7 +4,7 @@ The same simulated batches (two specimens each, dry friction in four of five) ar
 their results are compared bit by bit. A rate is taken over the structures after the first quarter, when every worker
 has loaded its code; the time from start to end has that too.
 
-    python benchmarks/many.py --structures 40 --memory 200 --out benchmarks/many.md
+    python benchmarks/many.py --structures 40 --memory 200
 """
 
 from __future__ import annotations
@@ -13,10 +13,12 @@ import argparse
 import json
 import os
 import platform
+import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -78,6 +80,9 @@ def run(sources: dict[str, Path], executor: Executor | None, pids: Callable[[], 
         times.append(time.perf_counter() - begun)
         for pid in pids():
             memory.setdefault(pid, []).append(resident(pid))
+        if len(times) % 20 == 0:
+            held = ", ".join(f"{values[-1]:.0f} MB" for values in memory.values())
+            print(f"{len(times)} of {len(sources)} after {times[-1]:.0f} s; {held}", file=sys.stderr, flush=True)
 
     chosen: dict[str, Any] = {"workers": 0} if executor is None else {"executor": executor}
     survey = pb.diagnose_many(sources, mass=MASS, random_seed=1, say=say, **chosen, **SETTINGS)
@@ -111,11 +116,14 @@ def throughput(sources: dict[str, Path]) -> list[str]:
     return lines
 
 
-def dask_client() -> Any:
-    """Return a client of a new cluster with two worker processes of one thread."""
+@contextmanager
+def dask_client() -> Iterator[Any]:
+    """Yield a client of a new cluster with two worker processes of one thread."""
     from distributed import Client, LocalCluster
 
-    return Client(LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None))
+    settings: dict[str, Any] = {"n_workers": 2, "threads_per_worker": 1, "processes": True, "dashboard_address": None}
+    with LocalCluster(**settings) as cluster, Client(cluster) as client:
+        yield client
 
 
 def memory_table(sources: dict[str, Path]) -> list[str]:
@@ -134,36 +142,16 @@ def memory_table(sources: dict[str, Path]) -> list[str]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--structures", type=int, default=40)
+    parser.add_argument("--structures", type=int, default=40, help="of the throughput table; 0: none")
     parser.add_argument("--memory", type=int, default=200, help="structures of the memory table; 0: none")
-    parser.add_argument("--out", type=Path)
     options = parser.parse_args()
+    print(f"Python {platform.python_version()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at the start\n")
     with tempfile.TemporaryDirectory() as name:
         write_batches(Path(name), max(options.structures, options.memory))
         folders = {path.name: path for path in sorted(Path(name).iterdir())}
-        some = dict(list(folders.items())[: options.structures])
-        many = dict(list(folders.items())[: options.memory])
-        lines = [
-            "# Many structures",
-            "",
-            f"`python benchmarks/many.py --structures {options.structures} --memory {options.memory}`; Python "
-            f"{platform.python_version()}, {os.cpu_count()} cores, shared with other work: only ratios within this run "
-            "are comparable.",
-            "",
-            "Each structure is two simulated records of 520 samples, diagnosed with `quick=True` and three candidates; "
-            "nothing is written. Every process first loads PyMC and the compiled code, which is in the time from start "
-            "to end and not in the rates.",
-            "",
-            *throughput(some),
-            "",
-        ]
-        print("\n".join(lines), flush=True)
-        if many:
-            table = ["Resident memory of the workers on the way (two processes, structures finished by both):", ""]
-            lines += [*table, *memory_table(many), ""]
-        print("\n".join(lines[-6:]), flush=True)
-    if options.out is not None:
-        options.out.write_text("\n".join(lines), encoding="utf-8")
+        for table, count in ((throughput, options.structures), (memory_table, options.memory)):
+            if count:
+                print("\n".join(table(dict(list(folders.items())[:count]))), end="\n\n", flush=True)
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from concurrent.futures import Executor, ThreadPoolExecutor
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,8 @@ from pymc_backbone.results import plain, read_result
 from pymc_backbone.survey import workflow
 from pymc_backbone.survey.files import stored_seed
 from pymc_backbone.survey.names import folder_names, seed_of, structures_of
-from pymc_backbone.survey.structure import Structure
+from pymc_backbone.survey.processes import Processes
+from pymc_backbone.survey.structure import Structure, prepare_worker
 
 from . import many_jobs
 from .discrepancy_cases import MASS, OMEGA, make_records, truth_of
@@ -102,6 +104,32 @@ def test_sampled_posteriors_are_the_same_everywhere(rng):
     assert comparable(pb.diagnose_many(records, workers=2, **settings)) == comparable(alone)
     with cluster(2) as client:
         assert comparable(pb.diagnose_many(records, executor=client.get_executor(), **settings)) == comparable(alone)
+
+
+@posix
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "settings", [QUICK, {**SAMPLED, "held_out": 0, "draws": 100, "tune": 100}], ids=["quick", "sampled"]
+)
+def test_memory_of_a_worker_stays_flat(settings):
+    """Resident memory after 200 batches against that after 40, when everything that a study needs is loaded."""
+    status = Path("/proc/self/status")
+    if not status.exists():
+        pytest.skip("the memory of a process is read from /proc")
+    memory: list[float] = []
+    some = {f"beam {i}": backbones(i % 20) for i in range(200)}
+    with Processes(1, prepare_worker) as executor:
+
+        def say(text: str) -> None:
+            if text.startswith("["):
+                (pid,) = executor.process_ids
+                text = Path(f"/proc/{pid}/status").read_text()
+                memory.append(float(text.split("VmRSS:")[1].split()[0]) / 1e3)
+
+        survey = pb.diagnose_many(some, mass=MASS, executor=executor, random_seed=3, say=say, **settings)
+    print("MB after 1, 10, 20, 40, 100, 150, 200:", [memory[i - 1] for i in (1, 10, 20, 40, 100, 150, 200)])
+    assert not survey.failed and len(memory) == 200
+    assert memory[-1] < 1.03 * memory[39]  # the allocator's own wandering
 
 
 @pytest.fixture
