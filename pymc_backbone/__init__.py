@@ -40,6 +40,9 @@ if TYPE_CHECKING:
     from .records import Record, read_records, write_records
     from .results import write_backbones
     from .sampling import sample
+    from .survey.structure import Structure
+    from .survey.survey import Survey
+    from .survey.workflow import diagnose_many
 
 try:
     __version__ = version("pymc-backbone")
@@ -77,6 +80,9 @@ _WHERE = {
     "records": ("Record", "read_records", "write_records"),
     "results": ("write_backbones",),
     "sampling": ("sample",),
+    "survey.structure": ("Structure",),
+    "survey.survey": ("Survey",),
+    "survey.workflow": ("diagnose_many",),
 }
 _MODULE_OF = {name: module for module, names in _WHERE.items() for name in names}
 
@@ -95,7 +101,9 @@ __all__ = [
     "Record",
     "SimulatedBackbone",
     "Status",
+    "Structure",
     "Study",
+    "Survey",
     "WaveformResult",
     "backbone_likelihood",
     "backbones_at_levels",
@@ -103,6 +111,7 @@ __all__ = [
     "build_model",
     "condition",
     "demo_folder",
+    "diagnose_many",
     "extract_cycles",
     "find_missing_effect",
     "findings",

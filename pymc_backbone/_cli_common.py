@@ -74,11 +74,11 @@ def add_records(parser: argparse.ArgumentParser, *, tables: bool = True) -> None
         )
 
 
-def add_model(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
+def add_model(parser: argparse.ArgumentParser, *, required: bool = True) -> argparse._ArgumentGroup:
     """Add the group of options of the model, with the mass, and return it."""
     group = parser.add_argument_group("model")
     group.add_argument(
-        "--mass", type=_options.number("--mass"), required=True, metavar="M", help="mass [kg], or inertia [kg m^2]"
+        "--mass", type=_options.number("--mass"), required=required, metavar="M", help="mass [kg], or inertia [kg m^2]"
     )
     return group
 
@@ -146,6 +146,16 @@ def add_measurement(parser: argparse.ArgumentParser, *, observables: bool = True
         metavar="LIST",
         help=f"what to compare: {', '.join(OBSERVABLES)} (default: frequency,damping)",
     )
+
+
+def search_of(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the options of the search for a missing effect as keyword arguments."""
+    names = ("max_effects", "tolerance", "held_out", "quick")
+    return {
+        "base": _options.split(options.base),
+        "candidates": _options.split(options.candidates) or None,
+        **{name: getattr(options, name) for name in names},
+    }
 
 
 def add_output(parser: argparse.ArgumentParser, *, required: bool) -> None:

@@ -6,6 +6,7 @@ import argparse
 from typing import Any
 
 from . import _options
+from ._checks import InputError
 from ._cli_common import (
     add_measurement,
     add_model,
@@ -17,7 +18,9 @@ from ._cli_common import (
     print_result,
     sampling_of,
     say_of,
+    search_of,
 )
+from ._cli_many import add_many, diagnose_many, refuse_without_many
 from ._progress import ProgressBar
 from ._quiet import hush_libraries
 
@@ -40,6 +43,9 @@ PyMC script), backbones.csv and .nc, posterior.nc and figures/. Examples:
   pymc-backbone diagnose ring_downs/ --mass 1.2 --base cubic_stiffness --quick --out diagnosis
   pymc-backbone diagnose ring_downs/ --mass 1.2 --candidates coulomb_friction quadratic_damping jenkins \\
       --tolerance frequency=0.0005,damping=0.02 --seed 4 --out diagnosis
+Many structures, a folder of records for each; begin with summary.html (docs/many_structures.md):
+  pymc-backbone diagnose --many structures/ --mass 1.2 --out survey
+  pymc-backbone diagnose --many structures/ --structures masses.csv --workers 8 --seed 4 --resume --out survey
 """
 
 
@@ -54,7 +60,7 @@ def add_diagnose(commands: Any) -> None:
     add_records(parser)
     add_measurement(parser, observables=False)
 
-    model = add_model(parser)
+    model = add_model(parser, required=False)
     model.add_argument(
         "--base",
         action="extend",
@@ -91,9 +97,20 @@ def add_diagnose(commands: Any) -> None:
     )
     search.add_argument("--quick", action="store_true", help="stop before sampling: no posterior, intervals of the fit")
     add_sampling(parser)
+    add_many(parser)
     add_output(parser, required=True)
     add_talk(parser)
-    parser.set_defaults(run=_diagnose)
+    parser.set_defaults(run=_run)
+
+
+def _run(options: argparse.Namespace) -> None:
+    if options.many:
+        diagnose_many(options)
+        return
+    refuse_without_many(options)
+    if options.mass is None:
+        raise InputError("the mass is missing: give --mass M, in kg, or kg m^2 for a rotation.")
+    _diagnose(options)
 
 
 def _diagnose(options: argparse.Namespace) -> None:
@@ -111,12 +128,7 @@ def _diagnose(options: argparse.Namespace) -> None:
             options.records,
             mass=options.mass,
             output=options.out,
-            base=_options.split(options.base),
-            candidates=_options.split(options.candidates) or None,
-            max_effects=options.max_effects,
-            tolerance=options.tolerance,
-            held_out=options.held_out,
-            quick=options.quick,
+            **search_of(options),
             is_table=options.backbones,
             **measurement_of(options),
             **sampling_of(options),

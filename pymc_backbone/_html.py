@@ -6,6 +6,7 @@ import base64
 import html
 import io
 from collections.abc import Iterable, Sequence
+from urllib.parse import quote
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -28,6 +29,8 @@ header,section{background:var(--card);border:1px solid var(--line);border-radius
 header{border-top:6px solid var(--tone);background:linear-gradient(var(--wash),var(--card))}
 .word{display:inline-block;background:var(--tone);color:var(--card);font-weight:700;font-size:.82rem;letter-spacing:.06em;
 text-transform:uppercase;border-radius:999px;padding:3px 14px}
+.word.small{font-size:.72rem;padding:1px 9px;white-space:nowrap}
+a{color:var(--tone);overflow-wrap:anywhere}
 .kicker{color:var(--soft);font-size:.85rem;margin-left:8px}
 h1{font-size:1.55rem;line-height:1.28;margin:12px 0 8px;font-weight:650;overflow-wrap:anywhere}
 h2{font-size:1.12rem;margin:0 0 10px;font-weight:650}
@@ -123,6 +126,11 @@ def unit(text: str) -> Raw:
         end = next((i for i, c in enumerate(piece) if not (c.isdigit() or c == "-")), len(piece))
         result += f"<sup>{piece[:end].replace('-', '&minus;')}</sup>{piece[end:]}"
     return Raw(f'<span class="u">{result}</span>')
+
+
+def link(text: object, path: str) -> Raw:
+    """Return a link to a file below the page's folder."""
+    return Raw(f'<a href="{escape(quote("./" + path))}">{escape(text)}</a>')
 
 
 def paragraph(text: object, kind: str = "") -> str:

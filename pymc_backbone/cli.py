@@ -109,6 +109,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         elif options.command is None:
             build_parser().print_help()
         else:
+            options.arguments = list(sys.argv[1:] if arguments is None else arguments)
             options.run(options)
         sys.stdout.flush()
     except InputError as error:

@@ -8,9 +8,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ._checks import InputError
 from ._describe import aligned, describe_reading, short
 from .measurement import Levels, measure
-from .results import REPORT, prepare_output, read_result
+from .results import REPORT, package_version, plain, prepare_output, read_result
 from .run import Progress, Say
 
 if TYPE_CHECKING:
@@ -20,10 +21,10 @@ TOP_CANDIDATES = 5
 
 
 def diagnose(
-    path: str | os.PathLike[str],
+    path: Any,
     *,
     mass: float,
-    output: str | os.PathLike[str],
+    output: str | os.PathLike[str] | None,
     base: Sequence[str] = (),
     candidates: Sequence[str] | None = None,
     max_effects: int = 3,
@@ -51,12 +52,12 @@ def diagnose(
 
     Parameters
     ----------
-    path : path-like
-        File or folder of records, or of backbone tables if ``is_table``.
+    path : path-like, or what was read already
+        File or folder of records, or of backbone tables if ``is_table``; or records or a Dataset of backbones.
     mass : float
         Mass [kg], or inertia [kg m^2] for a rotation.
-    output : path-like
-        Output folder.
+    output : path-like or None
+        Output folder; None: nothing is written.
     base : sequence of str, optional
         Effects of the model that is questioned, beside linear stiffness and viscous damping.
     candidates : sequence of str, optional
@@ -105,35 +106,50 @@ def diagnose(
         "unit": unit,
         "sampling_rate": sampling_rate,
     }
-    folder = prepare_output(output, overwrite)
+    folder = None if output is None else prepare_output(output, overwrite)
     from .oscillator import Oscillator
 
     oscillator = Oscillator(mass, base)
-    records: Sequence[Any] = ()
-    if is_table:
-        data: Any = measure(path, is_table=True, band=band, start=start, levels=levels, **reading).backbones
-        passed = {**settings, "levels": None}  # the tables are at the levels already
-    else:
-        from .records import read_records
-
-        data = records = read_records(path, **reading)
-        assumed = describe_reading(records)
-        if assumed:
-            say(assumed + "\n")
-        passed = settings
+    data, records = _read(path, is_table, {"band": band, "start": start, "levels": levels}, reading, say)
+    passed = {**settings, "levels": None} if is_table else settings  # the tables are at the levels already
     from .discrepancy.workflow import find_missing_effect
 
     study = find_missing_effect(oscillator, data, random_seed=random_seed, progress=progress, **passed)
+    from .diagnosis_files import study_entries, write_study
+
+    if folder is None or output is None:
+        say(describe_study(study))
+        return dict(plain(study_entries(study, package_version())))
     if progress is not None:
         progress("writing the report", 1.0)
-    from .diagnosis_files import write_study
-
-    flags = {"backbones": is_table, "overwrite": overwrite}
-    command = command_line(path, mass, base, {**settings, **reading, "seed": study.seed}, flags, output)
+    command = ""
+    if isinstance(path, str | os.PathLike):
+        flags = {"backbones": is_table, "overwrite": overwrite}
+        command = command_line(path, mass, base, {**settings, **reading, "seed": study.seed}, flags, output)
     write_study(study, folder, overwrite=overwrite, command=command, records=records)
     say(describe_study(study))
     say(f"\nThe report is {Path(folder) / REPORT}; numbers, figures and a PyMC script are beside it.")
     return read_result(folder)
+
+
+def _read(
+    path: Any, is_table: bool, measurement: Mapping[str, Any], reading: Mapping[str, Any], say: Say
+) -> tuple[Any, Sequence[Any]]:
+    """Return the data for the search, and the records among them."""
+    if is_table:
+        return measure(path, is_table=True, **measurement, **reading).backbones, ()
+    if not isinstance(path, str | os.PathLike):
+        given = next((name for name, value in reading.items() if value is not None), None)
+        if given is not None:
+            raise InputError(f"`{given}` is for files, and these records are read already; give it to `read_records`.")
+        return path, path if isinstance(path, Sequence) else ()
+    from .records import read_records
+
+    records = read_records(path, **reading)
+    assumed = describe_reading(records)
+    if assumed:
+        say(assumed + "\n")
+    return records, records
 
 
 def command_line(

@@ -57,8 +57,9 @@ def searched(monkeypatch: pytest.MonkeyPatch) -> dict:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ([], "RECORDS, --mass"),
+        ([], "RECORDS, --out"),
         (["x", *MASS], "--out"),
+        (["x", "--out", "o"], "--mass M"),
         (["x", *MASS, "--tolerance", "speed=1"], "frequency=0.001,damping=0.03"),
         (["x", *MASS, "--tolerance", "damping"], "frequency=0.001,damping=0.03"),
         (["x", *MASS, "--tolerance=-1"], "got '-1'"),

@@ -1,0 +1,117 @@
+"""Figures of a survey: each quantity over the structures, and damping against frequency."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from .._checks import FloatArray
+from .._figures import MEASURED, QUIET, SIMULATED, drawable, layout, parameter_axis
+from .outliers import Quantity, far
+from .structure import Structure
+
+MOST_NAMED = 5  # structures that a panel names
+_WIDTH, _HEIGHT = 4.8, 3.1
+_ORDERED = ("frequency", "damping_ratio")
+_COLOURS = {"adequate": "#009E73", "found": "#0072B2", "ambiguous": "#E69F00", "unexplained": "#B00020"}
+_MARKS = {"adequate": "o", "found": "s", "ambiguous": "^", "unexplained": "D"}
+
+
+def plot_quantity(quantity: Quantity, order: Sequence[str]) -> Figure:
+    """Draw one quantity over the structures, with its median; values that stand out are named.
+
+    Parameters
+    ----------
+    quantity : Quantity
+        What is drawn.
+    order : sequence of str
+        All structures of the survey: their numbers are the horizontal axis.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Bars span 95 % of each value's own uncertainty.
+    """
+    figure, axis = _panel()
+    scale, label = _labelled(quantity)
+    place = {name: i + 1 for i, name in enumerate(order)}
+    x = np.array([place[name] for name in quantity.structures], dtype=float)
+    y, error = scale * quantity.values, 1.96 * scale * np.nan_to_num(quantity.errors)
+    scores = quantity.scores()
+    is_far = np.abs(scores) > far(len(scores))
+    axis.axhline(scale * quantity.median, color=QUIET, linewidth=1.0, zorder=1)
+    for chosen, colour in ((~is_far, MEASURED), (is_far, SIMULATED)):
+        if chosen.any():
+            bars = {"markersize": 4.5, "elinewidth": 1.0, "zorder": 3}
+            axis.errorbar(x[chosen], y[chosen], error[chosen], fmt="o", color=colour, **bars)
+    axis.set_xlim(0.4, len(order) + 0.6)
+    axis.margins(y=0.12)
+    axis.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+    axis.set_xlabel("Structure, in the order given")
+    axis.set_ylabel(label)
+    worst = np.argsort(-np.nan_to_num(np.abs(scores)))[: min(MOST_NAMED, int(is_far.sum()))]
+    _name(axis, [(float(x[i]), float(y[i]), quantity.structures[i]) for i in worst], 0.5 * (len(order) + 1))
+    return figure
+
+
+def plot_damping_against_frequency(structures: Sequence[Structure], standing_out: Sequence[str]) -> Figure | None:
+    """Draw the damping ratio of the linear part against its frequency, by verdict; None without values."""
+    shown = [item for item in structures if np.isfinite(item.frequency) and np.isfinite(item.damping_ratio)]
+    if not shown:
+        return None
+    figure, axis = _panel()
+    for verdict, colour in _COLOURS.items():
+        points = np.array([(item.frequency, item.damping_ratio) for item in shown if item.verdict == verdict])
+        if points.size:
+            axis.plot(points[:, 0], points[:, 1], _MARKS[verdict], color=colour, markersize=5.0, label=verdict)
+    axis.margins(0.12)
+    axis.set_xlabel("Frequency [Hz]")
+    axis.set_ylabel("Damping ratio [-]")
+    axis.legend(fontsize="small", frameon=False, loc="best")
+    by_name = {item.name: item for item in shown}
+    named = [by_name[name] for name in standing_out if name in by_name][:MOST_NAMED]
+    middle = float(np.mean(axis.get_xlim()))
+    _name(axis, [(item.frequency, item.damping_ratio, item.name) for item in named], middle)
+    return figure
+
+
+def drawn_quantities(found: Sequence[Quantity]) -> list[Quantity]:
+    """Return what is drawn: quantities that at least two structures have, the most shared first."""
+    shared = [item for item in found if len(item.structures) > 1]
+    return sorted(shared, key=lambda item: (item.name not in _ORDERED, -len(item.structures)))
+
+
+def _labelled(quantity: Quantity) -> tuple[float, str]:
+    return parameter_axis(quantity.name, quantity.values, {quantity.name: quantity.unit})
+
+
+def _panel() -> tuple[Figure, Any]:
+    figure = Figure(figsize=(_WIDTH, _HEIGHT), layout=layout())
+    axis = figure.subplots()
+    axis.spines[["top", "right"]].set_visible(False)
+    axis.grid(alpha=0.25, linewidth=0.5)
+    axis.ticklabel_format(axis="both", useOffset=False)
+    return figure, axis
+
+
+def _name(axis: Axes, points: Sequence[tuple[float, float, str]], middle: float | FloatArray) -> None:
+    """Write names beside points, towards the middle of the panel."""
+    for x, y, name in points:
+        is_right = x > middle
+        axis.annotate(
+            drawable(name, 24),
+            (x, y),
+            xytext=(-6 if is_right else 6, 3),
+            textcoords="offset points",
+            ha="right" if is_right else "left",
+            fontsize="small",
+            zorder=4,
+        )
+
+
+__all__ = ["drawn_quantities", "plot_damping_against_frequency", "plot_quantity"]
