@@ -23,10 +23,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pymc_backbone.survey.processes import Processes
 
 import pymc_backbone as pb
 from pymc_backbone.results import plain
-from pymc_backbone.survey.processes import Processes
 from pymc_backbone.survey.structure import prepare_worker
 
 MASS, FREQUENCY, AMPLITUDE = 1.3, 5.0, 0.01

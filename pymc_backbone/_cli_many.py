@@ -13,8 +13,9 @@ from typing import Any
 
 from . import _options
 from ._checks import InputError, check_choice
-from ._cli_common import hush_libraries, measurement_of, print_result, sampling_of, say_of, search_of
+from ._cli_common import measurement_of, print_result, sampling_of, say_of, search_of
 from ._progress import ProgressBar
+from ._quiet import hush_libraries
 
 MOST_NAMED = 3
 CONNECT = 10.0  # seconds to reach a scheduler

@@ -58,7 +58,7 @@ class Processes(Executor):
 
     def __init__(self, workers: int, prepare: Callable[[], None] | None = None) -> None:
         self._prepare = prepare
-        self._threads = ThreadPoolExecutor(workers, thread_name_prefix="survey")
+        self._threads = ThreadPoolExecutor(workers, thread_name_prefix="process")
         self._mine = threading.local()
         self._alive: set[_Process] = set()
         self._lock = threading.Lock()

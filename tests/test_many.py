@@ -12,11 +12,11 @@ import pytest
 
 import pymc_backbone as pb
 from pymc_backbone._checks import InputError
+from pymc_backbone._processes import Processes
 from pymc_backbone.results import plain, read_result
 from pymc_backbone.survey import workflow
 from pymc_backbone.survey.files import stored_seed
 from pymc_backbone.survey.names import folder_names, seed_of, structures_of
-from pymc_backbone.survey.processes import Processes
 from pymc_backbone.survey.structure import Structure, prepare_worker
 
 from . import many_jobs

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from .._checks import InputError, check_choice
+from .._processes import Processes
 from .files import begin_survey, stored_seed, structure_folder, write_survey
 from .names import folder_names, request_digest, seed_of, structures_of
-from .processes import Processes
 from .structure import Job, Structure, blank, prepare_worker, read_entries, run_job
 from .survey import Survey, effects_in_words
 from .tasks import Here, Lost, run_tasks
