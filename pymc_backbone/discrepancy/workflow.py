@@ -292,7 +292,7 @@ def levels_within(cycles: Sequence[Cycles], levels: int | ArrayLike | None) -> F
     """Return the levels: those that all specimens reach or, where there are none, over all that any reaches."""
     if levels is not None and np.ndim(levels) > 0:
         return np.asarray(levels, dtype=np.float64)
-    count = None if levels is None else int(levels)  # type: ignore[arg-type]
+    count = None if levels is None else int(np.asarray(levels))
     try:
         return default_levels(cycles, count)
     except InputError:
