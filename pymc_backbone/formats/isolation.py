@@ -142,7 +142,9 @@ def _line(process: Any, seconds: float) -> bytes | None:
     """Return the next line of the process, empty where it has ended, or None if none comes in time."""
     lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     # Pipes cannot be waited for with a limit on every system; threads can.
-    threading.Thread(target=lambda: lines.put(process.stdout.readline()), daemon=True).start()
+    reader = threading.Thread(target=lambda: lines.put(process.stdout.readline()), daemon=True)
+    _state["reader"] = reader
+    reader.start()
     try:
         return lines.get(timeout=seconds)
     except queue.Empty:
@@ -157,5 +159,6 @@ def _end() -> None:
         return
     process.kill()
     process.wait()
+    _state["reader"].join()  # nothing may be closed under its hands
     process.stdin.close()
     process.stdout.close()
