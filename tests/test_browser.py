@@ -28,7 +28,7 @@ FILE_NAMES = [
     f"<svg onload={MARK}> &lt;b&gt; {{{{7*7}}}} ${{7*7}}",
 ]
 SPECIMENS = [f"</td><script>{MARK}</script>", f"<img src=x onerror={MARK}>"]
-HEADER = f"displacement <script>{MARK}</script> [mm]"
+HEADER = "displacement <script>document.title='PWNED'</script><img src=x onerror=document.title='PWNED'> [mm]"
 
 
 def opened(path: Path, profile: Path) -> str:
