@@ -90,3 +90,20 @@ def test_the_process_ends_with_the_program(tmp_path: Path) -> None:
     )
     assert done.returncode == 0 and done.stderr == "", done.stderr
     assert not os.path.exists(f"/proc/{int(done.stdout)}")
+
+
+def test_an_interrupt_leaves_no_answer_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An answer that comes after Ctrl-C must not be taken for that of the next file."""
+    good = files.WRITERS["a.nc"](tmp_path / "good.nc")
+    read_records(good)
+    process, line = isolation._state["process"], isolation._line
+
+    def interrupted(*_: object) -> bytes:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(isolation, "_line", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        read_records(good)
+    assert process.poll() is not None and isolation._state["process"] is None
+    monkeypatch.setattr(isolation, "_line", line)
+    assert len(read_records(good)) == 1

@@ -391,6 +391,7 @@ def batch(number: int, start: int, keep: Path | None) -> Tally:
     plots.plot_backbones = plots.plot_records = lambda *_: None  # type: ignore[assignment]
     run.write_results = lambda *_, **__: []  # type: ignore[assignment]
     folder = Path(tempfile.mkdtemp(prefix="fuzz-"))
+    isolation._running()  # its start is not the time of an input
     try:
         damaged_files(folder, number - number // 3 - number // 10, chance, tally, keep)
         damaged_stores(

@@ -71,6 +71,9 @@ def check_that_it_ends(path: Path, kind: str) -> None:
             answer = None
     except OSError:
         answer = b""
+    except BaseException:  # Ctrl-C: an answer that comes later would be taken for the next file's
+        _end()
+        raise
     if answer == _DONE:
         return
     _end()
@@ -132,7 +135,12 @@ def _running() -> Any:
             return None
         _state["process"] = process
         atexit.register(_end)
-        if _line(process, START_SECONDS) != _READY:
+        try:
+            is_ready = _line(process, START_SECONDS) == _READY
+        except BaseException:
+            _end()
+            raise
+        if not is_ready:
             _end()
             _state["owner"] = os.getpid()  # do not try again
     return _state["process"]
