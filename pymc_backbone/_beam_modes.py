@@ -42,7 +42,8 @@ class ModeShape:
             self.wavenumber * np.diff(self.edges)[segment],
             derivative,
         )
-        return self.wavenumber**derivative * np.einsum("ni,ni->n", columns, self.coefficients[segment])
+        shape: FloatArray = np.einsum("ni,ni->n", columns, self.coefficients[segment])
+        return self.wavenumber**derivative * shape
 
 
 def exact_modes(length: float, positions: FloatArray, mass_ratios: FloatArray, count: int) -> list[ModeShape]:

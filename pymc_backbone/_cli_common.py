@@ -190,5 +190,10 @@ def add_sampling(parser: argparse.ArgumentParser) -> None:
 
 
 def say(text: str) -> None:
-    """Print a line of the summary at once."""
-    print(text, flush=True)
+    """Print a line of the summary at once; what names in files hold cannot steer the terminal."""
+    print(visible(text), flush=True)
+
+
+def visible(text: str) -> str:
+    """Return text with the characters escaped that no terminal shows, line ends excepted."""
+    return "".join(char if char.isprintable() or char == "\n" else ascii(char)[1:-1] for char in text)

@@ -227,7 +227,7 @@ def scaled(values: FloatArray, factor: float) -> FloatArray:
 def checked_time(table: Table, column: Column | None, stamps: FloatArray | None, rows: np.ndarray) -> FloatArray:
     """Return the time stamps of one specimen, or raise at the line where they do not increase."""
     assert stamps is not None and column is not None
-    time = stamps[rows]
+    time: FloatArray = stamps[rows]
     drop = np.flatnonzero(np.diff(time) <= 0.0)
     if not drop.size:
         return time

@@ -29,11 +29,8 @@ import math
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-from pymc_backbone._checks import FloatArray
-
-IntArray = NDArray[np.int64]
+from pymc_backbone._checks import FloatArray, IntArray
 
 PRODUCT, JOINT, DATA_CONSISTENT = 0, 1, 2
 UNIFORM, NORMAL, KDE, GEV = 0, 1, 2, 3

@@ -60,17 +60,35 @@ def describe_batch(backbones: xr.Dataset) -> str:
 
 
 def describe_reading(records: Sequence[Any]) -> str:
-    """Say what was assumed and converted while the records were read, each once; empty if nothing was."""
+    """Say what was read, and what was assumed and converted meanwhile, each once; empty if nothing was."""
     counts = Counter(note for record in records for note in dict.fromkeys(record.notes))
     if not counts:
         return ""
-    lines = ["Reading the records:"]
+    lines = ["Reading the records:", f"- {_extent(records)}"]
     for note, number in list(counts.items())[:MOST_NOTES]:
         share = "" if number == len(records) else f" ({number} of {len(records)} records)"
         lines.append(f"- {note}{share}")
     if len(counts) > MOST_NOTES:
         lines.append(f"- and {len(counts) - MOST_NOTES} more, in the notes of the result")
     return "\n".join(lines)
+
+
+def _extent(records: Sequence[Any]) -> str:
+    """Return how many records of which quantity there are, their length, sampling and size."""
+    quantities = ", ".join(dict.fromkeys(f"{record.quantity} [{record.unit}]" for record in records))
+    seconds = [float(record.time[-1] - record.time[0]) for record in records]
+    rates = [(record.time.size - 1) / span for record, span in zip(records, seconds, strict=True)]
+    peaks = [float(np.max(np.abs(record.values))) for record in records]
+
+    def spread(values: Sequence[float]) -> str:
+        low, high = (f"{value:.4g}" for value in (min(values), max(values)))
+        return low if low == high else f"{low} to {high}"
+
+    count = f"{len(records)} {'record' if len(records) == 1 else 'records'}"
+    return (
+        f"{count} of {quantities}: {spread(seconds)} s at {spread(rates)} samples per second, largest value "
+        f"{spread(peaks)}"
+    )
 
 
 def describe_measured(backbones: xr.Dataset) -> str:

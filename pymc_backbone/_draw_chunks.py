@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ._atomic_files import remove_leftovers, replacing
 from ._checks import InputError
 from ._step_state import PlainState, grow_lists
+from .formats.npz import unpack
 
 Point = dict[str, NDArray[Any]]
 REMEDY = "free space there, then continue the run with resume"
@@ -145,22 +146,42 @@ class ChunkFolder:
         number, digest = path.stem.split("-")
         if hashlib.sha256(content).hexdigest()[:16] != digest:
             raise ValueError("its content is not what was written")
-        with np.load(io.BytesIO(content), allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-        header = json.loads(arrays.pop("header").tobytes())
-        if int(number) != self.count or header["number"] != self.count or header["previous"] != self.last:
-            raise ValueError("the chunk before it is missing")
-        state = PlainState(header["tree"], arrays, header["lists"])
-        chain.lists = grow_lists(chain.lists, state)
-        for k in range(header["draws"]):
-            chain.points.append({name: arrays[f"point_{i}"][k, ...] for i, name in enumerate(header["names"])})
-            chain.stats.append([
-                {name: arrays[f"stat_{i}_{j}"][k] for j, name in enumerate(part)}
-                for i, part in enumerate(header["stats"])
-            ])  # fmt: skip
-        chain.state = state
-        for name, count in header["counts"].items():
-            chain.counts[name] = chain.counts.get(name, 0.0) + count
-        chain.seconds += header["seconds"]
+        # The digest says that a chunk is whole, not who wrote it.
+        held = unpack(content, path.name, kinds="fiucbU", is_compressed=False)
+        arrays = {key: _own(array) for key, array in held.items()}
+        try:
+            header = json.loads(arrays.pop("header").tobytes())
+            if int(number) != self.count or header["number"] != self.count or header["previous"] != self.last:
+                raise ValueError("the chunk before it is missing")
+            state = PlainState(header["tree"], arrays, header["lists"])
+            lists = grow_lists(chain.lists, state)
+            points, stats = _draws_of(header, arrays)
+            counts = {str(name): chain.counts.get(name, 0.0) + float(n) for name, n in header["counts"].items()}
+            seconds = chain.seconds + float(header["seconds"])
+        except (KeyError, TypeError, IndexError, AttributeError, OverflowError, RecursionError) as error:
+            raise ValueError(f"it is no chunk of draws: {type(error).__name__}") from None
+        chain.points += points
+        chain.stats += stats
+        chain.lists, chain.state, chain.seconds = lists, state, seconds
+        chain.counts.update(counts)
         self.count += 1
         self.last = digest
+
+
+def _own(array: Any) -> NDArray[Any]:
+    """Return a copy that can be written to, or raise `ValueError` for what is no array."""
+    if not isinstance(array, np.ndarray):
+        raise ValueError("it holds something else than numbers")
+    return array.copy()
+
+
+def _draws_of(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> tuple[list[Point], list[Any]]:
+    """Return points and statistics draw by draw; raise where the arrays do not hold as many as the header says."""
+    draws, names, parts = header["draws"], header["names"], header["stats"]
+    values = {str(name): arrays[f"point_{i}"] for i, name in enumerate(names)}
+    columns = [{str(name): arrays[f"stat_{i}_{j}"] for j, name in enumerate(part)} for i, part in enumerate(parts)]
+    every = [*values.values(), *(column for part in columns for column in part.values())]
+    if not values or any(array.ndim < 1 or len(array) != draws for array in every):
+        raise ValueError("it holds another number of draws than it says")
+    points = [{name: array[k, ...] for name, array in values.items()} for k in range(draws)]
+    return points, [[{name: array[k] for name, array in part.items()} for part in columns] for k in range(draws)]

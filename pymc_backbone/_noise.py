@@ -203,7 +203,8 @@ def _pooled(estimates: FloatArray, degrees: FloatArray) -> FloatArray:
     if not filled.any():
         return np.zeros(density.size)
     where = np.arange(density.size)
-    return np.interp(where, where[filled], density[filled])
+    complete: FloatArray = np.interp(where, where[filled], density[filled])
+    return complete
 
 
 def _whitened(density: FloatArray, degrees: FloatArray) -> FloatArray:

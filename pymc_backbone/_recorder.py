@@ -10,9 +10,12 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+from pymc.exceptions import SamplingError
+
 from ._checks import InputError
 from ._draw_chunks import ChunkFolder, Point, StoredChain
-from ._step_state import History, StateError, encode_state, restore_state
+from ._step_state import History, encode_state, restore_state
+from ._tables import printable, shorten
 
 CHUNK_DRAWS = 100
 LONGEST_WAIT = 10.0  # seconds after which a chunk is written however few draws there are
@@ -76,7 +79,7 @@ class Recorder:
             self._write()
             raise KeyboardInterrupt
         # An exception out of here leaves the step in the middle of a draw: nothing after the last chunk is written.
-        drawn, stats = self._inner_step(point)
+        drawn, stats = self._go_on(point) if self.done == len(stored.points) > 0 else self._inner_step(point)
         self.done += 1
         self._points.append(drawn)
         self._stats.append(stats)
@@ -86,15 +89,37 @@ class Recorder:
             self._write()
         return drawn, stats
 
+    def _go_on(self, point: Point) -> tuple[Point, Any]:
+        """Draw for the first time from a state that was stored; a state may look right and be none."""
+        try:
+            drawn, stats = self._inner_step(point)
+        except InputError:
+            raise
+        except (ValueError, TypeError, IndexError, ArithmeticError, SamplingError) as error:
+            raise InputError(self._refusal(error)) from None
+        return drawn, stats
+
+    def _refusal(self, error: Exception) -> str:
+        words = shorten(printable(" ".join(str(error).split())), 80) or type(error).__name__
+        return (
+            f"The store {self.folders[self.chain].folder} holds the state of another step method ({words}); "
+            "resume with the versions it was made with, or name another folder."
+        )
+
     def _take_over(self, stored: StoredChain) -> None:
         assert stored.state is not None
         try:
             self.history = restore_state(self.target, stored.state, stored.lists)
-        except (StateError, ValueError, KeyError, AssertionError) as error:
-            raise InputError(
-                f"The store {self.folders[self.chain].folder} holds the state of another step method ({error}); "
-                "resume with the versions it was made with, or name another folder."
-            ) from None
+        except (
+            ValueError,
+            LookupError,
+            TypeError,
+            AttributeError,
+            AssertionError,
+            ArithmeticError,
+            RecursionError,
+        ) as error:
+            raise InputError(self._refusal(error)) from None
         self._mark()
 
     def _write(self) -> None:

@@ -89,8 +89,11 @@ def _phase_locked(values: FloatArray, time: FloatArray, path: Track, cycles: flo
     basis = np.array(columns).T
     gram = basis.T @ basis
     scale = np.sqrt(np.diag(gram))
-    solution = np.linalg.lstsq(gram / np.outer(scale, scale), (basis.T @ values) / scale, rcond=1e-10)[0] / scale
-    return basis @ solution
+    solution: FloatArray = (
+        np.linalg.lstsq(gram / np.outer(scale, scale), (basis.T @ values) / scale, rcond=1e-10)[0] / scale
+    )
+    explained: FloatArray = basis @ solution
+    return explained
 
 
 def _smooth(u: FloatArray, values: FloatArray, degree: int) -> FloatArray:

@@ -155,7 +155,15 @@ def _design(unit: FloatArray) -> FloatArray:
     return BSpline.design_matrix(np.clip(unit, 0.0, 1.0), KNOTS, 3).toarray()
 
 
-def _smooth_as(white, at, n, order, kink, scatter_prior, undersmoothing):  # type: ignore[no-untyped-def]
+def _smooth_as(
+    white: FloatArray,
+    at: FloatArray,
+    n: int,
+    order: int,
+    kink: float | None,
+    scatter_prior: float,
+    undersmoothing: float,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     roots = _bending_roots(order, kink)
     y, design = white[:, 0], white[:, 1:] @ roots
     at = at @ roots

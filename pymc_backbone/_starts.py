@@ -249,7 +249,8 @@ class StartFinder:
             distance = (simulated - target.centre) / np.where(target.spread > 0.0, target.spread, 1.0)
             distance = np.where(np.isnan(simulated), _FAILED, distance)
             parts.append(np.where(np.isfinite(target.centre), distance, 0.0).ravel())
-        return np.clip(np.concatenate(parts), -1e6, 1e6)
+        residuals: FloatArray = np.clip(np.concatenate(parts), -1e6, 1e6)
+        return residuals
 
     def _search(self, point: dict[str, FloatArray]) -> dict[str, FloatArray]:
         """Return the point nearest to the measured values that least squares finds from ``point``.

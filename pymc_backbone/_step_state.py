@@ -150,11 +150,20 @@ def restore_state(step: Any, plain: PlainState, lists: dict[str, list[Any]]) -> 
 
 
 def _decode(tree: Any, plain: PlainState, lists: dict[str, list[Any]], template: Any) -> Any:
+    if isinstance(template, DataClassState | RandomGeneratorState) and (
+        not isinstance(tree, dict) or "fields" not in tree
+    ):
+        raise StateError("the state has no parts where the step has some.")
     if not isinstance(tree, dict):
+        if isinstance(template, int | float | np.ndarray) and not isinstance(tree, int | float):
+            raise StateError("the state holds no number where the step has one.")
         return tree
     ((form, content),) = tree.items()
     if form == "array":
-        return plain.arrays[content].copy()
+        array = plain.arrays[content]
+        if isinstance(template, np.ndarray) and array.dtype.kind != template.dtype.kind:
+            raise StateError("the state holds arrays of another kind than the step.")
+        return array.copy()
     if form == "scalar":
         return plain.arrays[content][()]
     if form == "grown":
@@ -177,7 +186,10 @@ def _decode(tree: Any, plain: PlainState, lists: dict[str, list[Any]], template:
     if set(content) != set(_changing(type(template))):
         raise StateError("the state holds other fields than the step.")
     for key, item in content.items():
-        values[key] = _decode(item, plain, lists, values[key])
+        decoded = _decode(item, plain, lists, values[key])
+        if isinstance(values[key], list | dict) and not isinstance(decoded, type(values[key])):
+            raise StateError("the state holds something else where the step has a list.")
+        values[key] = decoded
     return type(template)(**values)
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from ._checks import InputError
+from ._tables import printable
 
 LOCK = "lock.json"
 
@@ -73,9 +74,10 @@ class FolderLock:
         try:
             self.file.seek(0)
             holder = json.loads(self.file.read())
-        except (OSError, ValueError):  # empty after a clean end, half-written after a power cut, locked on Windows
+        # empty after a clean end, half-written after a power cut, locked on Windows, or of another origin
+        except (OSError, ValueError, RecursionError):
             return None
-        return holder if isinstance(holder, dict) else None
+        return {key: _word(value) for key, value in holder.items()} if isinstance(holder, dict) else None
 
     def _write(self, text: str) -> None:
         assert self.file is not None
@@ -97,6 +99,13 @@ class FolderLock:
             except OSError:  # a full disk, noticed a second time
                 pass
             self.file = None
+
+
+def _word(value: Any) -> Any:
+    """Return a number, or a text that is fit for a sentence; None for anything else."""
+    if isinstance(value, str):
+        return printable(value[:200])
+    return value if isinstance(value, int) and abs(value) < 1 << 31 else None
 
 
 def _lock(file: IO[str]) -> bool:

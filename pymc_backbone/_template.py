@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from pymc_backbone import _turning
-from pymc_backbone._checks import FloatArray, InputError
+from pymc_backbone._checks import BoolArray, FloatArray, InputError, IntArray
 
 REACH = 0.75 * np.pi
 """Half width of the window of a turning point, in radians of the cycle. Wider ones reach the next turning point, where
@@ -33,16 +32,16 @@ class Fit:
     values: FloatArray
     scales: FloatArray
     misfit: FloatArray
-    first: Any
-    count: Any
+    first: IntArray
+    count: IntArray
     influence: FloatArray
     gram: FloatArray
     projection: FloatArray
     response: FloatArray
-    good: Any
+    good: BoolArray
 
 
-def _local_scales(fit_times, fit_values, signs):  # type: ignore[no-untyped-def]
+def _local_scales(fit_times: FloatArray, fit_values: FloatArray, signs: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return smoothed periods and amplitudes at the turning points."""
     gaps = np.diff(fit_times)
     periods = np.empty(fit_times.size)
@@ -59,10 +58,16 @@ def _local_scales(fit_times, fit_values, signs):  # type: ignore[no-untyped-def]
     return _turning.running_line(periods, 4), np.maximum(_turning.running_line(halves, 2), 1e-3 * halves.max())
 
 
-def fit_with_template(  # type: ignore[no-untyped-def]
-    x, start, step, guess, signs, harmonics, noise, autocovariance=None
-):
-    n_shape = _turning.n_shape_functions(harmonics)
+def fit_with_template(
+    x: FloatArray,
+    start: float,
+    step: float,
+    guess: FloatArray,
+    signs: FloatArray,
+    harmonics: int,
+    noise: float,
+    autocovariance: FloatArray | None = None,
+) -> tuple[Fit, FloatArray, FloatArray, FloatArray]:
     """Fit all turning points and the template they share, in turns.
 
     The template is selected from shape functions times powers of amplitude by what is left in all windows together,
@@ -74,6 +79,7 @@ def fit_with_template(  # type: ignore[no-untyped-def]
     tuple
         `Fit`; signs of the turning points kept; local periods [s]; covariance factor of the template's error.
     """
+    n_shape = _turning.n_shape_functions(harmonics)
     if autocovariance is None:
         autocovariance = np.array([noise**2])
     values = np.interp(guess, start + step * np.arange(x.size), x)
@@ -124,10 +130,10 @@ def fit_with_template(  # type: ignore[no-untyped-def]
         n_power = powers.shape[1]
         size = n_shape * n_power
         pairs = ((weights * powers)[:, :, None] * powers[:, None, :]).reshape(-1, n_power**2)
-        gram = (pairs.T @ fit.gram.reshape(-1, n_shape**2)).reshape(n_power, n_power, n_shape, n_shape)
-        gram = np.ascontiguousarray(gram.transpose(2, 0, 3, 1)).reshape(size, size)
+        blocks = (pairs.T @ fit.gram.reshape(-1, n_shape**2)).reshape(n_power, n_power, n_shape, n_shape)
+        gram = np.ascontiguousarray(blocks.transpose(2, 0, 3, 1)).reshape(size, size)
         right = (fit.projection.T @ (weights * powers)).reshape(size) + gram @ coefficients
-        most = int(min(40, 2 + (fit.count - 3.0).sum() / 20.0))
+        most = int(min(40.0, 2.0 + float((fit.count - 3.0).sum()) / 20.0))
         left = fit.misfit.sum() / np.maximum(fit.count - 3.0, 0.5).sum()
         variance = max(min(left, 4.0 * noise**2), 0.3 * left, 1e-24 * float(np.max(np.abs(x))) ** 2)
         coefficients, inverse = _turning.select_terms(gram, right, variance, SELECTION, most, forced)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from pymc_backbone._checks import FloatArray
+from pymc_backbone._checks import BoolArray, FloatArray, IntArray
 
 N_FIXED = 5
 """Shape functions besides the harmonics: detuning, decay, decay squared, friction, drift of the decay."""
@@ -17,7 +17,7 @@ def n_shape_functions(harmonics: int) -> int:
 
 
 @njit(cache=True)
-def shape_functions(angle, harmonics, values, slopes):  # type: ignore[no-untyped-def]
+def shape_functions(angle: float, harmonics: int, values: FloatArray, slopes: FloatArray) -> None:
     """Write the shape functions at ``angle`` from the turning point and their slopes; value and slope vanish at 0."""
     c, s = np.cos(angle), np.sin(angle)
     values[0], slopes[0] = angle * s, s + angle * c
@@ -36,7 +36,22 @@ def shape_functions(angle, harmonics, values, slopes):  # type: ignore[no-untype
 
 
 @njit(cache=True)
-def fit_windows(x, start, step, guess, period, amplitude, sign, template, harmonics, reach, iterations):  # type: ignore[no-untyped-def]
+def fit_windows(
+    x: FloatArray,
+    start: float,
+    step: float,
+    guess: FloatArray,
+    period: FloatArray,
+    amplitude: FloatArray,
+    sign: FloatArray,
+    template: FloatArray,
+    harmonics: int,
+    reach: float,
+    iterations: int,
+) -> tuple[
+    FloatArray, FloatArray, FloatArray, FloatArray, IntArray, IntArray,
+    FloatArray, FloatArray, FloatArray, FloatArray, BoolArray,
+]:  # fmt: skip
     """Fit time, value and scale of every turning point to the samples around it, the shape given.
 
     The model around turning point k is ``x = p - s a (1 - cos u) + s sum_j b_kj g_j(u)``, ``u = 2 pi (t - t_k) /
@@ -130,13 +145,15 @@ def fit_windows(x, start, step, guess, period, amplitude, sign, template, harmon
 
 
 @njit(cache=True)
-def n_shape_of(harmonics):  # type: ignore[no-untyped-def]
+def n_shape_of(harmonics: int) -> int:
     """Return the number of shape functions (compiled twin of `n_shape_functions`)."""
     return N_FIXED + 2 * (harmonics - 1)
 
 
 @njit(cache=True)
-def select_terms(normal, right, noise_variance, threshold, maximum, forced):  # type: ignore[no-untyped-def]
+def select_terms(
+    normal: FloatArray, right: FloatArray, noise_variance: float, threshold: float, maximum: int, forced: IntArray
+) -> tuple[FloatArray, FloatArray]:
     """Choose regression terms one by one while the best lowers chi-square by more than ``threshold``.
 
     A term that those chosen leave less than a thousandth of its own is not taken: at ten samples per cycle such
@@ -197,7 +214,9 @@ def select_terms(normal, right, noise_variance, threshold, maximum, forced):  # 
 
 
 @njit(cache=True)
-def turning_covariance(influence, first, count, autocovariance, n_bands):  # type: ignore[no-untyped-def]
+def turning_covariance(
+    influence: FloatArray, first: IntArray, count: IntArray, autocovariance: FloatArray, n_bands: int
+) -> FloatArray:
     """Return cov[k, b] (2, 2) between (t, p) of turning points k and k + b, the noise stationary."""
     n = first.size
     lags = autocovariance.size
@@ -228,7 +247,7 @@ def turning_covariance(influence, first, count, autocovariance, n_bands):  # typ
 
 
 @njit(cache=True)
-def cycle_covariance(gradients, turning, offset, n_bands):  # type: ignore[no-untyped-def]
+def cycle_covariance(gradients: FloatArray, turning: FloatArray, offset: int, n_bands: int) -> FloatArray:
     """Return bands[q, b, i], the covariance of quantity q of cycles i and i + b; gradients (q, cycle, 3, 2)."""
     n_quantities, n = gradients.shape[0], gradients.shape[1]
     lags = turning.shape[1]
@@ -251,7 +270,7 @@ def cycle_covariance(gradients, turning, offset, n_bands):  # type: ignore[no-un
 
 
 @njit(cache=True)
-def zigzag(x, threshold):  # type: ignore[no-untyped-def]
+def zigzag(x: FloatArray, threshold: float) -> tuple[IntArray, bool]:
     """Return indices of alternating extremes at least ``threshold`` apart, and whether the first is a maximum."""
     n = x.size
     found = np.zeros(n, np.int64)
@@ -284,7 +303,7 @@ def dominant_period(x: FloatArray, step: float) -> float:
     cycles = np.arange(spectrum.size) / 2.0
     # a decaying line loses to a static offset at the record's own length only; friction's stuck tail is such an offset
     weighted = np.where(cycles >= 1.5, spectrum * cycles, 0.0)
-    return n * step / cycles[int(np.argmax(weighted))]
+    return float(n * step / cycles[int(np.argmax(weighted))])
 
 
 def rough_noise(x: FloatArray) -> float:
@@ -333,7 +352,7 @@ def rough_turning_points(x: FloatArray, step: float, noise: float) -> tuple[Floa
 
 
 @njit(cache=True)
-def running_line(values, half):  # type: ignore[no-untyped-def]
+def running_line(values: FloatArray, half: int) -> FloatArray:
     """Return the running local line over 2 half + 1 neighbours, one-sided at the ends."""
     n = values.size
     result = np.empty(n)

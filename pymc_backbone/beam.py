@@ -94,7 +94,8 @@ class BeamExperiment:
     @property
     def escape_amplitudes(self) -> FloatArray:
         """Displacement sqrt((k_m - k_o) / k_n) at which each sample has no restoring force left [m], shape (9,)."""
-        return np.sqrt(np.array(self.stiffness) / np.array(self.softening))
+        amplitudes: FloatArray = np.sqrt(np.array(self.stiffness) / np.array(self.softening))
+        return amplitudes
 
 
 PAPER_BEAM = BeamExperiment(

@@ -204,7 +204,7 @@ def _demo(options: argparse.Namespace) -> None:
 
 
 def _stop(message: str, code: int) -> int:
-    print(f"{PROGRAM}: {' '.join(message.split())}", file=sys.stderr)
+    print(f"{PROGRAM}: {_cli_common.visible(' '.join(message.split()))}", file=sys.stderr)
     return code
 
 

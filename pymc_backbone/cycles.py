@@ -181,7 +181,15 @@ def _autocovariance(noise: float | ArrayLike | None) -> FloatArray | None:
     return array**2 if array.size == 1 else array
 
 
-def _extract(t, x, step, autocovariance, guess_noise, specimen, notes):  # type: ignore[no-untyped-def]
+def _extract(
+    t: FloatArray,
+    x: FloatArray,
+    step: float,
+    autocovariance: FloatArray | None,
+    guess_noise: float,
+    specimen: str,
+    notes: list[str],
+) -> Cycles:
     places, signs, period = _turning.rough_turning_points(x, step, guess_noise)
     if places.size < 2 * MINIMUM_CYCLES + 1:
         raise InputError(
@@ -226,7 +234,15 @@ def _inflation(fit: Fit, variance: float) -> FloatArray:
     return np.sqrt(np.where(ratio > limit, ratio, 1.0))
 
 
-def _assemble(fit, signs, turning, factor, noise, specimen, notes):  # type: ignore[no-untyped-def]
+def _assemble(
+    fit: Fit,
+    signs: FloatArray,
+    turning: FloatArray,
+    factor: FloatArray,
+    noise: float,
+    specimen: str,
+    notes: list[str],
+) -> Cycles:
     shift = 0 if signs[0] > 0 else 1
     n = (fit.times.size - shift - 1) // 2
     if n < MINIMUM_CYCLES:
@@ -318,9 +334,14 @@ def _assemble(fit, signs, turning, factor, noise, specimen, notes):  # type: ign
     )
 
 
-def _amplitude_from_damping(  # type: ignore[no-untyped-def]
-    amplitude, amplitude_bands, damping, damping_bands, smoothed, end
-):
+def _amplitude_from_damping(
+    amplitude: FloatArray,
+    amplitude_bands: FloatArray,
+    damping: FloatArray,
+    damping_bands: FloatArray,
+    smoothed: FloatArray,
+    end: int,
+) -> tuple[FloatArray, FloatArray]:
     """Return the first ``end`` amplitudes, smoothed with the help of the damping they imply, and their covariance.
 
     Damping is a much smoother function of amplitude than amplitude is of time (friction ends a decay with a corner,

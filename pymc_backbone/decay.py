@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _kernels
 from ._checks import FloatArray, InputError, check_finite_array, check_levels, check_positive
+from ._curves import cycles_of_decay
 from ._forces import KIND, OWN_EQUATION, describe_effects
 from ._halfcycle import COMPLETED, NO_RETURN, OUT_OF_REACH, RUNAWAY, STUCK
 from ._user_effects import compose_user_effects
@@ -69,17 +70,20 @@ class BackboneResult:
     @property
     def frequency(self) -> FloatArray:
         """Frequency [Hz], shape (l,)."""
-        return self.values[0]
+        row: FloatArray = self.values[0]
+        return row
 
     @property
     def damping(self) -> FloatArray:
         """Logarithmic decrement per cycle, shape (l,)."""
-        return self.values[1]
+        row: FloatArray = self.values[1]
+        return row
 
     @property
     def offset(self) -> FloatArray:
         """Mid-line over amplitude, shape (l,)."""
-        return self.values[2]
+        row: FloatArray = self.values[2]
+        return row
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,7 +170,8 @@ class Simulator:
 
     def decay(self, *arguments: Any) -> tuple[int, int]:
         """Run the compiled whole decay."""
-        return _kernels.decay(*self.description, *arguments)
+        count, code = _kernels.decay(*self.description, *arguments)
+        return int(count), int(code)
 
 
 def simulate_backbone(
@@ -290,9 +295,7 @@ def simulate_decay(
     cycles = np.empty((maximum // 2 + 1, 4))
     found = 0
     if count >= 3:
-        found = _kernels.cycles_of_decay(
-            turns, times, slopes, time_slopes, count, 0, cycles, np.empty((maximum // 2 + 1, 4, 0))
-        )
+        found = cycles_of_decay(turns, times, slopes, time_slopes, count, 0, cycles, np.empty((maximum // 2 + 1, 4, 0)))
     peaks = times[0:count:2]
     return DecayResult(
         time=0.5 * (peaks[:found] + peaks[1 : found + 1]),

@@ -23,6 +23,11 @@ TRUTH = "true_parameters.json"
 def demo_folder() -> Path:
     """Return the folder of the demo batch: 24 ring-down records, and ``true_parameters.json``.
 
+    Returns
+    -------
+    pathlib.Path
+        Inside the installed package; read it, write elsewhere.
+
     Examples
     --------
     >>> from pymc_backbone.demo import demo_folder

@@ -193,6 +193,11 @@ def unidentified_parameters(model: pm.Model) -> tuple[str, ...]:
     model : pymc.Model
         From `build_hierarchical_model`.
 
+    Returns
+    -------
+    tuple of str
+        Their names, in the order of the oscillator's parameters; empty where the data say something about each.
+
     Raises
     ------
     InputError

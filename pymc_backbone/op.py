@@ -25,7 +25,8 @@ from pytensor.tensor.rewriting.basic import register_specialize
 from pytensor.tensor.variable import TensorConstant
 
 from . import _native
-from ._checks import FloatArray
+from ._checks import FloatArray, IntArray
+from ._density_kernel import log_density
 from ._response import OscillatorResponse, Response, simulator_of
 
 MEMORY_HEAD = _native.FIRST_SLOT
@@ -124,7 +125,7 @@ class BackboneLogLikelihood(_BackboneOp):
         value = -np.inf
         if completed:
             slope = np.empty(values.size)
-            value = _native.log_density(codes, table, np.ascontiguousarray(values).ravel(), slope)
+            value = log_density(codes, table, np.ascontiguousarray(values).ravel(), slope)
             if self.with_gradient:
                 total = np.tensordot(slope.reshape(values.shape), jacobian, axes=2)
                 gradient[:] = np.where(np.isfinite(total), total, 0.0)
@@ -229,7 +230,9 @@ def _funcify_log_likelihood(op: BackboneLogLikelihood, node: Apply, **kwargs: An
     call, wanted = _native.call_log_likelihood, int(op.with_gradient)
 
     @numba.njit
-    def log_likelihood(theta, codes, table, memory):  # type: ignore[no-untyped-def]
+    def log_likelihood(
+        theta: FloatArray, codes: IntArray, table: FloatArray, memory: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         point = np.ascontiguousarray(theta)
         density_codes = np.ascontiguousarray(codes)
         density = np.ascontiguousarray(table)
@@ -254,7 +257,7 @@ def _funcify_backbone(op: SimulatedBackbone, node: Apply, **kwargs: Any) -> tupl
     rows, levels = np.array(response.rows), len(response.levels)
 
     @numba.njit
-    def backbone(theta):  # type: ignore[no-untyped-def]
+    def backbone(theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         point = np.ascontiguousarray(theta)
         n = point.size
         values = np.empty((3, levels))

@@ -246,7 +246,7 @@ def read_result(folder: str | os.PathLike[str]) -> dict[str, Any]:
     path = Path(folder) / RESULT
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError):
+    except (OSError, ValueError, RecursionError):  # no such file, no text, no JSON, nested too deep
         data = None
     if not isinstance(data, dict) or data.get("program") != PROGRAM:
         raise InputError(f"{path} is not a result of {PROGRAM}; name the output folder of a run.")
@@ -277,7 +277,7 @@ def _files_of_earlier_run(folder: Path) -> list[str]:
         listed = read_result(folder).get("files", [])
     except InputError:
         return []
-    return [name for name in listed if name in ours] if isinstance(listed, list) else []
+    return [name for name in listed if isinstance(name, str) and name in ours] if isinstance(listed, list) else []
 
 
 def package_version() -> str:

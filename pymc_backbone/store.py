@@ -17,6 +17,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import uuid
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -133,7 +134,21 @@ class DrawStore:
         run = self.manifest["run"]
         self.folders = [ChunkFolder(self.folder / f"chain_{i}", f"{run}/{i}") for i in range(len(starts))]
         self.stored = [folder.read() for folder in self.folders]
+        self._check_points(finder)
         return starts
+
+    def _check_points(self, finder: StartFinder) -> None:
+        """Raise `InputError` where stored draws have other variables than the model."""
+        if not any(chain.points for chain in self.stored):
+            return
+        expected = {name: np.shape(value) for name, value in finder.model.initial_point().items()}
+        for folder, chain in zip(self.folders, self.stored, strict=True):
+            for drawn in chain.points:
+                if {name: np.shape(value) for name, value in drawn.items()} != expected:
+                    raise InputError(
+                        f"The store {folder.folder} holds draws of other variables than the model's; name another "
+                        "folder."
+                    )
 
     def record(self, step: Any, count: Callable[[], dict[str, float]]) -> Recorder:
         """Let a step write into this store, after it has repeated what is there."""
@@ -196,7 +211,14 @@ class DrawStore:
         difference = first_difference(self.manifest["model"], items)
         if difference is not None:
             raise InputError(f"The store {self.folder} holds a run of another model: {difference}; {remedy}")
-        before, now = self.manifest["log_density"], _height(model, finder, starts[0])
+        before = self.manifest["log_density"]
+        try:
+            now = _height(model, finder, starts[0])
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            raise InputError(
+                f"{self.folder / MANIFEST} is damaged: its starts do not fit the model ({type(error).__name__}); name "
+                "another folder."
+            ) from None
         if not abs(now - before) <= _AGREEMENT * max(1.0, abs(before)):
             raise InputError(
                 f"The store {self.folder} holds a run of another model: the log-density at its first start was "
@@ -224,13 +246,39 @@ def read_manifest(folder: str | os.PathLike[str]) -> dict[str, Any] | None:
         raise InputError(f"The store {folder} is a file; name a folder.") from None
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror}); check its permissions.") from None
-    except ValueError:
+    except (ValueError, RecursionError):
         manifest = None
     if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
         raise InputError(f"{path} is not the manifest of a run ({FORMAT!r}); name another folder.")
-    if manifest.pop("digest", None) != _digest(manifest):
+    if manifest.pop("digest", None) != _digest(manifest) or not _is_manifest(manifest):
         raise InputError(f"{path} is damaged: its content is not what was written; name another folder.")
     return manifest
+
+
+def _is_manifest(manifest: Mapping[str, Any]) -> bool:
+    """Whether everything is there and of its kind; the digest says that the text is whole, not who wrote it."""
+    settings, model, starts = (manifest.get(name) for name in ("settings", "model", "starts"))
+    if not isinstance(settings, dict) or not isinstance(model, dict) or not isinstance(starts, list):
+        return False
+    counts = [settings.get(name) for name in ("draws", "tune", "chains", "random_seed")]
+    texts = [manifest.get("run"), manifest.get("pymc"), settings.get("step"), *model.values()]
+    arrays = [value for start in starts if isinstance(start, dict) for value in start.values()]
+    if "shape" not in manifest:
+        return False
+    if manifest["shape"] is not None:
+        arrays.append(manifest["shape"])
+    try:
+        for value in arrays:
+            _array(value)
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
+        return False
+    return (
+        all(isinstance(value, str) and value.isprintable() for value in (*texts, *model))
+        and all(isinstance(value, int) and not isinstance(value, bool) and value >= 0 for value in counts)
+        and all(isinstance(start, dict) for start in starts)
+        and len(starts) == settings["chains"] > 0
+        and isinstance(manifest.get("log_density"), int | float)
+    )
 
 
 def stored_seed(manifest: Mapping[str, Any] | None) -> int | None:
@@ -254,4 +302,6 @@ def _plain(value: Any) -> dict[str, Any]:
 
 
 def _array(value: Mapping[str, Any]) -> Any:
+    if not re.fullmatch(r"[<>|]?[fiub]\d{1,2}", value["type"]):
+        raise ValueError("no numbers")
     return np.array(value["values"], dtype=np.dtype(value["type"]))

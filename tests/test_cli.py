@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -274,7 +275,8 @@ def test_words_of_reading_reach_the_records_and_what_was_assumed_is_said(capsys,
     arguments = ["extract", str(path), "--columns", "hammer", "--unit", "mm", "--levels", "3", "--out"]
     code, text, error = run_cli(capsys, *arguments, str(tmp_path / "out"))
     assert code == 0, error
-    assert "Reading the records:\n- displacement was converted from mm to m\n" in text
+    assert re.search(r"Reading the records:\n- 1 record of displacement \[m\]: \S+ s at \S+ samples per second, ", text)
+    assert "\n- displacement was converted from mm to m\n" in text
     result = read_result(tmp_path / "out")
     assert result["settings"]["columns"] == ["hammer"] and result["settings"]["unit"] == "mm"
     assert any("converted from mm to m" in note for note in result["notes"])

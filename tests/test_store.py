@@ -20,7 +20,17 @@ import numpy as np
 import pymc as pm
 import pytest
 
-from pymc_backbone import InputError, _atomic_files, _recorder, _store_lock, build_model, fit_density, sample, sampling
+from pymc_backbone import (
+    InputError,
+    _atomic_files,
+    _recorder,
+    _store_lock,
+    build_model,
+    fit_density,
+    sample,
+    sampling,
+    store,
+)
 from pymc_backbone._atomic_files import replacing
 from pymc_backbone._draw_chunks import ChunkFolder
 from pymc_backbone._step_state import History, PlainState, StateError, encode_state, grow_lists, restore_state
@@ -246,6 +256,113 @@ def test_damaged_manifest_is_refused(tmp_path):
     (tmp_path / MANIFEST).write_text(text)
     with pytest.raises(InputError, match="is damaged"), DrawStore(tmp_path, resume=True):
         pass
+
+
+def forged(folder: Path, change) -> None:
+    """Change a manifest and give it a digest that is right."""
+    manifest = json.loads((folder / MANIFEST).read_text())
+    del manifest["digest"]
+    change(manifest)
+    (folder / MANIFEST).write_text(json.dumps({**manifest, "digest": store._digest(manifest)}))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda manifest: manifest.pop("starts"),
+        lambda manifest: manifest.pop("shape"),
+        lambda manifest: manifest["settings"].pop("random_seed"),
+        lambda manifest: manifest["settings"].update(chains=10**12),
+        lambda manifest: manifest["settings"].update(step="\x1b[31m"),
+        lambda manifest: manifest["starts"][0]["location"].update(type="|O"),
+        lambda manifest: manifest["starts"][0]["location"].update(values=["x"]),
+        lambda manifest: manifest["starts"][0].pop("location"),
+        lambda manifest: manifest["starts"][0]["slopes"].update(values=[[1.0]]),
+        lambda manifest: manifest.update(model={"the free variables": 1}),
+        lambda manifest: manifest.update(log_density="high"),
+    ],
+)
+def test_a_manifest_of_other_origin_is_refused(change, tmp_path, small_chunks):
+    """The digest is right: it says that a file is whole, not who wrote it."""
+    settings = {**SIZES, "step": "elementwise"}
+    with pytest.raises(Cut):
+        sample(plain_model(), **settings, store=tmp_path / "run", callback=cut_after(20))
+    forged(tmp_path / "run", change)
+    with pytest.raises(InputError) as caught:
+        sample(plain_model(), **settings, store=tmp_path / "run", resume=True)
+    assert str(caught.value).isprintable() and str(caught.value).endswith(".")
+
+
+def test_a_manifest_nested_without_end_is_refused(tmp_path):
+    (tmp_path / MANIFEST).write_text("[" * 100_000)
+    with pytest.raises(InputError, match="not the manifest"):
+        read_manifest(tmp_path)
+    (tmp_path / MANIFEST).unlink()
+    (tmp_path / LOCK).write_text("[" * 100_000)
+    lock = FolderLock(tmp_path)
+    lock.acquire()
+    lock.release()
+
+
+def rewritten(folder: Path, change) -> None:
+    """Change the last chunk of a folder and give it a name that is right."""
+    path = max(folder.glob("*.npz"))
+    with np.load(path) as archive:
+        arrays = {name: archive[name] for name in archive.files}
+    header = json.loads(arrays["header"].tobytes())
+    change(header, arrays)
+    arrays["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)
+    path.unlink()
+    digest = hashlib.sha256(buffer.getvalue()).hexdigest()[:16]
+    (folder / f"{path.name[:7]}{digest}.npz").write_bytes(buffer.getvalue())
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda header, arrays: header.update(draws=10**12),
+        lambda header, arrays: header.update(draws=10**12, names=[], stats=[]),
+        lambda header, arrays: header.pop("counts"),
+        lambda header, arrays: header.update(seconds="long"),
+        lambda header, arrays: header.update(lists={"x": {"kind": "array", "tail": "none", "cut": 0}}),
+        lambda header, arrays: arrays.update(point_0=np.array([{}], dtype=object)),
+        lambda header, arrays: arrays.update(more=np.zeros(10**8)),
+    ],
+)
+def test_a_chunk_of_other_origin_is_set_aside(change, tmp_path, chunk, caplog):
+    """The digest is right, and still nothing is unpickled, nothing grows, and the chunks before it stay."""
+    folder = ChunkFolder(tmp_path, "run")
+    folder.append(*chunk)
+    folder.append(*chunk)
+    rewritten(tmp_path, change)
+    read = ChunkFolder(tmp_path, "run")
+    with caplog.at_level(logging.WARNING, "pymc_backbone"):
+        chain = read.read()
+    assert len(chain.points) == len(chain.stats) == 3 and read.count == 1 and chain.seconds == chunk[4]
+    assert "does not check" in caplog.text
+
+
+def test_a_chunk_of_other_variables_is_refused(tmp_path, small_chunks):
+    settings = {**SIZES, "step": "elementwise"}
+    with pytest.raises(Cut):
+        sample(plain_model(), **settings, store=tmp_path / "run", callback=cut_after(20))
+    rewritten(tmp_path / "run" / "chain_0", lambda header, arrays: header.update(names=["elsewhere", "slopes"]))
+    with pytest.raises(InputError, match="other variables"):
+        sample(plain_model(), **settings, store=tmp_path / "run", resume=True)
+
+
+@pytest.mark.parametrize(
+    "tree", [[], 1, {"state": {"fields": {}}, "unlisted": [{}]}, {"state": {"x": 1}, "unlisted": [{}]}]
+)
+def test_a_state_of_other_origin_is_refused(tree, tmp_path, small_chunks):
+    settings = {**SIZES, "step": "nuts"}
+    with pytest.raises(Cut):
+        sample(plain_model(), **settings, store=tmp_path / "run", callback=cut_after(20))
+    rewritten(tmp_path / "run" / "chain_0", lambda header, arrays: header.update(tree=tree))
+    with pytest.raises(InputError, match="state of another step method"):
+        sample(plain_model(), **settings, store=tmp_path / "run", resume=True)
 
 
 def test_chunks_come_back_as_they_were(tmp_path, chunk):

@@ -1,4 +1,6 @@
-"""Damaged, mixed-up and made-up input for every reader and for the command line: nothing may end in a traceback.
+"""Damaged, mixed-up and made-up input for all that the package reads: nothing may end in a traceback.
+
+Readers of records and backbones, the command line, its own `result.json`, and stores of draws (manifest, lock, chunks).
 
 Each input must be read, or be refused by one sentence (exit code 2 on the command line), within limits of time and
 memory. Valid files of every format, written by independent writers, are damaged byte by byte; tables, dictionaries and
@@ -13,8 +15,8 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import functools
 import io
-import json
 import multiprocessing
 import random
 import resource
@@ -38,6 +40,7 @@ import numpy as np  # noqa: E402
 from hypothesis import HealthCheck, Phase, given, seed, settings  # noqa: E402
 from hypothesis import strategies as st  # noqa: E402
 
+from benchmarks.fuzz.stores import Run, damaged_stores  # noqa: E402
 from pymc_backbone import (  # noqa: E402
     InputError,
     Record,
@@ -50,10 +53,13 @@ from pymc_backbone import (  # noqa: E402
     results,
     run,
 )  # fmt: skip
+from pymc_backbone.formats import isolation  # noqa: E402
 from tests.format_files import WRITERS  # noqa: E402
 
 SECONDS, MEGABYTES = 20.0, 1500.0
 """Limits of one input: time, and memory beyond what the process has when it begins."""
+LONGEST_BATCH = 900.0
+isolation.SECONDS = 2.0  # of computation; the files are small, and a refusal must come before the limit above
 BATCH = 250
 INTERESTING = [
     b"\0",
@@ -197,7 +203,9 @@ def judge(subject: str, action: Callable[[], str], tally: Tally, what: str) -> b
 def read(path: Path) -> str:
     """Read a file as its name says, with every reader that takes it."""
     if path.name == "result.json":
-        json.dumps(results.read_result(path.parent))
+        # as a second run into the same folder does
+        results.write_results(results.prepare_output(path.parent, overwrite=True), {"command": "extract"})
+        path.unlink()
         return "read"
     if path.name in ("backbones.nc", "table.csv"):
         read_backbones(path)
@@ -230,8 +238,8 @@ def damaged_files(folder: Path, number: int, chance: random.Random, tally: Tally
     for _ in range(number):
         name = chance.choice(names)
         content = damage(valid[name], valid[chance.choice(names)], chance)
-        path = folder / "damaged" / name
-        path.parent.mkdir(exist_ok=True)
+        path = folder / "damaged" / (name.removesuffix(".json") if name == "result.json" else "") / name
+        path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(content)
         begin = time.perf_counter()
         if chance.randrange(20) == 0 and name not in ("result.json", "table.csv", "backbones.nc"):
@@ -376,19 +384,30 @@ def made_up(folder: Path, number: int, start: int, tally: Tally) -> None:
 
 
 def batch(number: int, start: int, keep: Path | None) -> Tally:
-    """Run one batch; a third of the inputs is made up."""
+    """Run one batch; a third of the inputs is made up, a tenth are stores of draws."""
     tally = Tally()
     chance = random.Random(start)
     # figures and sampling are not the subject, and would take nearly all of the time
     plots.plot_backbones = plots.plot_records = lambda *_: None  # type: ignore[assignment]
     run.write_results = lambda *_, **__: []  # type: ignore[assignment]
     folder = Path(tempfile.mkdtemp(prefix="fuzz-"))
+    isolation._running()  # its start is not the time of an input
     try:
-        damaged_files(folder, number - number // 3, chance, tally, keep)
+        damaged_files(folder, number - number // 3 - number // 10, chance, tally, keep)
+        damaged_stores(
+            _stored_run(), folder, number // 10, chance, damage,
+            lambda subject, action, what: judge(subject, action, tally, what), keep,
+        )  # fmt: skip
         made_up(folder, number // 3, start, tally)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
     return tally
+
+
+@functools.cache
+def _stored_run() -> Run:
+    with tempfile.TemporaryDirectory() as folder:
+        return Run(Path(folder))
 
 
 def _child(number: int, start: int, keep: Path | None, pipe: Any) -> None:
@@ -406,6 +425,7 @@ def warm_up() -> None:
         path = WRITERS["a.csv"](Path(folder) / "a.csv")
         with contextlib.redirect_stdout(io.StringIO()):
             assert cli.main(["extract", str(path), "--out", str(Path(folder) / "result")]) == 0
+    _stored_run()
 
 
 def run_batches(inputs: int, start: int, keep: Path | None, progress: Callable[[Tally, int], None]) -> Tally:
@@ -419,7 +439,13 @@ def run_batches(inputs: int, start: int, keep: Path | None, progress: Callable[[
         child.start()
         sender.close()
         try:
-            tally.add(receiver.recv())
+            if not receiver.poll(LONGEST_BATCH):  # compiled code takes no notice of the limit of one input
+                child.kill()
+                tally.outcomes["batch", "FAULT"] += 1
+                what = f"seed {start * 1_000_003 + first}, process {child.pid}: its folder is left"
+                tally.faults.append(("batch", f"no end in {LONGEST_BATCH:g} s", what))
+            else:
+                tally.add(receiver.recv())
         except EOFError:
             tally.outcomes["batch", "FAULT"] += 1
             tally.faults.append(("batch", "the process ended without a word", f"seed {start * 1_000_003 + first}"))

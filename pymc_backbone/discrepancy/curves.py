@@ -30,7 +30,7 @@ def on_levels(batch: Batch, found: Fit, *, free_effects: bool = False) -> Fit:
 def one_on_levels(found: Fit, witness: LevelWitness, state: State, specimen: int) -> FloatArray:
     """Return a specimen's own values with stiffness and damping fitted to its backbone, the effects held."""
     vector = parameters_of(found.layout, state, specimen)
-    own = state.own[specimen].copy()
+    own: FloatArray = state.own[specimen].copy()
     damping = 1e-3
     compared = witness.compare(found.layout.simulator, vector, NO_NUISANCES)
     if compared is None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -88,7 +87,7 @@ def decide(
     if drifting is not None and evidences[drift_key].log_posterior > evidences[best].log_posterior:
         left = evidence.lack_of_fit(search.batch, drifting)  # what explains the records best may be no set
     p = min(max(left.p_value, 1e-300), float(np.exp(-1.0)))
-    none = _PRIOR_NONE * _WEIGHT_OF_NOISE / (-math.e * p * np.log(p))
+    none = _PRIOR_NONE * _WEIGHT_OF_NOISE / (-np.exp(1.0) * p * np.log(p))
     explained = (1.0 - _PRIOR_NONE) / (1.0 - _PRIOR_NONE + none)
     probabilities = {names: explained * _is_none_other(names) * evidences[names].probability for names in search.fits}
     drift_probability = explained * evidences[drift_key].probability if drifting is not None else 0.0

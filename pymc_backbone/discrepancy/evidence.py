@@ -92,7 +92,7 @@ def effective_size(witness: Witness, found: Fit, specimen: int) -> float:
     correlation = np.fft.irfft(power)[:n] / max(float(residuals @ residuals), 1e-300)
     excess = float(np.sum(correlation[1:] ** 2) - 0.5)  # white noise gives 1/n on each of n lags, tapered
     slack = 3.0 * np.sqrt(1.0 / n)
-    return n / (1.0 + 2.0 * max(excess - slack, 0.0))
+    return float(n / (1.0 + 2.0 * max(excess - slack, 0.0)))
 
 
 @dataclass(frozen=True)

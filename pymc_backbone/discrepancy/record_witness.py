@@ -80,7 +80,7 @@ def waveform_witness(record: ConditionedRecord, cycles: Cycles) -> WaveformWitne
 def _phase(time: FloatArray, cycles: Cycles) -> FloatArray:
     """Return the phase in cycles, from the turning points, carried on at both ends."""
     at, half = cycles.turning_times, 0.5 * np.arange(cycles.turning_times.size)
-    inner = np.interp(time, at, half)
+    inner: FloatArray = np.interp(time, at, half)
     before, after = time < at[0], time > at[-1]
     inner[before] = (time[before] - at[0]) * 0.5 / (at[1] - at[0])
     inner[after] = half[-1] + (time[after] - at[-1]) * 0.5 / (at[-1] - at[-2])

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 
+from ..effects import Effect
 from ..oscillator import Oscillator
 from . import evidence, starts
 from .batch import Batch
@@ -46,6 +47,8 @@ class Search:
         Effects that may be missing.
     max_effects : int
         Largest set.
+    own : mapping of str to Effect
+        Candidates that the library does not hold, by name.
     """
 
     batch: Batch
@@ -61,6 +64,7 @@ class Search:
     effort: float = 0.0
     budget: float = BUDGET
     is_cut: bool = False
+    own: Mapping[str, Effect] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         spans = [w.levels[-1] / w.levels[0] if w.levels.size else 0.0 for w in self.batch.levels]
@@ -111,7 +115,7 @@ class Search:
         """
         lowest = min(item.cost for item in self.fits.values())
         is_bent = bool(self.layout(()).free.size) and not self._is_explained()
-        bare = Search(self.batch, Oscillator(self.base.mass), self.candidates, 1)
+        bare = Search(self.batch, Oscillator(self.base.mass), self.candidates, 1, own=self.own)
         for name in self.candidates:
             known = self.fits.get((name,))
             layout = self.layout((name,))
@@ -149,7 +153,8 @@ class Search:
     def layout(self, names: Set) -> Layout:
         """Return the layout of the base with these effects."""
         if names not in self.layouts:
-            self.layouts[names] = make_layout(self.base + names, self.batch.amplitude, self.batch.angular_frequency)
+            extended = self.base + [self.own.get(name, name) for name in names]
+            self.layouts[names] = make_layout(extended, self.batch.amplitude, self.batch.angular_frequency)
         return self.layouts[names]
 
     def reduced(self, found: Fit) -> float:

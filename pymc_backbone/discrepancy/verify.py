@@ -26,16 +26,17 @@ def held_out_levels(batch: Batch, before: Fit, after: Fit | None) -> HeldOut | N
     index = [names.index(name) for name in batch.specimens]
     for k in range(levels.size):
         keep = np.arange(levels.size) != k
-        witnesses = [level_witness(batch.backbones, i, keep) for i in index]
-        if any(witness is None or witness.levels.size < 3 for witness in witnesses):
+        found = [level_witness(batch.backbones, i, keep) for i in index]
+        witnesses = [witness for witness in found if witness is not None and witness.levels.size >= 3]
+        if len(witnesses) < len(index):
             continue
         for m, model in enumerate((before, after)):
             if model is None:
                 continue
-            solved = fit(model.layout, witnesses, model.state, iterations=12, nuisances=(0, 1), tolerance=0.1)  # type: ignore[arg-type]
+            solved = fit(model.layout, witnesses, model.state, iterations=12, nuisances=(0, 1), tolerance=0.1)
             if solved is None:
                 continue
-            own = prediction_errors(batch, solved, witnesses, levels[[k]])[:, rows, 0]  # type: ignore[arg-type]
+            own = prediction_errors(batch, solved, witnesses, levels[[k]])[:, rows, 0]
             predicted = np.array(
                 [curve(solved, solved.parameters(r), levels[[k]])[rows, 0] for r in range(len(witnesses))]
             )
@@ -102,7 +103,9 @@ def _spread(solved: Fit, count: int, own: FloatArray, levels: FloatArray) -> Flo
         norm = float(along @ along)
         if norm > 0.0:
             effects[o] = effects[o] - np.outer(along, along @ effects[o]) / norm
-    return np.sqrt(np.maximum(np.einsum("oli,ij,olj->ol", effects, np.nan_to_num(covariance), effects), 0.0))
+    variances = np.einsum("oli,ij,olj->ol", effects, np.nan_to_num(covariance), effects)
+    errors: FloatArray = np.sqrt(np.maximum(variances, 0.0))
+    return errors
 
 
 def _rows(batch: Batch) -> list[int]:

@@ -65,12 +65,18 @@ def whitener(autocovariance: FloatArray) -> Callable[[FloatArray], FloatArray]:
     try:
         start = np.linalg.cholesky(toeplitz(row[:-1]))
     except np.linalg.LinAlgError:  # what was estimated is no autocovariance
-        return lambda columns: lfilter(taps, 1.0, columns, axis=0)  # type: ignore[call-overload]
+        return lambda columns: _filtered(taps, columns)
 
     def whiten(columns: FloatArray) -> FloatArray:
-        filtered = np.asarray(lfilter(taps, 1.0, columns, axis=0))  # type: ignore[call-overload]
+        filtered = _filtered(taps, columns)
         first = min(order, columns.shape[0])  # samples whose past is not in the record
         filtered[:first] = solve_triangular(start[:first, :first], columns[:first], lower=True)
         return filtered
 
     return whiten
+
+
+def _filtered(taps: FloatArray, columns: FloatArray) -> FloatArray:
+    """Return each column after a filter of finite length."""
+    result: FloatArray = np.asarray(lfilter(taps, [1.0], columns, axis=0))
+    return result

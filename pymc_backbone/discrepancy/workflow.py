@@ -15,7 +15,7 @@ from .._conditioned import ConditionedRecord
 from .._extraction import extract_all
 from ..backbone import backbones_at_levels, default_levels
 from ..cycles import Cycles
-from ..effects import BASE_EFFECTS, LIBRARY
+from ..effects import BASE_EFFECTS, LIBRARY, Effect
 from ..oscillator import Oscillator
 from ..records import Record
 from . import rivals, words
@@ -43,7 +43,7 @@ def find_missing_effect(
     oscillator: Oscillator,
     data: xr.Dataset | Sequence[Record] | Sequence[ConditionedRecord],
     *,
-    candidates: Sequence[str] | None = None,
+    candidates: Sequence[str | Effect] | None = None,
     max_effects: int = 3,
     tolerance: Mapping[str, float] | float | None = None,
     held_out: int | None = None,
@@ -67,8 +67,9 @@ def find_missing_effect(
     data : sequence of Record or ConditionedRecord, or xarray.Dataset
         Records, one per specimen; or backbones at levels with standard errors. Records are the better witness: their
         samples tell apart what backbones cannot.
-    candidates : sequence of str, optional
-        Effects of the library that may be missing; by default all that fit the unit of the motion.
+    candidates : sequence of str or Effect, optional
+        Effects that may be missing, by name or, of your own, as `Effect`; by default all of the library that fit the
+        unit of the motion.
     max_effects : int, default 3
         Largest number of effects that may be missing together.
     tolerance : mapping of str to float, or 0, optional
@@ -109,10 +110,13 @@ def find_missing_effect(
     seed = int(np.random.default_rng().integers(2**31)) if random_seed is None else int(random_seed)
     say("reading backbones", 0.0)
     batch, notes = _batch(oscillator, data, band, start, levels)
+    own = _own_effects(candidates)
     chosen = possible_effects(oscillator, candidates, batch)
     if not 1 <= int(max_effects) <= 3:
         raise InputError(f"`max_effects` must be 1, 2 or 3, got {max_effects}; look for more in a second study.")
-    search = Search(batch, oscillator, chosen, int(max_effects), say, budget=BUDGET * (_QUICK_BUDGET if quick else 1.0))
+    search = Search(
+        batch, oscillator, chosen, int(max_effects), say, budget=BUDGET * (_QUICK_BUDGET if quick else 1.0), own=own
+    )
     search.run()
     if () not in search.fits:
         raise InputError(
@@ -232,8 +236,22 @@ def _tolerances(tolerance: Mapping[str, float] | float | None) -> dict[str, floa
     return limits
 
 
-def possible_effects(oscillator: Oscillator, candidates: Sequence[str] | None, batch: Batch) -> tuple[str, ...]:
-    """Return the effects that may be missing, the costly ones last."""
+def _own_effects(candidates: Sequence[str | Effect] | None) -> dict[str, Effect]:
+    """Return the candidates that are not the library's, by name."""
+    own: dict[str, Effect] = {}
+    for effect in candidates or ():
+        if isinstance(effect, Effect) and LIBRARY.get(effect.name) is not effect:
+            if effect.name in LIBRARY or own.get(effect.name, effect) is not effect:
+                raise InputError(f"`candidates` hold another effect named {effect.name!r}; give yours another name.")
+            own[effect.name] = effect
+    return own
+
+
+def possible_effects(
+    oscillator: Oscillator, candidates: Sequence[str | Effect] | None, batch: Batch
+) -> tuple[str, ...]:
+    """Return the names of the effects that may be missing, the costly ones last."""
+    own = _own_effects(candidates)
     held = {effect.name for effect in oscillator.effects}
     unit = str(batch.backbones.attrs.get("amplitude_unit", "m"))
     if candidates is None:
@@ -243,14 +261,16 @@ def possible_effects(oscillator: Oscillator, candidates: Sequence[str] | None, b
             if unit == "rad" or not any("rad" in parameter.unit for parameter in effect.parameters)
         ]
     else:
-        names = [check_choice("candidates", str(name), LIBRARY) for name in candidates]
+        every = [item.name if isinstance(item, Effect) else str(item) for item in candidates]
+        names = [check_choice("candidates", name, {**LIBRARY, **own}) for name in every]
     names = [name for name in dict.fromkeys(names) if name not in held and name not in BASE_EFFECTS]
     if not names:
         raise InputError("no candidate is left: the model holds all of them; name others with `candidates`.")
 
     def cost(name: str) -> tuple[bool, int]:
-        layout = make_layout(oscillator + name, batch.amplitude, batch.angular_frequency)
-        return is_heavy(layout), LIBRARY[name].n_states
+        effect = own.get(name) or LIBRARY[name]
+        layout = make_layout(oscillator + effect, batch.amplitude, batch.angular_frequency)
+        return is_heavy(layout), effect.n_states
 
     return tuple(sorted(names, key=cost))
 
@@ -292,7 +312,7 @@ def levels_within(cycles: Sequence[Cycles], levels: int | ArrayLike | None) -> F
     """Return the levels: those that all specimens reach or, where there are none, over all that any reaches."""
     if levels is not None and np.ndim(levels) > 0:
         return np.asarray(levels, dtype=np.float64)
-    count = None if levels is None else int(levels)  # type: ignore[arg-type]
+    count = None if levels is None else int(np.asarray(levels))
     try:
         return default_levels(cycles, count)
     except InputError:

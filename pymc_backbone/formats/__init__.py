@@ -87,6 +87,21 @@ def read_recording(path: Path) -> Recording | None:
     return None if found is None else Recording(path, tuple(found[0]), tuple(found[1]))
 
 
+def try_files() -> None:
+    """Be the process in which HDF5 files are tried; see `isolation`."""
+    import tempfile
+
+    import xarray
+
+    from . import isolation, mat73, netcdf
+
+    with tempfile.TemporaryDirectory() as folder:  # what is imported later would count into the time of the first file
+        example = Path(folder) / "example.nc"
+        xarray.Dataset({"x": ("t", [0.0])}).to_netcdf(example, engine="h5netcdf")
+        isolation.unasked(netcdf.try_netcdf, example)
+    isolation.serve({"netcdf": netcdf.try_netcdf, "mat73": mat73.read_mat73})
+
+
 def _read(path: Path, name: str, head: bytes) -> tuple[list[Channel], list[str]] | None:
     """Return channels and notes; the readers are imported when they are needed."""
     from . import lvm, mat5, mat73, npz, sep005, tree, uff58

@@ -11,6 +11,7 @@ import numpy as np
 from .._checks import InputError
 from .._tables import printable
 from .channel import check_claim
+from .isolation import check_that_it_ends
 from .mat5 import COMPLEX, object_words
 from .tree import Refused
 
@@ -42,6 +43,7 @@ def read_mat73(path: Path) -> dict[str, Any]:
     -----
     Only what lies in the file itself is read: links to other files and storage outside are refused.
     """
+    check_that_it_ends(path, "mat73")
     try:
         with h5py.File(path, "r") as file:
             return _Reader(file, printable(path.name)).members(file, 0)

@@ -16,6 +16,7 @@ from .._headers import RATE_WORDS, STEP_WORDS, is_time, key_of, mentions_time
 from .._tables import printable
 from .._units import parse_unit
 from .channel import LARGEST_COMPRESSION, MAXIMUM_BYTES, Channel, channel_of, check_claim
+from .isolation import check_that_it_ends
 from .tree import MOST_COLUMNS
 
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
@@ -70,6 +71,7 @@ def open_netcdf(path: Path) -> Iterator[xr.Dataset]:
         with path.open("rb") as stream:
             is_hdf5 = stream.read(8) == HDF5_MAGIC
         if is_hdf5:
+            check_that_it_ends(path, "netcdf")
             _check_sizes(path, name)
         with xr.open_dataset(path, engine="h5netcdf" if is_hdf5 else "scipy", decode_times=False) as file:
             yield file
@@ -78,6 +80,12 @@ def open_netcdf(path: Path) -> Iterator[xr.Dataset]:
     except Exception as error:  # three libraries read the file, each with errors of its own
         words = printable(" ".join(str(error).split())[:100])
         raise InputError(f"{name}: cannot be read as NetCDF ({words}); write the file again.") from None
+
+
+def try_netcdf(path: Path) -> None:
+    """Read all of a file that may be read at all."""
+    with open_netcdf(path) as file:
+        file.load()
 
 
 def _check_sizes(path: Path, name: str) -> None:

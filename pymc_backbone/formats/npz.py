@@ -45,18 +45,40 @@ def read_npz(path: Path) -> dict[str, Any]:
     name = printable(path.name)
     if data.startswith(NPY_MAGIC):
         return {path.stem: _array(data, name)}
+    return unpack(data, name)
+
+
+def unpack(data: bytes, name: str, kinds: str = "fiuc", *, is_compressed: bool = True) -> dict[str, Any]:
+    """Return the arrays of an archive by name, as `read_npz` does.
+
+    Parameters
+    ----------
+    data : bytes
+        Content of an ``.npz`` file.
+    name : str
+        For messages.
+    kinds : str, optional
+        Kinds of NumPy's data types that are taken; others become `Refused`. With ``U`` a single text is an array, too.
+    is_compressed : bool, optional
+        Whether the arrays may be larger than the archive.
+
+    Raises
+    ------
+    InputError
+        When the archive is damaged or promises more than it holds.
+    """
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             members = archive.infolist()
             unpacked = sum(member.file_size for member in members)
-            check_claim(unpacked, len(data), "the archive", name, is_compressed=True)
+            check_claim(unpacked, len(data), "the archive", name, is_compressed=is_compressed)
             found: dict[str, Any] = {}
             for member in members:
                 if not member.filename.endswith(".npy"):
                     continue
                 with archive.open(member) as stream:
                     content = stream.read(MAXIMUM_BYTES)
-                found[member.filename.removesuffix(".npy")] = _array(content, name)
+                found[member.filename.removesuffix(".npy")] = _array(content, name, kinds)
             return found
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError, OSError) as error:
         if isinstance(error, InputError):
@@ -65,8 +87,8 @@ def read_npz(path: Path) -> dict[str, Any]:
         raise InputError(f"{name}: the archive cannot be read ({words}); save it again with numpy.savez.") from None
 
 
-def _array(content: bytes, name: str) -> Any:
-    """Return one array, whose header must fit its bytes."""
+def _array(content: bytes, name: str, kinds: str = "fiuc") -> Any:
+    """Return one array, whose header must fit its bytes and whose kind must be one of NumPy's ``kinds``."""
     stream = io.BytesIO(content)
     try:
         version = npy.read_magic(stream)
@@ -80,10 +102,10 @@ def _array(content: bytes, name: str) -> Any:
         ) from None
     if dtype.hasobject:
         return Refused(_PICKLED)
-    if dtype.kind == "U" and shape == ():
+    if dtype.kind == "U" and shape == () and "U" not in kinds:
         raw = content[stream.tell() : stream.tell() + dtype.itemsize]
         return str(np.frombuffer(raw, dtype)[0]) if len(raw) == dtype.itemsize and raw else ""
-    if dtype.kind not in "fiuc":
+    if dtype.kind not in kinds:
         return Refused(f"holds {printable(str(dtype))[:40]}, expected numbers.")
     if any(n < 0 for n in shape):
         raise InputError(f"{name}: an array has the dimensions {shape}; save it again with numpy.savez.")

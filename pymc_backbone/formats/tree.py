@@ -202,9 +202,12 @@ def _response(node: Mapping[str, Any], prefix: str) -> Channel | None:
         return None
     begin, increment = (float(np.ravel(part)[0]) for part in parts)
     units = [_label(side) for side in (x, y)]
-    if units[0] is not None and parse_unit(units[0], "time") is None:
-        return Channel(prefix, refusal="is over frequency, not over time; export the time history.")
-    factor = 1.0 if units[0] is None else parse_unit(units[0], "time").factor  # type: ignore[union-attr]
+    factor = 1.0
+    if units[0] is not None:
+        time_unit = parse_unit(units[0], "time")
+        if time_unit is None:
+            return Channel(prefix, refusal="is over frequency, not over time; export the time history.")
+        factor = time_unit.factor
     title = text_of(node, "name", "title")
     name = f"{prefix}.{title}" if title else prefix
     flat = np.squeeze(values)
