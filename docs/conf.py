@@ -15,6 +15,7 @@ import api_pages  # noqa: E402
 import catalogue  # noqa: E402
 import freshness  # noqa: E402
 import matplotlib  # noqa: E402
+import pictures  # noqa: E402
 import recorded  # noqa: E402
 
 import pymc_backbone  # noqa: E402
@@ -29,6 +30,7 @@ version = release
 
 # Made here, before Sphinx reads anything, and not kept in the repository (docs/README.md).
 catalogue.write(HERE / "reference" / "effects")
+pictures.write(HERE / "figures")
 api_pages.write(HERE / "reference" / "api")
 recorded.record(HERE / "recorded", HERE / "_cache")
 (HERE / "examples").mkdir(exist_ok=True)

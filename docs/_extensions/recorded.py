@@ -113,7 +113,7 @@ def _run(run: Run, kept: Path) -> None:
         outputs[name] = execute(command, work)
     for folder, (verdict, effects) in run.expect.items():
         result = json.loads((work / folder / "result.json").read_text(encoding="utf-8"))
-        said = result["verdict"], list(result["missing_effects"])
+        said = result["verdict"], [entry["name"] for entry in result["missing_effects"]]
         if said != (verdict, effects):
             raise RuntimeError(f"the pages on {run.name} say {verdict} {effects}, the program says {said}; mend one.")
     final = kept.with_name(f"{kept.name}.whole")
