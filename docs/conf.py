@@ -48,7 +48,6 @@ extensions = [
 ]
 source_suffix = {".rst": "restructuredtext", ".md": "myst-nb", ".ipynb": "myst-nb"}
 exclude_patterns = ["_build", "_cache", "_extensions", "README.md", "**/.ipynb_checkpoints"]
-suppress_warnings = ["toc.empty_glob"]  # the table of how-to pages takes pages by pattern that may not be there yet
 
 # Text
 myst_enable_extensions = ["dollarmath", "colon_fence", "deflist", "attrs_inline"]

@@ -12,9 +12,11 @@ LOGGER = logging.getLogger(__name__)
 
 
 def _convert(text: str, node: nodes.Element, *, as_block: bool) -> str:
+    if text.startswith(("^", "_")):
+        text = "{}" + text  # a power of something outside the formula, as in m$^3$
     try:
         return tex2mathml(text, as_block=as_block)
-    except MathError as error:
+    except (MathError, IndexError) as error:
         LOGGER.warning("formula not understood: %s (%s)", text, error, location=node)
         return f"<code>{text}</code>"
 
