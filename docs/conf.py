@@ -60,7 +60,7 @@ smartquotes = False  # x'' is a derivative
 # the tests run and compare, and run here when asked to.
 _sources = [path for path in (ROOT / "pymc_backbone").rglob("*.py")]
 nb_execution_mode = "cache"
-nb_execution_cache_path = str(HERE / "_cache" / f"notebooks-{freshness.digest(_sources, ROOT)}")
+nb_execution_cache_path = str(freshness.newest_or(HERE / "_cache", "notebooks", freshness.digest(_sources, ROOT)))
 nb_execution_timeout = 900
 nb_execution_raise_on_error = True
 nb_execution_show_tb = True

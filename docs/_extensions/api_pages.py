@@ -24,7 +24,7 @@ GROUPS = {
     "Backbones": (
         "extract_cycles", "Cycles", "backbones_at_levels", "simulated_backbones", "read_backbones", "write_backbones",
     ),
-    "Models": ("Oscillator", "Effect", "Parameter", "LIBRARY", "get_effect"),
+    "Models": ("Oscillator", "Effect", "Parameter", "Signature", "LIBRARY", "get_effect"),
     "Simulation": (
         "simulate_backbone", "BackboneResult", "simulate_decay", "DecayResult", "simulate_waveform", "WaveformResult",
         "Status",
@@ -83,9 +83,8 @@ def write(folder: Path) -> None:
 def _module_page(name: str) -> str:
     lines = [name, "=" * len(name), "", f".. automodule:: {name}", ""]
     if name == "pymc_backbone._checks":
-        return "\n".join(
-            [name, "=" * len(name), "", f".. currentmodule:: {name}", "", ".. autoexception:: InputError", ""]
-        )
+        lines[3] = f".. currentmodule:: {name}"
+        return "\n".join([*lines, f".. autoexception:: {name}.InputError", ""])
     module = importlib.import_module(name)
     for member in public_names(name):
         value = getattr(module, member)

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 
 import numpy as np
-from freshness import write_if_new
+from freshness import KEEP, digest, write_if_new
 from matplotlib.figure import Figure
 
 from pymc_backbone import LIBRARY, Effect, Oscillator, simulate_backbone, simulate_waveform
 from pymc_backbone.effects import BASE_EFFECTS
 
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGE = ROOT / "pymc_backbone"
 MASS, FREQUENCY, DAMPING_RATIO = 1.0, 10.0, 0.005  # kg, Hz, share of critical: what every effect is shown beside
 AMPLITUDE, ANGLE = 0.01, 1.0  # m; rad, for effects whose displacement is an angle
 BLUE, GREY = "#0072B2", "#8C8C8C"
@@ -20,11 +23,17 @@ ACCENTS = re.compile(r"\[(.+?)\]")
 
 def write(folder: Path) -> list[str]:
     """Write all pages and pictures into ``folder``; return the names of the effects."""
-    (folder / "pictures").mkdir(parents=True, exist_ok=True)
+    pictures = folder / "pictures"
+    pictures.mkdir(parents=True, exist_ok=True)
+    key = digest([*PACKAGE.rglob("*.py"), Path(__file__)], ROOT)
+    mark = pictures / "drawn_from.txt"
+    is_fresh = mark.exists() and (mark.read_text(encoding="utf-8") == key or bool(os.environ.get(KEEP)))
     for effect in LIBRARY.values():
-        draw(effect, folder / "pictures")
+        if not (is_fresh and (pictures / f"{effect.name}_both.svg").exists()):
+            draw(effect, pictures)
         write_if_new(folder / f"{effect.name}.md", page(effect))
     write_if_new(folder / "index.md", overview())
+    mark.write_text(key, encoding="utf-8")
     return list(LIBRARY)
 
 
@@ -93,7 +102,7 @@ def _caption(effect: Effect) -> str:
     beside = "a linear spring of 10 Hz and 0.5 % of critical damping on 1 kg"
     return (
         f"Simulated with {chosen}, beside {beside}, up to {size}. Blue: with the effect; grey, dashed: without. "
-        "The force is drawn over one cycle at full amplitude."
+        "The force is drawn over the first cycle. A mid-line of a hundredth comes with heavy damping, not with asymmetry."
     )
 
 
@@ -231,7 +240,7 @@ def _loop(oscillator, parameters, removed, size):
     v, acceleration = (x[2:] - x[:-2]) / (2.0 * step), (x[2:] - 2.0 * x[1:-1] + x[:-2]) / step**2
     force = -MASS * acceleration - removed["viscous_damping"] * v - removed["linear_stiffness"] * x[1:-1]
     turns = np.flatnonzero((v[:-1] < 0.0) != (v[1:] < 0.0))
-    end = turns[2] if turns.size > 2 else v.size - 1
+    end = turns[1] if turns.size > 1 else v.size - 1
     return x[1:-1][2:end], force[2:end]
 
 

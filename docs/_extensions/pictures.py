@@ -37,10 +37,11 @@ def one_cycle(path: Path) -> None:
     for k, name, up in ((2, "$p_0$", 1), (3, "$q$", -1), (4, "$p_1$", 1)):
         axis.annotate(name, (times[k], values[k]), (0, 9 * up), textcoords="offset points", ha="center",
                       va="bottom" if up > 0 else "top", fontsize=13, color=ORANGE)  # fmt: skip
-    low = values[3] - 4.2
-    for k, name in ((2, "$t_0$"), (4, "$t_1$")):
+    low = values[3] - 5.4
+    for k, name, side in ((2, "$t_0$", "right"), (4, "$t_1$", "left")):
         axis.plot([times[k]] * 2, [low, values[k]], color=ORANGE, linewidth=0.8, linestyle=":")
-        axis.annotate(name, (times[k], low), (-5, 2), textcoords="offset points", ha="right", color=ORANGE, fontsize=12)
+        shift = -5 if side == "right" else 5
+        axis.annotate(name, (times[k], low), (shift, 2), textcoords="offset points", ha=side, color=ORANGE, fontsize=12)
     axis.annotate("", (times[4], low + 0.6), (times[2], low + 0.6), arrowprops={"arrowstyle": "<->", "color": GREY})
     axis.text(times[3], low + 0.9, "1 / frequency", ha="center", va="bottom", fontsize=10, color="#444444")
     axis.set(xlabel="Time [s]", ylabel="Displacement [mm]", ylim=(low - 0.8, 12.8), xlim=(0.0, 0.36))

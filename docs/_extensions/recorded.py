@@ -15,10 +15,9 @@ import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from freshness import digest
+from freshness import digest, newest_or
 
 ROOT = Path(__file__).resolve().parents[2]
-KEEP = "PYMC_BACKBONE_SITE_KEEP"  # with any value: take recorded runs as they are, whatever changed since
 
 
 @dataclass(frozen=True)
@@ -85,15 +84,12 @@ def record(folder: Path, cache: Path) -> None:
     sources += sorted((ROOT / "scripts").glob("make_tutorial_records.py"))
     for run in RUNS:
         key = digest(sources, ROOT, json.dumps(run.commands), *run.keep)
-        kept = cache / f"{run.name}-{key}"
+        kept = newest_or(cache, run.name, key)
         if not kept.is_dir():
-            earlier = sorted(cache.glob(f"{run.name}-*"), key=lambda path: path.stat().st_mtime)
-            if os.environ.get(KEEP) and earlier:
-                kept = earlier[-1]
-            else:
-                _run(run, kept)
-                for path in earlier:
-                    shutil.rmtree(path)
+            earlier = [path for path in cache.glob(f"{run.name}-*") if path != kept]
+            _run(run, kept)
+            for path in earlier:
+                shutil.rmtree(path)
         target = folder / run.name
         for path in kept.rglob("*"):
             copy = target / path.relative_to(kept)
