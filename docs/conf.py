@@ -75,7 +75,7 @@ autodoc_typehints = "none"  # the docstrings give types with shapes and units
 autodoc_preserve_defaults = True
 napoleon_google_docstring = False
 napoleon_use_rtype = False
-napoleon_use_ivar = True
+napoleon_custom_sections = [("Attributes", "params_style")]  # one entry may name several attributes
 
 # Look
 html_theme = "furo"

@@ -72,7 +72,7 @@ def page(effect: Effect) -> str:
     lines += ["Mid-line", f": {signature.offset}", ""]
     lines += ["Found in", f": {signature.found_in}.", ""]
     if signature.resembles:
-        links = ", ".join(f"[{title(LIBRARY[name]).lower()}]({name}.md)" for name in signature.resembles)
+        links = ", ".join(f"[{title(LIBRARY[name])}]({name}.md)" for name in signature.resembles)
         lines += ["Easily taken for", f": {links}", ""]
     lines += ["::::{grid} 1 2 2 2", ":gutter: 2", ""]
     for what, text in _PICTURES.items():
@@ -98,11 +98,11 @@ def _caption(effect: Effect) -> str:
     size = f"{ANGLE:g} rad" if is_angle(effect) else f"{1e3 * AMPLITUDE:g} mm"
     values = effect.signature.typical(MASS, ANGLE if is_angle(effect) else AMPLITUDE, 2.0 * np.pi * FREQUENCY)
     pairs = zip(effect.parameters, values, strict=True)
-    chosen = ", ".join(f"`{p.name}` {v:.3g}{'' if p.unit == '-' else ' ' + p.unit}" for p, v in pairs)
+    chosen = ", ".join(f"`{p.name}` {v:.4g}{'' if p.unit == '-' else ' ' + p.unit}" for p, v in pairs)
     beside = "a linear spring of 10 Hz and 0.5 % of critical damping on 1 kg"
     return (
         f"Simulated with {chosen}, beside {beside}, up to {size}. Blue: with the effect; grey, dashed: without. "
-        "The force is drawn over the first cycle. A mid-line of a hundredth comes with heavy damping, not with asymmetry."
+        "The force is drawn over the first cycle. A mid-line of a hundredth comes with heavy damping, not asymmetry."
     )
 
 
