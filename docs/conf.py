@@ -74,6 +74,7 @@ autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # the docstrings give types with shapes and units
 autodoc_preserve_defaults = True
 napoleon_google_docstring = False
+napoleon_use_param = False  # types hold shapes in words, which would be linked to whatever has that name
 napoleon_use_rtype = False
 napoleon_custom_sections = [("Attributes", "params_style")]  # one entry may name several attributes
 

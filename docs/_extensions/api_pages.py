@@ -81,7 +81,8 @@ def write(folder: Path) -> None:
 
 
 def _module_page(name: str) -> str:
-    lines = [name, "=" * len(name), "", f".. automodule:: {name}", ""]
+    heading = name.removeprefix("pymc_backbone.").removeprefix("_checks") or "errors"
+    lines = [heading, "=" * len(heading), "", f".. automodule:: {name}", ""]
     if name == "pymc_backbone._checks":
         lines[3] = f".. currentmodule:: {name}"
         return "\n".join([*lines, f".. autoexception:: {name}.InputError", ""])
