@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from .diagnostics import findings, summarise
     from .discrepancy.study import Study
     from .discrepancy.workflow import find_missing_effect
-    from .effects import LIBRARY, Effect, Parameter, get_effect
+    from .effects import LIBRARY, Effect, Parameter, Signature, get_effect
     from .hierarchical import build_hierarchical_model, unidentified_parameters
     from .measured_backbones import read_backbones
     from .model import backbone_likelihood, build_model, simulated_backbone
@@ -71,7 +71,7 @@ _WHERE = {
     "diagnostics": ("findings", "summarise"),
     "discrepancy.study": ("Study",),
     "discrepancy.workflow": ("find_missing_effect",),
-    "effects": ("LIBRARY", "Effect", "Parameter", "get_effect"),
+    "effects": ("LIBRARY", "Effect", "Parameter", "Signature", "get_effect"),
     "hierarchical": ("build_hierarchical_model", "unidentified_parameters"),
     "measured_backbones": ("read_backbones",),
     "model": ("backbone_likelihood", "build_model", "simulated_backbone"),
@@ -99,6 +99,7 @@ __all__ = [
     "Oscillator",
     "Parameter",
     "Record",
+    "Signature",
     "SimulatedBackbone",
     "Status",
     "Structure",

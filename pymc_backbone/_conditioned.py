@@ -24,7 +24,7 @@ class ConditionedRecord:
     noise : float
         Standard deviation [``unit``] of the white noise that disturbs turning points as much as the actual noise does.
     noise_autocovariance : (m,) array
-        Autocovariance [``unit``^2] of the actual noise at lags 0, 1, ... samples, zero beyond the last; m >= 2.
+        Autocovariance [``unit`` squared] of the actual noise at lags 0, 1, ... samples, zero beyond the last; m >= 2.
     baseline, baseline_error : float
         Sensor reading at equilibrium that was subtracted, and its standard error [``unit``]; zero where a filter
         removed it.

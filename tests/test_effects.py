@@ -12,7 +12,9 @@ import pytest
 
 import pymc_backbone.effects as effects_package
 from pymc_backbone._checks import InputError
-from pymc_backbone.effects import BASE_EFFECTS, LIBRARY, Effect, Parameter, get_effect
+from pymc_backbone.decay import simulate_backbone
+from pymc_backbone.effects import BASE_EFFECTS, LIBRARY, Effect, Parameter, Signature, get_effect
+from pymc_backbone.oscillator import Oscillator
 
 ALL = pytest.mark.parametrize("effect", LIBRARY.values(), ids=LIBRARY.keys())
 
@@ -478,3 +480,41 @@ def test_force_is_the_textbook_formula(name, rng):
         x, v, direction, z = draw_state(LIBRARY[name], p, rng)
         # Another order of the same few operations; the terms have the size of FORCE.
         assert LIBRARY[name].force(x, v, direction, z, p) == pytest.approx(FORMULAS[name](x, v, p), abs=1e-13 * FORCE)
+
+
+# What the signatures say, against the simulation.
+
+
+@ALL
+def test_signature_is_what_the_simulation_shows(effect):
+    """Beside a linear spring and 0.5 % of critical damping, each curve does what its first words say."""
+    signature = effect.signature
+    assert signature is not None, f"effects/{effect.name}.py has no signature: the catalogue needs one"
+    assert set(signature.resembles) <= set(LIBRARY) - {effect.name}
+    amplitude = 1.0 if "rad" in effect.parameters[0].unit else AMPLITUDE
+    stiffness = MASS * OMEGA**2
+    values = {"linear_stiffness": stiffness, "viscous_damping": 0.01 * MASS * OMEGA}
+    values |= dict(zip(effect.parameter_names, signature.typical(MASS, amplitude, OMEGA), strict=True))
+    own = () if effect.name in BASE_EFFECTS else effect.name
+    result = simulate_backbone(Oscillator(MASS, own), values, amplitude * np.linspace(0.05, 1.0, 39))
+    assert not result.status.any()
+    for curve, words in zip(result.values, (signature.frequency, signature.damping, signature.offset), strict=True):
+        steps = np.diff(curve)
+        if words.startswith("Zero"):
+            # a decrement of 0.3, the largest here, moves the mid-line of a cycle by a hundredth of its amplitude
+            assert np.all(np.abs(curve) < 0.015), words
+        elif words.startswith("Constant"):
+            assert np.ptp(curve) < 1e-3 * np.abs(curve).max(), words  # side effects of damping stay below
+        elif words.startswith("Rises, then falls"):
+            peak = int(np.argmax(curve))
+            assert 0 < peak < curve.size - 1 and curve[peak] > 1.1 * max(curve[0], curve[-1]), words
+        else:
+            sign = 1.0 if words.startswith("Rises") else -1.0
+            # freeplay and sliders are flat up to where they begin; integration noise must not count as a turn
+            assert np.all(sign * steps > -1e-3 * np.ptp(curve)), words
+            assert abs(curve[-1] - curve[0]) > 2e-3 * np.abs(curve).max(), words
+
+
+def test_a_signature_begins_with_a_trend():
+    with pytest.raises(InputError, match="must begin with"):
+        Signature("Goes up.", "Constant.", "Zero.", "nothing", lambda mass, amplitude, angular_frequency: ())

@@ -13,6 +13,7 @@ import numpy as np
 from .._checks import InputError
 
 BoundsFunction = Callable[[float, float, float], tuple[float, float]]
+TypicalFunction = Callable[[float, float, float], tuple[float, ...]]
 _NAME = re.compile(r"[a-z][a-z0-9_]*\Z")
 
 
@@ -50,6 +51,41 @@ class Parameter:
             raise InputError(f"parameter name {self.name!r} must be lower-case letters, digits and underscores.")
         if not self.minimum < self.maximum:
             raise InputError(f"parameter {self.name!r} needs minimum < maximum, got {self.minimum} and {self.maximum}.")
+
+
+TRENDS = ("Rises, then falls", "Rises", "Falls", "Constant", "Zero")
+"""How the description of a curve over rising amplitude begins."""
+
+
+@dataclass(frozen=True)
+class Signature:
+    """How free decays show an effect, in words for people; the catalogue of effects is made of it.
+
+    Parameters
+    ----------
+    frequency, damping, offset : str
+        What the curve does as the amplitude rises, for the values of ``typical`` beside a linear spring and a light
+        viscous damper. Each begins with one of `TRENDS`, which a test compares with the simulation.
+    found_in : str
+        Structures that show it.
+    typical : callable
+        ``typical(mass, amplitude, angular_frequency)``: parameter values that show it well, in the order of ``p``.
+    resembles : tuple of str
+        Effects of the library whose curves are easily taken for these.
+    """
+
+    frequency: str
+    damping: str
+    offset: str
+    found_in: str
+    typical: TypicalFunction
+    resembles: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for label in ("frequency", "damping", "offset"):
+            words = getattr(self, label)
+            if not words.startswith(TRENDS):
+                raise InputError(f"`{label}` of a signature must begin with {', '.join(TRENDS)}; got {words!r}.")
 
 
 @dataclass(frozen=True)
@@ -93,6 +129,8 @@ class Effect:
     opposed : tuple of (str, str)
         Parameters that are not below minus another one where the effect is looked for in data: beyond, the force is
         no longer bounded for a bounded motion.
+    signature : Signature, optional
+        How decays show it; every effect of the library has one.
     """
 
     name: str
@@ -110,6 +148,7 @@ class Effect:
     references: tuple[str, ...] = ()
     redundant: tuple[tuple[str, float], ...] = ()
     opposed: tuple[tuple[str, str], ...] = ()
+    signature: Signature | None = None
 
     def __post_init__(self) -> None:
         if not _NAME.match(self.name):

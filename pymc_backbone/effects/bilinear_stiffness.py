@@ -6,7 +6,7 @@ import numba
 import numpy as np
 
 from .._checks import FloatArray
-from ._base import Effect, Parameter
+from ._base import Effect, Parameter, Signature
 
 
 @numba.njit
@@ -55,5 +55,13 @@ EFFECT = Effect(
     references=(
         "Shaw S. W., Holmes P. J. (1983) A periodically forced piecewise linear oscillator. "
         "Journal of Sound and Vibration 90(1), 129-155",
+    ),
+    signature=Signature(
+        frequency="Constant: the mean of two half cycles, whatever their amplitude.",
+        damping="Constant.",
+        offset="Constant, away from the stiffer side: a constant share of the amplitude.",
+        found_in="breathing cracks, one-sided contact that is closed at rest, cables that go slack",
+        typical=lambda mass, amplitude, angular_frequency: (0.4 * mass * angular_frequency**2,),
+        resembles=("quadratic_stiffness", "linear_stiffness"),
     ),
 )

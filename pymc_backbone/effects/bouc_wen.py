@@ -13,7 +13,7 @@ import numba
 import numpy as np
 
 from .._checks import FloatArray
-from ._base import Effect, Parameter
+from ._base import Effect, Parameter, Signature
 
 
 @numba.njit
@@ -135,5 +135,20 @@ EFFECT = Effect(
         "Division 102(2), 249-263. doi:10.1061/JMCEA3.0002106",
         "Ismail M., Ikhouane F., Rodellar J. (2009) The hysteresis Bouc-Wen model, a survey. "
         "Archives of Computational Methods in Engineering 16, 161-188. doi:10.1007/s11831-009-9031-8",
+    ),
+    signature=Signature(
+        frequency="Falls with the amplitude, and levels off where the hysteretic spring has given all it can.",
+        damping="Rises with the amplitude, levels off, and falls again at far larger ones.",
+        offset="Zero.",
+        found_in="wire-rope isolators, base isolation, joints and soils under large cycles",
+        typical=lambda mass, amplitude, angular_frequency: (
+            0.3 * mass * angular_frequency**2,
+            1.0,
+            0.0,
+            1.0 / amplitude,
+            0.5 / amplitude,
+            1.0,
+        ),
+        resembles=("iwan", "jenkins"),
     ),
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numba
 
 from .._checks import FloatArray
-from ._base import Effect, Parameter
+from ._base import Effect, Parameter, Signature
 
 
 @numba.njit
@@ -41,5 +41,14 @@ EFFECT = Effect(
     references=(
         "Feeny B. F., Liang J.-W. (1996) A decrement method for the simultaneous estimation of Coulomb and viscous "
         "friction. Journal of Sound and Vibration 195(1), 149-154",
+    ),
+    signature=Signature(
+        frequency="Constant.",
+        damping="Falls as one over the amplitude: friction takes the same step off every cycle, a larger share of "
+        "a small one. The decay ends in sticking.",
+        offset="Zero.",
+        found_in="rubbing guides, bearings, cables in their sheaths",
+        typical=lambda mass, amplitude, angular_frequency: (0.003 * mass * angular_frequency**2 * amplitude,),
+        resembles=("jenkins",),
     ),
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numba
 
 from .._checks import FloatArray
-from ._base import Effect, Parameter
+from ._base import Effect, Parameter, Signature
 
 
 @numba.njit
@@ -41,5 +41,13 @@ EFFECT = Effect(
     references=(
         "Elliott S. J., Ghandchi Tehrani M., Langley R. S. (2015) Nonlinear damping and quasi-linear modelling. "
         "Philosophical Transactions of the Royal Society A 373, 20140402. doi:10.1098/rsta.2014.0402",
+    ),
+    signature=Signature(
+        frequency="Constant.",
+        damping="Rises with the square of the amplitude and with the frequency.",
+        offset="Zero.",
+        found_in="shock absorbers and other dampers that stiffen with speed, ship roll",
+        typical=lambda mass, amplitude, angular_frequency: (0.03 * mass / (angular_frequency * amplitude**2),),
+        resembles=("displacement_dependent_damping", "quadratic_damping"),
     ),
 )

@@ -6,7 +6,7 @@ import numba
 import numpy as np
 
 from .._checks import FloatArray
-from ._base import Effect, Parameter
+from ._base import Effect, Parameter, Signature
 
 
 @numba.njit
@@ -46,5 +46,15 @@ EFFECT = Effect(
     references=(
         "Kovacic I., Brennan M. J. (2011) The Duffing Equation. Wiley. doi:10.1002/9780470977859",
         "Nayfeh A. H., Mook D. T. (1979) Nonlinear Oscillations. Wiley. doi:10.1002/9783527617586",
+    ),
+    signature=Signature(
+        frequency="Rises with the square of the amplitude; falls where the coefficient is negative.",
+        damping="Falls a little where the frequency rises: the spring dissipates nothing, but the viscous damper "
+        "has less time in a shorter cycle.",
+        offset="Zero.",
+        found_in="clamped thin beams and plates that stretch as they bend; negative: magnets, shallow arches, "
+        "pendulums",
+        typical=lambda mass, amplitude, angular_frequency: (0.3 * mass * angular_frequency**2 / amplitude**2,),
+        resembles=("quintic_stiffness", "freeplay", "pendulum_stiffness"),
     ),
 )

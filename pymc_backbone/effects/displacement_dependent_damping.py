@@ -5,7 +5,7 @@ from __future__ import annotations
 import numba
 
 from .._checks import FloatArray
-from ._base import Effect, Parameter
+from ._base import Effect, Parameter, Signature
 
 
 @numba.njit
@@ -41,5 +41,13 @@ EFFECT = Effect(
     references=(
         "Zaitsev S., Shtempluck O., Buks E., Gottlieb O. (2012) Nonlinear damping in a micromechanical oscillator. "
         "Nonlinear Dynamics 67, 859-883. arXiv:0911.0833",
+    ),
+    signature=Signature(
+        frequency="Constant.",
+        damping="Rises with the square of the amplitude.",
+        offset="Zero.",
+        found_in="micromechanical resonators, slender members that pump their support as they bend",
+        typical=lambda mass, amplitude, angular_frequency: (0.08 * mass * angular_frequency / amplitude**2,),
+        resembles=("cubic_damping", "quadratic_damping"),
     ),
 )

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numba
 
 from .._checks import FloatArray
-from ._base import Effect, Parameter
+from ._base import Effect, Parameter, Signature
 
 
 @numba.njit
@@ -66,5 +66,13 @@ EFFECT = Effect(
     references=(
         "Kerschen G., Worden K., Vakakis A. F., Golinval J.-C. (2006) Past, present and future of nonlinear system "
         "identification in structural dynamics. Mechanical Systems and Signal Processing 20(3), 505-592",
+    ),
+    signature=Signature(
+        frequency="Rises once the amplitude has closed the gap, steeply at first; constant below.",
+        damping="Falls where the frequency rises; constant below the gap.",
+        offset="Zero.",
+        found_in="loose joints, worn bearings, stops on both sides",
+        typical=lambda mass, amplitude, angular_frequency: (0.5 * mass * angular_frequency**2, 0.3 * amplitude),
+        resembles=("cubic_stiffness", "quintic_stiffness"),
     ),
 )

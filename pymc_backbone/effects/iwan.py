@@ -20,7 +20,7 @@ import math
 import numba
 
 from .._checks import FloatArray
-from ._base import Effect, Parameter
+from ._base import Effect, Parameter, Signature
 
 
 @numba.njit
@@ -114,5 +114,17 @@ EFFECT = Effect(
         "Journal of Applied Mechanics 72(5), 752-760. doi:10.1115/1.1989354",
         "Iwan W. D. (1966) A distributed-element model for hysteresis and its steady-state dynamic response. "
         "Journal of Applied Mechanics 33(4), 893-900. doi:10.1115/1.3625199",
+    ),
+    signature=Signature(
+        frequency="Falls slowly with the amplitude, as ever more of the contact slips.",
+        damping="Rises with the amplitude to the power chi + 1.",
+        offset="Zero.",
+        found_in="bolted lap joints in micro-slip, before they slip as a whole",
+        typical=lambda mass, amplitude, angular_frequency: (
+            0.3 * mass * angular_frequency**2,
+            0.3 * mass * angular_frequency**2 * amplitude,
+            -0.5,
+        ),
+        resembles=("bouc_wen", "jenkins", "quadratic_damping"),
     ),
 )

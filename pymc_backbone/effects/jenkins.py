@@ -11,7 +11,7 @@ from __future__ import annotations
 import numba
 
 from .._checks import FloatArray
-from ._base import Effect, Parameter
+from ._base import Effect, Parameter, Signature
 
 
 @numba.njit
@@ -74,5 +74,17 @@ EFFECT = Effect(
         "loads. Engineering 114, 603",
         "Iwan W. D. (1966) A distributed-element model for hysteresis and its steady-state dynamic response. "
         "Journal of Applied Mechanics 33(4), 893-900. doi:10.1115/1.3625199",
+    ),
+    signature=Signature(
+        frequency="Falls once the slider slips; constant below.",
+        damping="Rises, then falls: nothing below slip, a peak, then less, because a friction of fixed size "
+        "counts less in a larger cycle.",
+        offset="Zero.",
+        found_in="a bolted or riveted contact that slips as a whole, under-platform dampers of blades",
+        typical=lambda mass, amplitude, angular_frequency: (
+            0.15 * mass * angular_frequency**2,
+            0.03 * mass * angular_frequency**2 * amplitude,
+        ),
+        resembles=("coulomb_friction", "iwan", "bouc_wen"),
     ),
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numba
 
 from .._checks import FloatArray
-from ._base import Effect, Parameter
+from ._base import Effect, Parameter, Signature
 
 
 @numba.njit
@@ -42,4 +42,11 @@ EFFECT = Effect(
     force=force,
     gradient=gradient,
     references=("Rao S. S. (2017) Mechanical Vibrations, 6th ed. Pearson, section 2.6",),
+    signature=Signature(
+        frequency="Constant: one frequency at every amplitude.",
+        damping="Constant: a spring dissipates nothing.",
+        offset="Zero.",
+        found_in="every structure that returns to rest",
+        typical=lambda mass, amplitude, angular_frequency: (1.2 * mass * angular_frequency**2,),
+    ),
 )

@@ -7,7 +7,7 @@ import math
 import numba
 
 from .._checks import FloatArray
-from ._base import Effect, Parameter
+from ._base import Effect, Parameter, Signature
 
 
 @numba.njit
@@ -41,4 +41,12 @@ EFFECT = Effect(
     force=force,
     gradient=gradient,
     references=("Nayfeh A. H., Mook D. T. (1979) Nonlinear Oscillations. Wiley. doi:10.1002/9783527617586",),
+    signature=Signature(
+        frequency="Falls with the square of the angle: by 6 % at one radian.",
+        damping="Rises a little where the frequency falls: a longer cycle leaves the viscous damper more time.",
+        offset="Zero.",
+        found_in="pendulums, cranes, the roll of a ship by its righting arm; the displacement is an angle",
+        typical=lambda mass, amplitude, angular_frequency: (mass * angular_frequency**2,),
+        resembles=("cubic_stiffness",),
+    ),
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numba
 
 from .._checks import FloatArray
-from ._base import Effect, Parameter
+from ._base import Effect, Parameter, Signature
 
 
 @numba.njit
@@ -42,5 +42,13 @@ EFFECT = Effect(
         "Nayfeh A. H., Mook D. T. (1979) Nonlinear Oscillations. Wiley. doi:10.1002/9783527617586",
         "Elliott S. J., Ghandchi Tehrani M., Langley R. S. (2015) Nonlinear damping and quasi-linear modelling. "
         "Philosophical Transactions of the Royal Society A 373, 20140402. doi:10.1098/rsta.2014.0402",
+    ),
+    signature=Signature(
+        frequency="Constant.",
+        damping="Rises in proportion to the amplitude.",
+        offset="Zero.",
+        found_in="drag of blunt bodies in air or water, orifices",
+        typical=lambda mass, amplitude, angular_frequency: (0.02 * mass / amplitude,),
+        resembles=("cubic_damping", "displacement_dependent_damping", "iwan"),
     ),
 )

@@ -6,7 +6,7 @@ import numba
 import numpy as np
 
 from .._checks import FloatArray
-from ._base import Effect, Parameter
+from ._base import Effect, Parameter, Signature
 
 
 @numba.njit
@@ -44,4 +44,13 @@ EFFECT = Effect(
     force=force,
     gradient=gradient,
     references=("Nayfeh A. H., Mook D. T. (1979) Nonlinear Oscillations. Wiley. doi:10.1002/9783527617586",),
+    signature=Signature(
+        frequency="Falls with the square of the amplitude, whatever the sign of the coefficient.",
+        damping="Falls a little.",
+        offset="Falls in proportion to the amplitude; rises where the coefficient is negative. The mid-line moves "
+        "to the softer side.",
+        found_in="preloaded, sagging or curved structures: cables, shallow arches, springs about a static load",
+        typical=lambda mass, amplitude, angular_frequency: (0.3 * mass * angular_frequency**2 / amplitude,),
+        resembles=("bilinear_stiffness",),
+    ),
 )

@@ -6,7 +6,7 @@ import numba
 import numpy as np
 
 from .._checks import FloatArray
-from ._base import Effect, Parameter
+from ._base import Effect, Parameter, Signature
 
 
 @numba.njit
@@ -44,4 +44,12 @@ EFFECT = Effect(
     force=force,
     gradient=gradient,
     references=("Nayfeh A. H., Mook D. T. (1979) Nonlinear Oscillations. Wiley. doi:10.1002/9783527617586",),
+    signature=Signature(
+        frequency="Rises with the fourth power of the amplitude: hardly at small ones, steeply at large ones.",
+        damping="Falls a little where the frequency rises, as beside a cubic spring.",
+        offset="Zero.",
+        found_in="stops and rubber that stiffen late; the next term where a cubic spring does not suffice",
+        typical=lambda mass, amplitude, angular_frequency: (0.3 * mass * angular_frequency**2 / amplitude**4,),
+        resembles=("cubic_stiffness", "freeplay"),
+    ),
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numba
 
 from .._checks import FloatArray
-from ._base import Effect, Parameter
+from ._base import Effect, Parameter, Signature
 
 
 @numba.njit
@@ -39,4 +39,11 @@ EFFECT = Effect(
     force=force,
     gradient=gradient,
     references=("Rao S. S. (2017) Mechanical Vibrations, 6th ed. Pearson, section 2.6",),
+    signature=Signature(
+        frequency="Constant, and relatively lower by half the square of the damping ratio.",
+        damping="Constant: the same decrement at every amplitude.",
+        offset="Zero.",
+        found_in="material losses and small motions in a fluid, roughly; what is left when nothing better is known",
+        typical=lambda mass, amplitude, angular_frequency: (0.02 * mass * angular_frequency,),
+    ),
 )

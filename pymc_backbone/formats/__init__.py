@@ -17,6 +17,7 @@ RECORD_SUFFIXES = {
     ".bunv": "universal", ".nc": "NetCDF", ".nc4": "NetCDF", ".cdf": "NetCDF", ".npz": "NumPy", ".npy": "NumPy",
     ".json": "SEP-005",
 }  # fmt: skip
+"""Kind of a file by its suffix."""
 _MINOR = {".txt", ".dat", ".asc", ".json"}
 """Suffixes of much else beside records: in a folder they count only where nothing else is."""
 _NEVER = {"result.json"}
