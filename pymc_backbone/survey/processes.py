@@ -33,6 +33,8 @@ NOT_STARTED = (
 )
 _CONTEXT = multiprocessing.get_context("spawn")  # a forked child could inherit locks that threads hold
 _READY = "ready"
+TASKS_PER_PROCESS = 100
+"""Tasks after which a process is replaced: compiled models leave a little memory behind that is never given back."""
 _PATIENCE = 5.0  # seconds for a process to end by itself
 
 
@@ -49,6 +51,8 @@ class Processes(Executor):
         Number of processes.
     prepare : callable, optional
         Called once in each process; importable.
+    tasks_per_process : int, optional
+        Number of tasks after which a process is replaced by a new one.
 
     Notes
     -----
@@ -56,8 +60,11 @@ class Processes(Executor):
     this process decides, and `kill` ends them. They end too when this process does, however it ends.
     """
 
-    def __init__(self, workers: int, prepare: Callable[[], None] | None = None) -> None:
+    def __init__(
+        self, workers: int, prepare: Callable[[], None] | None = None, tasks_per_process: int = TASKS_PER_PROCESS
+    ) -> None:
         self._prepare = prepare
+        self._most = tasks_per_process
         self._threads = ThreadPoolExecutor(workers, thread_name_prefix="survey")
         self._mine = threading.local()
         self._alive: set[_Process] = set()
@@ -93,7 +100,7 @@ class Processes(Executor):
 
     def _call(self, function: Callable[..., Any], args: Any, kwargs: Any) -> Any:
         process: _Process | None = getattr(self._mine, "process", None)
-        if process is None or not process.process.is_alive():
+        if process is None or not process.process.is_alive() or process.calls >= self._most:
             if process is not None:
                 self._drop(process)
             process = self._start()
@@ -136,6 +143,7 @@ class _Process:
     """A process that answers one call after another through a pipe."""
 
     def __init__(self, prepare: Callable[[], None] | None) -> None:
+        self.calls = 0
         self.connection, theirs = _CONTEXT.Pipe()
         self.process = _CONTEXT.Process(target=_serve, args=(theirs, prepare), daemon=True)
         with _one_thread_each():
@@ -152,6 +160,7 @@ class _Process:
 
     def call(self, function: Callable[..., Any], args: Any, kwargs: Any) -> Any:
         content = pickle.dumps((function, args, kwargs))
+        self.calls += 1
         try:
             self.connection.send_bytes(content)
         except OSError:
