@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import pickle
 import signal
 import threading
 from collections.abc import Callable, Iterator
@@ -33,6 +32,8 @@ NOT_STARTED = (
 )
 _CONTEXT = multiprocessing.get_context("spawn")  # a forked child could inherit locks that threads hold
 _READY = "ready"
+TASKS_PER_PROCESS = 100
+"""Tasks after which a process is replaced: compiled models leave a little memory behind that is never given back."""
 _PATIENCE = 5.0  # seconds for a process to end by itself
 
 
@@ -49,6 +50,8 @@ class Processes(Executor):
         Number of processes.
     prepare : callable, optional
         Called once in each process; importable.
+    tasks_per_process : int, optional
+        Number of tasks after which a process is replaced by a new one.
 
     Notes
     -----
@@ -56,8 +59,11 @@ class Processes(Executor):
     this process decides, and `kill` ends them. They end too when this process does, however it ends.
     """
 
-    def __init__(self, workers: int, prepare: Callable[[], None] | None = None) -> None:
+    def __init__(
+        self, workers: int, prepare: Callable[[], None] | None = None, tasks_per_process: int = TASKS_PER_PROCESS
+    ) -> None:
         self._prepare = prepare
+        self._most = tasks_per_process
         self._threads = ThreadPoolExecutor(workers, thread_name_prefix="process")
         self._mine = threading.local()
         self._alive: set[_Process] = set()
@@ -93,7 +99,7 @@ class Processes(Executor):
 
     def _call(self, function: Callable[..., Any], args: Any, kwargs: Any) -> Any:
         process: _Process | None = getattr(self._mine, "process", None)
-        if process is None or not process.process.is_alive():
+        if process is None or not process.process.is_alive() or process.calls >= self._most:
             if process is not None:
                 self._drop(process)
             process = self._start()
@@ -136,6 +142,7 @@ class _Process:
     """A process that answers one call after another through a pipe."""
 
     def __init__(self, prepare: Callable[[], None] | None) -> None:
+        self.calls = 0
         self.connection, theirs = _CONTEXT.Pipe()
         self.process = _CONTEXT.Process(target=_serve, args=(theirs, prepare), daemon=True)
         with _one_thread_each():
@@ -151,9 +158,9 @@ class _Process:
             raise
 
     def call(self, function: Callable[..., Any], args: Any, kwargs: Any) -> Any:
-        content = pickle.dumps((function, args, kwargs))
+        self.calls += 1
         try:
-            self.connection.send_bytes(content)
+            self.connection.send((function, args, kwargs))
         except OSError:
             raise self._died() from None
         is_done, value = self._receive()
@@ -174,7 +181,7 @@ class _Process:
 
     def _receive(self) -> Any:
         try:
-            return pickle.loads(self.connection.recv_bytes())
+            return self.connection.recv()
         except (EOFError, OSError):
             raise self._died() from None
 
@@ -197,22 +204,23 @@ def _serve(connection: Any, prepare: Callable[[], None] | None) -> None:
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if prepare is not None:
         prepare()
-    connection.send_bytes(pickle.dumps(_READY))
+    connection.send(_READY)
     while True:
         try:
-            content = connection.recv_bytes()
+            function, args, kwargs = connection.recv()
         except (EOFError, OSError):
             return
+        except Exception as error:  # a function that cannot be found here
+            connection.send((False, error))
+            continue
         try:
-            function, args, kwargs = pickle.loads(content)
             answer: tuple[bool, Any] = (True, function(*args, **kwargs))
         except Exception as error:
             answer = (False, error)
         try:
-            content = pickle.dumps(answer)
+            connection.send(answer)
         except Exception as error:  # neither every value nor every exception can be sent
-            content = pickle.dumps((False, RuntimeError(f"{type(answer[1]).__name__}: {answer[1]} ({error})")))
-        connection.send_bytes(content)
+            connection.send((False, RuntimeError(f"{type(answer[1]).__name__}: {answer[1]} ({error})")))
 
 
 def _end_with_parent() -> None:

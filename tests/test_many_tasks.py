@@ -50,6 +50,12 @@ def test_processes_are_used_again_and_have_one_thread_each(processes):
     assert {value[1] for value, _ in found.values()} == {os.environ.get("OMP_NUM_THREADS", "1")}
 
 
+def test_a_process_is_replaced_after_its_tasks():
+    with Processes(1, tasks_per_process=2) as executor:
+        pids = [executor.submit(many_jobs.worker, i).result()[0] for i in range(5)]
+        assert [pids.count(pid) for pid in dict.fromkeys(pids)] == [2, 2, 1] and executor.process_ids == pids[-1:]
+
+
 @posix
 def test_a_killed_process_costs_its_own_task_alone(processes, tmp_path):
     tasks = {str(i): ("" if i != 3 else str(tmp_path / "mark"), i) for i in range(8)}

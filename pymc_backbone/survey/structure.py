@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import json
 import logging
 import os
@@ -168,6 +169,7 @@ def run_job(job: Job) -> dict[str, Any]:
                 write_entries(Path(job.folder), entries, job.request)
             except InputError as error:
                 entries.update(error=str(error))
+    gc.collect()  # compiled models stand in reference cycles, which are small to Python and large in memory
     return entries
 
 
