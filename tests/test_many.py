@@ -109,15 +109,20 @@ def test_sampled_posteriors_are_the_same_everywhere(rng):
 @posix
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "settings", [QUICK, {**SAMPLED, "held_out": 0, "draws": 100, "tune": 100}], ids=["quick", "sampled"]
+    ("settings", "growth"),
+    [
+        (QUICK, 1.03),  # the allocator's own wandering
+        ({**SAMPLED, "held_out": 0, "draws": 100, "tune": 100}, 1.5),  # compiled models, until the process is replaced
+    ],
+    ids=["quick", "sampled"],
 )
-def test_memory_of_a_worker_stays_flat(settings):
+def test_memory_of_a_worker_stays_flat(settings, growth):
     """Resident memory after 200 batches against that after 40, when everything that a study needs is loaded."""
     status = Path("/proc/self/status")
     if not status.exists():
         pytest.skip("the memory of a process is read from /proc")
     memory: list[float] = []
-    some = {f"beam {i}": backbones(i % 20) for i in range(200)}
+    some = {f"beam {i}": backbones(i) for i in range(200)}
     with Processes(1, prepare_worker) as executor:
 
         def say(text: str) -> None:
@@ -129,7 +134,7 @@ def test_memory_of_a_worker_stays_flat(settings):
         survey = pb.diagnose_many(some, mass=MASS, executor=executor, random_seed=3, say=say, **settings)
     print("MB after 1, 10, 20, 40, 100, 150, 200:", [memory[i - 1] for i in (1, 10, 20, 40, 100, 150, 200)])
     assert not survey.failed and len(memory) == 200
-    assert memory[-1] < 1.03 * memory[39]  # the allocator's own wandering
+    assert max(memory[40:]) < growth * memory[39]
 
 
 @pytest.fixture
