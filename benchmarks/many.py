@@ -128,7 +128,7 @@ def dask_client() -> Iterator[Any]:
 
 def memory_table(sources: dict[str, Path]) -> list[str]:
     """Return resident memory of each of two processes on the way through the structures."""
-    with Processes(2, prepare_worker) as executor:
+    with Processes(2, prepare_worker, tasks_per_process=10**6) as executor:  # else they would be replaced on the way
         row = run(sources, executor, lambda: executor.process_ids)
     marks = [count for count in (10, 20, 50, 100, 150, 200, 400, 800) if count <= len(sources)]
     head = " | ".join(f"after {count}" for count in marks)

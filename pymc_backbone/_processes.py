@@ -32,7 +32,7 @@ NOT_STARTED = (
 )
 _CONTEXT = multiprocessing.get_context("spawn")  # a forked child could inherit locks that threads hold
 _READY = "ready"
-TASKS_PER_PROCESS = 100
+TASKS_PER_PROCESS = 50
 """Tasks after which a process is replaced: compiled models leave a little memory behind that is never given back."""
 _PATIENCE = 5.0  # seconds for a process to end by itself
 

@@ -109,27 +109,34 @@ def test_sampled_posteriors_are_the_same_everywhere(rng):
 @posix
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "settings", [QUICK, {**SAMPLED, "held_out": 0, "draws": 100, "tune": 100}], ids=["quick", "sampled"]
+    ("settings", "growth"),
+    [
+        (QUICK, 1.03),  # the allocator's own wandering
+        ({**SAMPLED, "held_out": 0, "draws": 100, "tune": 100}, 1.8),  # compiled models, until the process is replaced
+    ],
+    ids=["quick", "sampled"],
 )
-def test_memory_of_a_worker_stays_flat(settings):
+def test_memory_of_a_worker_stays_flat(settings, growth):
     """Resident memory after 200 batches against that after 40, when everything that a study needs is loaded."""
     status = Path("/proc/self/status")
     if not status.exists():
         pytest.skip("the memory of a process is read from /proc")
     memory: list[float] = []
-    some = {f"beam {i}": backbones(i % 20) for i in range(200)}
-    with Processes(1, prepare_worker) as executor:
+    some = {f"beam {i}": backbones(i) for i in range(200)}
+    with Processes(1, prepare_worker, tasks_per_process=10**6 if "quick" in settings else 50) as executor:
 
         def say(text: str) -> None:
             if text.startswith("["):
-                (pid,) = executor.process_ids
-                text = Path(f"/proc/{pid}/status").read_text()
-                memory.append(float(text.split("VmRSS:")[1].split()[0]) / 1e3)
+                # The process that was replaced may be gone already, and the new one not there yet.
+                statuses = [Path(f"/proc/{pid}/status") for pid in executor.process_ids]
+                texts = [status.read_text() for status in statuses if status.exists()]
+                held = [float(text.split("VmRSS:")[1].split()[0]) / 1e3 for text in texts if "VmRSS:" in text]
+                memory.append(max(held, default=0.0))
 
         survey = pb.diagnose_many(some, mass=MASS, executor=executor, random_seed=3, say=say, **settings)
     print("MB after 1, 10, 20, 40, 100, 150, 200:", [memory[i - 1] for i in (1, 10, 20, 40, 100, 150, 200)])
     assert not survey.failed and len(memory) == 200
-    assert memory[-1] < 1.03 * memory[39]  # the allocator's own wandering
+    assert max(memory[40:]) < growth * memory[39]
 
 
 @pytest.fixture
