@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import inspect
 import io
 import os
 import re
+import textwrap
 from contextlib import redirect_stdout
 from pathlib import Path
+from types import ModuleType
 
 from freshness import write_if_new
 
@@ -53,15 +56,18 @@ def public_modules() -> list[str]:
 
 
 def public_names(module_name: str) -> list[str]:
-    """Return the functions and classes that a module defines, or passes on in its ``__all__``, as they stand there."""
+    """Return what a module passes on in its ``__all__``, and the functions and classes that its source defines."""
     module = importlib.import_module(module_name)
     chosen = list(getattr(module, "__all__", ()))
-    for name, value in vars(module).items():
-        if name.startswith("_") or name in chosen or not (inspect.isfunction(value) or inspect.isclass(value)):
-            continue
-        if value.__module__ == module_name:
-            chosen.append(name)
-    return chosen
+    return chosen + [name for name in _definitions(module) if name not in chosen]
+
+
+def _definitions(module: ModuleType) -> dict[str, str]:
+    """Return the public functions and classes in the source of a module, decorated or not, with their docstrings."""
+    nodes = ast.parse(inspect.getsource(module)).body
+    kinds = (ast.FunctionDef, ast.ClassDef)
+    found = [node for node in nodes if isinstance(node, kinds) and not node.name.startswith("_")]
+    return {node.name: ast.get_docstring(node) or "" for node in found}
 
 
 def where(name: str) -> str:
@@ -87,8 +93,18 @@ def _module_page(name: str) -> str:
         lines[3] = f".. currentmodule:: {name}"
         return "\n".join([*lines, f".. autoexception:: {name}.InputError", ""])
     module = importlib.import_module(name)
+    definitions = _definitions(module)
     for member in public_names(name):
         value = getattr(module, member)
+        if member in definitions and not (inspect.isfunction(value) or inspect.isclass(value)):
+            # a decorator made something else of the function
+            lines += [
+                f".. py:function:: {name}.{member}",
+                "",
+                *textwrap.indent(definitions[member], "   ").splitlines(),
+                "",
+            ]
+            continue
         kind = "autodata" if not callable(value) else "autoclass" if inspect.isclass(value) else "autofunction"
         if inspect.isclass(value) and issubclass(value, Exception):
             kind = "autoexception"
