@@ -58,9 +58,9 @@ from tests.format_files import WRITERS  # noqa: E402
 
 SECONDS, MEGABYTES = 20.0, 1500.0
 """Limits of one input: time, and memory beyond what the process has when it begins."""
-LONGEST_BATCH = 900.0
+LONGEST_BATCH = 3600.0
 isolation.SECONDS = 2.0  # of computation; the files are small, and a refusal must come before the limit above
-BATCH = 250
+BATCH = 1000
 INTERESTING = [
     b"\0",
     b"\x01",
@@ -466,7 +466,7 @@ def main() -> int:
     begin = time.perf_counter()
 
     def progress(tally: Tally, done: int) -> None:
-        if done % (BATCH * 8) == 0:
+        if done % BATCH == 0:
             print(f"{done} inputs, {len(tally.faults)} faults, {time.perf_counter() - begin:.0f} s", file=sys.stderr)
 
     tally = run_batches(options.inputs, options.seed, options.keep, progress)

@@ -115,7 +115,7 @@ def _forged_chunk(content: bytes, chance: random.Random) -> bytes:
         arrays[name] = chance.choice(
             [
                 array.ravel()[:-1], array.astype("f4"), array[..., None], np.zeros(0), np.array("x"), array.astype("O"),
-                np.zeros(20_000_000), np.full(array.shape, np.nan),
+                np.zeros(2_000_000), np.full(array.shape, np.nan),
             ]
         )  # fmt: skip
     buffer = io.BytesIO()
