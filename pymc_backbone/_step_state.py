@@ -179,7 +179,11 @@ def _decode(tree: Any, plain: PlainState, lists: dict[str, list[Any]], template:
     if form != "fields":
         raise StateError(f"the state holds {form!r}, which is unknown.")
     if isinstance(template, RandomGeneratorState):
-        return RandomGeneratorState(**{key: _decode(item, plain, lists, None) for key, item in content.items()})
+        generator = RandomGeneratorState(**{key: _decode(item, plain, lists, None) for key, item in content.items()})
+        # NumPy allocates a pool of any size that it is told.
+        if generator.seed_seq_state["pool_size"] != template.seed_seq_state["pool_size"]:
+            raise StateError("the state holds a random generator of another kind than the step.")
+        return generator
     if not isinstance(template, DataClassState):
         raise StateError("the state holds parts that the step has not.")
     values = {item.name: getattr(template, item.name) for item in fields(template)}

@@ -366,6 +366,22 @@ def test_a_state_of_other_origin_is_refused(tree, tmp_path, small_chunks):
         sample(plain_model(), **settings, store=tmp_path / "run", resume=True)
 
 
+def test_a_generator_with_a_pool_of_any_size_is_refused(tmp_path, small_chunks):
+    """NumPy would allocate 8 GB for it."""
+    settings = {**SIZES, "step": "nuts"}
+    with pytest.raises(Cut):
+        sample(plain_model(), **settings, store=tmp_path / "run", callback=cut_after(20))
+
+    def enlarge(header, arrays) -> None:
+        seeds = header["tree"]["state"]["fields"]["rng"]["fields"]["seed_seq_state"]["dict"]
+        assert seeds["pool_size"] == 4
+        seeds["pool_size"] = 2**31
+
+    rewritten(tmp_path / "run" / "chain_0", enlarge)
+    with pytest.raises(InputError, match="random generator of another kind"):
+        sample(plain_model(), **settings, store=tmp_path / "run", resume=True)
+
+
 def test_chunks_come_back_as_they_were(tmp_path, chunk):
     points, stats, state, *took = chunk
     folder = ChunkFolder(tmp_path / "chain_0", "run")
