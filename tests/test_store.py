@@ -313,7 +313,7 @@ def rewritten(folder: Path, change) -> None:
     change(header, arrays)
     arrays["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
     buffer = io.BytesIO()
-    is_bomb = sum(array.nbytes for array in arrays.values()) > 10**6
+    is_bomb = sum(array.nbytes for array in arrays.values()) > 1e8
     (np.savez_compressed if is_bomb else np.savez)(buffer, **arrays)
     path.unlink()
     digest = hashlib.sha256(buffer.getvalue()).hexdigest()[:16]

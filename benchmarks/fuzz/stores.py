@@ -119,7 +119,7 @@ def _forged_chunk(content: bytes, chance: random.Random) -> bytes:
             ]
         )  # fmt: skip
     buffer = io.BytesIO()
-    chance.choice((np.savez, np.savez_compressed))(buffer, **arrays)
+    chance.choice((np.savez, np.savez, np.savez, np.savez_compressed))(buffer, **arrays)
     return buffer.getvalue()
 
 
