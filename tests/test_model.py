@@ -134,8 +134,8 @@ def test_leave_one_specimen_out_and_predictions(rng, random_seed):
         pm.compute_log_likelihood(posterior, progressbar=False)
         predictions = pm.sample_posterior_predictive(posterior, random_seed=random_seed, progressbar=False)
     assert posterior["log_likelihood"]["backbone"].shape == (2, 400, 4)
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Estimated shape parameter", category=UserWarning)  # of four specimens
+    with warnings.catch_warnings():  # of four specimens
+        warnings.filterwarnings("ignore", message="Estimated shape parameter", category=UserWarning)
         result = az.loo(posterior, pointwise=True)
     assert result.n_data_points == 4
     drawn = np.array(predictions["posterior_predictive"]["backbone"]).reshape(-1, 8)
