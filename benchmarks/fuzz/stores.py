@@ -10,6 +10,7 @@ import logging
 import platform
 import random
 import shutil
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -56,7 +57,10 @@ class Run:
                     recorder.setup_chain(np.random.default_rng(1), SETTINGS["tune"], SETTINGS["draws"] + 1)
                     point = {name: np.asarray(value) for name, value in start.items()}
                     for _ in range(len(chain.points) + 1):
-                        point, _ = recorder.step(point)
+                        with warnings.catch_warnings():
+                            # what PyMC computes from numbers that are none is its own, and may be told
+                            warnings.filterwarnings("ignore", category=RuntimeWarning, module="pymc")
+                            point, _ = recorder.step(point)
             finally:
                 self.step.step, self.step.setup_chain = self.methods
                 for part, memory in self.memory:  # as a new process has it
