@@ -5,7 +5,7 @@
 The density is smooth: a normal at each of ten levels, frequency and damping, of a Duffing population. A bare random
 walk in compiled code with the same density and the same proposals is the floor for any Metropolis: three proposals a
 draw, one parameter each, against `pymc.Metropolis` on three scalars and on one vector (which it moves entry by entry);
-one joint proposal a draw against this package's joint Metropolis.
+three joint proposals a draw against this package's joint Metropolis.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def make_walk(density):
         value = log_density(theta)
         trace = np.empty((draws, 3))
         for i in range(draws):
-            for j in range(1 if blocked else 3):
+            for j in range(3):
                 proposal = theta.copy()
                 if blocked:
                     for k in range(3):

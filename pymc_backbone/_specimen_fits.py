@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 
 from ._checks import FloatArray, InputError
 from ._response import OscillatorResponse
-from .model import whiten_specimens
+from ._specimen_likelihood import whiten_specimens
 
 _STARTS = 6
 _GOOD = 4.0  # squared distance per value below which no other start is tried
