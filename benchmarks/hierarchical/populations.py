@@ -18,6 +18,7 @@ DAMPING = NAMES.index("viscous_damping")
 RELEASE = 1.3  # of the higher of two levels
 DECIBEL = 50.0
 SAMPLES = 30  # a cycle, after the release
+LONGEST = 9000  # cycles of a record: of a specimen that hardly loses energy, the lower level is not waited for
 
 
 def draw_population(kind: str, n: int, rng: np.random.Generator, correlation: float = 0.0) -> np.ndarray:
@@ -50,7 +51,7 @@ def extract(parameters: np.ndarray, rng: np.random.Generator, levels: np.ndarray
         release, cycles = RELEASE * pair[1], []
         for i, theta in enumerate(parameters):
             frequency = np.sqrt(theta[0] + theta[2] * release**2) / (2.0 * np.pi)
-            end = np.log(release / (0.5 * pair[0])) / (0.5 * theta[DAMPING])
+            end = min(np.log(release / (0.5 * pair[0])) / (0.5 * theta[DAMPING]), LONGEST / frequency)
             time = np.arange(0.0, end, 1.0 / (SAMPLES * frequency))
             clean = simulate_waveform(OSCILLATOR, theta, time, release).displacement
             noisy = clean + release * 10.0 ** (-DECIBEL / 20.0) * rng.standard_normal(time.size)
