@@ -13,6 +13,7 @@ from pymc_backbone._checks import FloatArray
 
 KNOTS = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, 42), np.ones(3)])
 """Cubic knots; more change no level value of the library's effects by a tenth of its standard error."""
+_SIZE = KNOTS.size - 4  # spline functions
 
 SMOOTHNESS_GRID = np.logspace(-1.0, 9.0, 31)
 """Prior variance of the curve's bending over the noise variance, in the direction the record determines best."""
@@ -25,13 +26,36 @@ UNDERSMOOTHING = 4.0
 """Freedom to bend beyond what the likelihood asks for: a fifth more standard error, a third less bias at corners."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Curve:
-    """A smoothed curve where asked for: value, covariance, and mean squared normalised residual (at least 1)."""
+    """A smoothed curve of m points, as r spline coefficients that hold for all of them.
 
-    value: FloatArray
-    covariance: FloatArray
+    Attributes
+    ----------
+    design : (m, r) array
+        Value of each spline function at each point; those of all abscissas side by side.
+    coefficients : (r,) array
+        The curve's.
+    spread : (r, r) array
+        Their covariance.
+    scatter : float
+        Mean squared normalised residual (at least 1).
+    """
+
+    design: FloatArray
+    coefficients: FloatArray
+    spread: FloatArray
     scatter: float
+
+    @property
+    def value(self) -> FloatArray:
+        """The curve (m,)."""
+        return self.design @ self.coefficients
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Its covariance (m, m), which a record of many cycles has no memory for."""
+        return self.design @ self.spread @ self.design.T
 
 
 @lru_cache(maxsize=64)
@@ -47,7 +71,7 @@ def _bending_roots(order: int, kink: float | None) -> FloatArray:
     scale = np.sqrt((half[:, None] * weights).ravel())
     if kink is not None:
         scale = scale / np.sqrt(1.0 + KINK_EASE * np.exp(-0.5 * ((points - kink) / KINK_WIDTH) ** 2))
-    bending = BSpline(KNOTS, np.eye(KNOTS.size - 4), 3).derivative(order)(points) * scale[:, None]
+    bending = BSpline(KNOTS, np.eye(_SIZE), 3).derivative(order)(points) * scale[:, None]
     values, vectors = eigh(bending.T @ bending)
     return np.hstack([vectors[:, :order], vectors[:, order:] / np.sqrt(np.maximum(values[order:], 1e-14 * values[-1]))])
 
@@ -119,54 +143,61 @@ def smooth(
     n = values.size
     bands = regularised_bands(bands)
     collected = []
-    for number, (place, target) in enumerate(zip(places, targets, strict=True)):
-        low, high = float(place.min()), float(place.max())
-        design = _design((place - low) / (high - low))
+    for number, place in enumerate(places):
+        design = _design(place, place)
         white = _whiten(bands, np.column_stack([values, design]))
         if n > white.shape[1]:
             # the triangle carries every inner product the models need
             white = np.linalg.qr(white, mode="r")
-        at = _design((target - low) / (high - low))
         models: list[tuple[int, float | None]] = [(order, None) for order in orders if n > order + 1]
         if kinks and number == 0 and n > 5:
             models += [(2, kink) for kink in KINKS]
-        collected += [_smooth_as(white, at, n, order, kink, scatter_prior, undersmoothing) for order, kink in models]
+        for order, kink in models:
+            collected.append((number, *_smooth_as(white, n, order, kink, scatter_prior, undersmoothing)))
     if not collected:
         raise ValueError("smoothing needs at least four values")
-    logs = np.concatenate([item[0] for item in collected])
+    logs = np.concatenate([item[1] for item in collected])
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
-    means = np.concatenate([item[1] for item in collected])
-    value = weights @ means
-    spread = means - value
-    covariance = (spread * weights[:, None]).T @ spread
-    start = 0
-    scatter = 0.0
-    for log_weights, _, basis, variances, fixed, scatters in collected:
+    means, parts = [], []
+    spread, scatter, start = np.zeros((_SIZE * len(places),) * 2), 0.0, 0
+    for number, log_weights, mean, basis, variances, fixed, scatters in collected:
         own = weights[start : start + log_weights.size]
-        covariance += (basis * ((own * scatters) @ variances)) @ basis.T + (own @ scatters) * fixed
+        here = slice(_SIZE * number, _SIZE * (number + 1))
+        spread[here, here] += (basis * ((own * scatters) @ variances)) @ basis.T + (own @ scatters) * fixed
+        means.append(mean)
+        parts.append(here)
         scatter += float(own @ scatters)
         start += log_weights.size
-    return Curve(value, covariance, scatter)
+    every = np.zeros((weights.size, spread.shape[0]))
+    start = 0
+    for here, mean in zip(parts, means, strict=True):
+        every[start : start + len(mean), here] = mean
+        start += len(mean)
+    coefficients = weights @ every
+    apart = every - coefficients
+    spread += (apart * weights[:, None]).T @ apart
+    design = np.hstack([_design(place, target) for place, target in zip(places, targets, strict=True)])
+    return Curve(design, coefficients, spread, scatter)
 
 
-def _design(unit: FloatArray) -> FloatArray:
-    """Return the spline basis (n, basis) at ``unit``, dense."""
-    return BSpline.design_matrix(np.clip(unit, 0.0, 1.0), KNOTS, 3).toarray()
+def _design(place: FloatArray, at: FloatArray) -> FloatArray:
+    """Return the spline basis (m, basis) over the range of ``place``, evaluated ``at`` (m,), dense."""
+    low, high = float(place.min()), float(place.max())
+    return BSpline.design_matrix(np.clip((at - low) / (high - low), 0.0, 1.0), KNOTS, 3).toarray()
 
 
 def _smooth_as(
     white: FloatArray,
-    at: FloatArray,
     n: int,
     order: int,
     kink: float | None,
     scatter_prior: float,
     undersmoothing: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return weights (s,) as logarithms and coefficients (s, basis) for every smoothness, and what spread has."""
     roots = _bending_roots(order, kink)
     y, design = white[:, 0], white[:, 1:] @ roots
-    at = at @ roots
     free, rough = design[:, :order], design[:, order:]
     q_free, r_free = np.linalg.qr(free)
     rough_part = q_free.T @ rough
@@ -185,8 +216,8 @@ def _smooth_as(
     d = np.sqrt(d2)
     gamma = (v.T @ (rough.T @ y)) / d
     rest = max(float(y @ y - gamma @ gamma), 0.0)
-    solve_free = np.linalg.solve(r_free.T, at[:, :order].T).T
-    bend_at = at[:, order:] - solve_free @ rough_part
+    solve_free = np.linalg.solve(r_free.T, roots[:, :order].T).T
+    bend_at = roots[:, order:] - solve_free @ rough_part
     basis = bend_at @ v
     tau = SMOOTHNESS_GRID / d2[-1]
     ratio = 1.0 + tau[:, None] * d2

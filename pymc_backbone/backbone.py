@@ -173,10 +173,10 @@ def _level_values(item: Cycles, observable: str, levels: FloatArray) -> tuple[Fl
     weights = np.zeros((n, amplitude.size))
     weights[np.arange(n), order[left]] = 1.0 - share
     weights[np.arange(n), order[right]] += share
-    blur = weights * (slope / levels)[:, None]
+    blur = (slope / levels)[:, None] * (weights @ item.smoothed_amplitude_design)
     # errors shared through the template vary smoothly with amplitude: smoothing passes them on as they are
     shared = weights @ item.shared[QUANTITIES.index(observable)]
-    covariance = curve.covariance[:n, :n] + blur @ item.smoothed_amplitude_covariance @ blur.T + shared @ shared.T
+    covariance = curve.covariance[:n, :n] + blur @ item.smoothed_amplitude_spread @ blur.T + shared @ shared.T
     return curve.value[:n], covariance
 
 

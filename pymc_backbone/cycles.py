@@ -48,8 +48,8 @@ class Cycles:
         Errors all cycles share, through the template: their covariance is ``shared @ shared.T``, beside the bands.
     smoothed_amplitude : (n,) array
         Amplitude smoothed over cycles: the regressor of the backbone.
-    smoothed_amplitude_covariance : (n, n) array
-        Its covariance.
+    smoothed_amplitude_design, smoothed_amplitude_spread : (n, r) and (r, r) arrays
+        Its covariance is ``design @ spread @ design.T``.
     turning_times, turning_values, turning_time_errors, turning_value_errors, turning_signs : (m,) arrays
         Turning points; sign +1.0 for a peak.
     noise : float
@@ -71,7 +71,8 @@ class Cycles:
     bands: FloatArray
     shared: FloatArray
     smoothed_amplitude: FloatArray
-    smoothed_amplitude_covariance: FloatArray
+    smoothed_amplitude_design: FloatArray
+    smoothed_amplitude_spread: FloatArray
     turning_times: FloatArray
     turning_values: FloatArray
     turning_time_errors: FloatArray
@@ -272,7 +273,6 @@ def _assemble(
     positive = np.maximum(amplitude, 1e-3 * amplitude.max())
     curve = smooth([index], positive, amplitude_bands, [index], orders=(2, 3), kinks=True)
     smoothed = np.maximum(curve.value, 1e-3 * amplitude.max())
-    spread = curve.covariance
     floor = np.flatnonzero(smoothed < FLOOR * np.sqrt(amplitude_bands[0]))
     end = int(floor[0]) if floor.size else n
     if end < n:
@@ -295,7 +295,7 @@ def _assemble(
     bands = _turning.cycle_covariance(gradients, turning, shift, bands_of)
     # second order: E[1/T] exceeds 1/E[T]; E[ln R] falls short of ln E[R]
     frequency = (1.0 - bands[1, 0] * period**2) / period
-    smoothed, spread = _amplitude_from_damping(positive, amplitude_bands, damping, bands[2], smoothed, end)
+    smoothed, design, spread = _amplitude_from_damping(positive, amplitude_bands, damping, bands[2], smoothed, end)
     swing = np.zeros((2, n, 3, 2))
     swing[0, :, 0, 1], swing[0, :, 1, 1], swing[1, :, 1, 1], swing[1, :, 2, 1] = 1.0, -1.0, -1.0, 1.0
     swing_variance = _turning.cycle_covariance(swing, turning, shift, 1)[:, 0]
@@ -323,7 +323,8 @@ def _assemble(
         bands=bands,
         shared=shared,
         smoothed_amplitude=smoothed,
-        smoothed_amplitude_covariance=spread,
+        smoothed_amplitude_design=design,
+        smoothed_amplitude_spread=spread,
         turning_times=fit.times,
         turning_values=fit.values,
         turning_time_errors=turning_errors[:, 0],
@@ -341,8 +342,10 @@ def _amplitude_from_damping(
     damping_bands: FloatArray,
     smoothed: FloatArray,
     end: int,
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the first ``end`` amplitudes, smoothed with the help of the damping they imply, and their covariance.
+
+    The covariance is ``design @ spread @ design.T``, of the design (end, r) and the spread (r, r) that are returned.
 
     Damping is a much smoother function of amplitude than amplitude is of time (friction ends a decay with a corner,
     slip begins it with
@@ -357,7 +360,6 @@ def _amplitude_from_damping(
 
     index = np.arange(end, dtype=np.float64)
     current, damping = smoothed[:end], damping[:end]
-    spread = np.zeros((end, end))
     for _ in range(2):
         place = [np.log(current), current]
         curve = smooth(place, damping, cut(damping_bands), place, orders=(2, 3), kinks=True)
@@ -371,5 +373,4 @@ def _amplitude_from_damping(
         residual = np.log(np.maximum(amplitude[:end], 0.1 * current)) + 0.5 * scaled[0] - base
         rest = smooth([index], residual, scaled, [index], orders=(2,), undersmoothing=LOOSENESS, kinks=True)
         current = np.exp(base + rest.value)
-        spread = rest.covariance * current[:, None] * current
-    return current, spread
+    return current, rest.design * current[:, None], rest.spread

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 import zlib
 from types import SimpleNamespace
 
@@ -235,3 +236,39 @@ def test_one_wrong_time_stamp_does_not_ask_for_all_memory():
     record = Record("beam", time, np.cos(0.3 * np.arange(200)))
     with pytest.raises(InputError, match=r"beam: 1e\+12 s lie between the time stamps 1.49 and .* cut the record"):
         condition(record)
+
+
+def test_memory_grows_with_the_record_not_with_its_square(rng: np.random.Generator) -> None:
+    """A lightly damped structure rings for thousands of cycles; a covariance of all of them would fill the memory."""
+    count, frequency = 6000, 100.0
+    t = np.arange(0.0, count / frequency, 1.0 / (16 * frequency) * 1.013)
+    rate = np.log(20.0) / t[-1]
+    decay = np.exp(-rate * t) * np.cos(2.0 * np.pi * frequency * t) + 1e-3 * rng.standard_normal(t.size)
+    tracemalloc.start()
+    try:
+        cycles = extract_cycles_from_arrays(t, decay)
+        backbone = backbones_at_levels([cycles])
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert len(cycles) > 5900
+    assert peak < 0.5 * 8 * len(cycles) ** 2
+    error = np.asarray(backbone["standard_error"].sel(observable="frequency"))
+    np.testing.assert_array_less(np.abs(backbone["value"].sel(observable="frequency") - frequency), 5.0 * error)
+    np.testing.assert_array_less(error, 1e-3)
+
+
+def test_smoothed_amplitudes_have_the_covariance_of_many_draws() -> None:
+    """The factors of the covariance, against amplitudes of records that differ in their noise alone."""
+    t = np.arange(0.0, 12.0, 1.0 / (FREQUENCY * 25) * 1.013)
+    runs = []
+    for seed in range(40):
+        noise = 1e-3 * np.random.default_rng(seed).standard_normal(t.size)
+        runs.append(extract_cycles_from_arrays(t, linear_decay(t) + noise, noise=1e-3))
+    n = min(map(len, runs))
+    observed = np.std([run.smoothed_amplitude[:n] for run in runs], axis=0)
+    factors = [(run.smoothed_amplitude_design[:n], run.smoothed_amplitude_spread) for run in runs]
+    stated = np.mean([np.sqrt(np.einsum("ni,ij,nj->n", f, spread, f)) for f, spread in factors], axis=0)
+    ratio = stated / observed
+    assert np.median(ratio) == pytest.approx(1.0, abs=0.25)
+    assert np.all(ratio > 0.7)
