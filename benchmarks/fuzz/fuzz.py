@@ -203,9 +203,11 @@ def judge(subject: str, action: Callable[[], str], tally: Tally, what: str) -> b
 def read(path: Path) -> str:
     """Read a file as its name says, with every reader that takes it."""
     if path.name == "result.json":
-        # as a second run into the same folder does
-        results.write_results(results.prepare_output(path.parent, overwrite=True), {"command": "extract"})
-        path.unlink()
+        try:
+            results.read_result(path.parent)
+        finally:  # a second run into the same folder goes on, whatever the first one's says
+            results.write_results(results.prepare_output(path.parent, overwrite=True), {"command": "extract"})
+            path.unlink()
         return "read"
     if path.name in ("backbones.nc", "table.csv"):
         read_backbones(path)
