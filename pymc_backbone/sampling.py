@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pymc as pm
+import pytensor
 import xarray as xr
 
 from . import _native
@@ -102,15 +103,25 @@ def sample(
     if store is None:
         if resume:
             raise InputError("`resume` continues a run that was stored; name its folder with `store`.")
-        return _run(random_seed, None, *arguments)
+        with _exact():
+            return _run(random_seed, None, *arguments)
     if step == "nutpie":
         raise InputError("step 'nutpie' keeps its state to itself and cannot be stored; use step 'nuts'.")
     if not isinstance(step, str):
         raise InputError(f"a step of your own cannot be stored; use one of {', '.join(STEPS[:-1])}.")
     if cores != 1:
         raise InputError(f"a run that is stored draws its chains one after another: `cores` must be 1, got {cores}.")
-    with DrawStore(store, resume) as kept:
+    with _exact(), DrawStore(store, resume) as kept:
         return _run(kept.seed(random_seed), kept, *arguments)
+
+
+def _exact() -> Any:
+    """Return a context in which PyTensor compiles sums in the order they are written in.
+
+    With fast mathematics the order depends on what was compiled in this process and what was read from disk: the same
+    seed would not give the same digits in a resumed run, or in another process.
+    """
+    return pytensor.config.change_flags(numba__fastmath=False)
 
 
 def _run(

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from concurrent.futures import Executor, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -23,6 +26,7 @@ from . import many_jobs
 from .discrepancy_cases import MASS, OMEGA, make_records, truth_of
 from .test_many_tasks import posix
 
+ROOT = Path(__file__).resolve().parents[1]
 QUICK = {"quick": True, "held_out": 0, "max_effects": 1, "candidates": ["coulomb_friction"]}
 SAMPLED = {"held_out": 2, "max_effects": 1, "candidates": ["coulomb_friction"], "draws": 200, "tune": 200, "chains": 2}
 
@@ -104,6 +108,32 @@ def test_sampled_posteriors_are_the_same_everywhere(rng):
     assert comparable(pb.diagnose_many(records, workers=2, **settings)) == comparable(alone)
     with cluster(2) as client:
         assert comparable(pb.diagnose_many(records, executor=client.get_executor(), **settings)) == comparable(alone)
+
+
+SCRIPT = """
+import numpy as np
+import pymc_backbone as pb
+from tests.test_many import MASS, SAMPLED, comparable, make_records
+
+rng = np.random.default_rng(12345)
+records = {f"beam {i}": make_records(rng, ["coulomb_friction"]) for i in range(2)}
+print(*comparable(pb.diagnose_many(records, mass=MASS, workers=0, random_seed=3, **SAMPLED)), sep="\\n")
+"""
+
+
+@pytest.mark.slow
+def test_code_compiled_here_and_code_from_disk_give_the_same_digits(tmp_path):
+    """The first process compiles everything, the second reads it: sums in another order would show in the draws."""
+    flags = f"base_compiledir={tmp_path / 'pytensor'}"
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "numba"), "PYTENSOR_FLAGS": flags}
+    runs = [
+        subprocess.run(
+            [sys.executable, "-c", SCRIPT], cwd=ROOT, env=environment, capture_output=True, text=True, check=True
+        ).stdout
+        for _ in range(2)
+    ]
+    assert runs[0].count("\n") == 2 and json.loads(runs[0].splitlines()[0])["verdict"] == "found"
+    assert runs[0] == runs[1]
 
 
 @posix

@@ -5,6 +5,7 @@ from __future__ import annotations
 import arviz as az
 import numpy as np
 import pymc as pm
+import pytensor
 import pytest
 
 from pymc_backbone import (
@@ -198,3 +199,14 @@ def test_priors_without_bounds_are_walked_in_their_own_unit(rng, random_seed):
     slope = (centre - low) * (high - centre) / (high - low)
     ratio = np.sqrt(np.diag(found.shape)) / (np.sqrt(np.diag(bounded.shape)) * slope)
     assert np.all((0.3 < ratio) & (ratio < 3.0))
+
+
+def test_sampling_is_compiled_without_fast_mathematics_and_leaves_the_setting_alone(rng):
+    """Sums in any order differ between code compiled in a process and code read from disk."""
+    seen = []
+    before = pytensor.config.numba__fastmath
+    with pytensor.config.change_flags(numba__fastmath=True):
+        model = build_model(DUFFING, fit_density(batch(rng, 20)), BOUNDS)
+        sample(model, draws=2, tune=1, chains=1, callback=lambda **_: seen.append(pytensor.config.numba__fastmath))
+        assert pytensor.config.numba__fastmath is True
+    assert seen == [False] * 3 and pytensor.config.numba__fastmath is before
