@@ -132,8 +132,8 @@ def test_code_compiled_here_and_code_from_disk_give_the_same_digits(tmp_path):
         ).stdout
         for _ in range(2)
     ]
-    assert runs[0].count("\n") == 2 and json.loads(runs[0].splitlines()[0])["verdict"] == "found"
-    assert runs[0] == runs[1]
+    assert all(json.loads(line)["parameters"]["friction_force"]["sd"] > 0.0 for line in runs[0].splitlines())
+    assert runs[0].count("\n") == 2 and runs[0] == runs[1]
 
 
 @posix
