@@ -33,7 +33,9 @@ NOT_STARTED = (
 _CONTEXT = multiprocessing.get_context("spawn")  # a forked child could inherit locks that threads hold
 _READY = "ready"
 TASKS_PER_PROCESS = 50
-"""Tasks after which a process is replaced: compiled models leave a little memory behind that is never given back."""
+"""Tasks after which a process is replaced, ..."""
+MEGABYTES_PER_PROCESS = 400.0
+"""... or what it may hold beyond its first task's memory, where the system tells it: compiled models stay."""
 _PATIENCE = 5.0  # seconds for a process to end by itself
 
 
@@ -51,7 +53,8 @@ class Processes(Executor):
     prepare : callable, optional
         Called once in each process; importable.
     tasks_per_process : int, optional
-        Number of tasks after which a process is replaced by a new one.
+        Number of tasks after which a process is replaced by a new one, at the latest: one that holds
+        `MEGABYTES_PER_PROCESS` more than after its first task is replaced, too.
 
     Notes
     -----
@@ -99,7 +102,7 @@ class Processes(Executor):
 
     def _call(self, function: Callable[..., Any], args: Any, kwargs: Any) -> Any:
         process: _Process | None = getattr(self._mine, "process", None)
-        if process is None or not process.process.is_alive() or process.calls >= self._most:
+        if process is None or not process.process.is_alive() or process.is_spent(self._most):
             if process is not None:
                 self._drop(process)
             process = self._start()
@@ -143,6 +146,7 @@ class _Process:
 
     def __init__(self, prepare: Callable[[], None] | None) -> None:
         self.calls = 0
+        self.first_megabytes = self.megabytes = 0.0
         self.connection, theirs = _CONTEXT.Pipe()
         self.process = _CONTEXT.Process(target=_serve, args=(theirs, prepare), daemon=True)
         with _one_thread_each():
@@ -163,10 +167,15 @@ class _Process:
             self.connection.send((function, args, kwargs))
         except OSError:
             raise self._died() from None
-        is_done, value = self._receive()
+        is_done, value, self.megabytes = self._receive()
+        self.first_megabytes = self.first_megabytes or self.megabytes
         if is_done:
             return value
         raise value
+
+    def is_spent(self, most_calls: int) -> bool:
+        """Whether another process should take its place before the next call."""
+        return self.calls >= most_calls or self.megabytes > self.first_megabytes + MEGABYTES_PER_PROCESS
 
     def kill(self) -> None:
         self.process.kill()
@@ -211,16 +220,25 @@ def _serve(connection: Any, prepare: Callable[[], None] | None) -> None:
         except (EOFError, OSError):
             return
         except Exception as error:  # a function that cannot be found here
-            connection.send((False, error))
+            connection.send((False, error, _megabytes()))
             continue
         try:
             answer: tuple[bool, Any] = (True, function(*args, **kwargs))
         except Exception as error:
             answer = (False, error)
         try:
-            connection.send(answer)
+            connection.send((*answer, _megabytes()))
         except Exception as error:  # neither every value nor every exception can be sent
-            connection.send((False, RuntimeError(f"{type(answer[1]).__name__}: {answer[1]} ({error})")))
+            connection.send((False, RuntimeError(f"{type(answer[1]).__name__}: {answer[1]} ({error})"), _megabytes()))
+
+
+def _megabytes() -> float:
+    """Return the resident memory of this process; 0 where the system does not tell."""
+    try:
+        with open("/proc/self/statm", encoding="ascii") as file:
+            return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+    except (OSError, ValueError, IndexError):
+        return 0.0
 
 
 def _end_with_parent() -> None:

@@ -24,6 +24,15 @@ def worker(_: Any) -> tuple[int, str | None]:
     return os.getpid(), os.environ.get("OMP_NUM_THREADS")
 
 
+HOARD: list[bytearray] = []
+
+
+def hoard(megabytes: int) -> int:
+    """Keep memory; the process says which one it is."""
+    HOARD.append(bytearray(b"x") * (megabytes * 10**6))
+    return os.getpid()
+
+
 def die_once(task: tuple[str, int]) -> int:
     """Kill the own process, unless this ran before: a file says so."""
     mark, value = task

@@ -15,7 +15,7 @@ import pytest
 
 import pymc_backbone as pb
 from pymc_backbone._checks import InputError
-from pymc_backbone._processes import Processes
+from pymc_backbone._processes import MEGABYTES_PER_PROCESS, Processes
 from pymc_backbone.results import plain, read_result
 from pymc_backbone.survey import workflow
 from pymc_backbone.survey.files import stored_seed
@@ -139,21 +139,18 @@ def test_code_compiled_here_and_code_from_disk_give_the_same_digits(tmp_path):
 @posix
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("settings", "growth"),
-    [
-        (QUICK, 1.03),  # the allocator's own wandering
-        ({**SAMPLED, "held_out": 0, "draws": 100, "tune": 100}, 1.8),  # compiled models, until the process is replaced
-    ],
+    ("settings", "count"),
+    [(QUICK, 200), ({**SAMPLED, "held_out": 0, "draws": 100, "tune": 100}, 60)],
     ids=["quick", "sampled"],
 )
-def test_memory_of_a_worker_stays_flat(settings, growth):
-    """Resident memory after 200 batches against that after 40, when everything that a study needs is loaded."""
+def test_memory_of_a_worker_stays_flat(settings, count):
+    """The allocator wanders by 3 % after 40 batches; compiled models fill what a process may hold, and go with it."""
     status = Path("/proc/self/status")
     if not status.exists():
         pytest.skip("the memory of a process is read from /proc")
     memory: list[float] = []
-    some = {f"beam {i}": backbones(i) for i in range(200)}
-    with Processes(1, prepare_worker, tasks_per_process=10**6 if "quick" in settings else 50) as executor:
+    some = {f"beam {i}": backbones(i) for i in range(count)}
+    with Processes(1, prepare_worker, tasks_per_process=10**6) as executor:
 
         def say(text: str) -> None:
             if text.startswith("["):
@@ -164,9 +161,11 @@ def test_memory_of_a_worker_stays_flat(settings, growth):
                 memory.append(max(held, default=0.0))
 
         survey = pb.diagnose_many(some, mass=MASS, executor=executor, random_seed=3, say=say, **settings)
-    print("MB after 1, 10, 20, 40, 100, 150, 200:", [memory[i - 1] for i in (1, 10, 20, 40, 100, 150, 200)])
-    assert not survey.failed and len(memory) == 200
-    assert max(memory[40:]) < growth * memory[39]
+    print("MB after every tenth:", memory[::10])
+    assert not survey.failed and len(memory) == count
+    # one structure may go beyond what a process may hold, before the process is replaced
+    allowed = 1.03 * memory[39] if "quick" in settings else memory[0] + MEGABYTES_PER_PROCESS + 150.0
+    assert max(memory[40:]) < allowed
 
 
 @pytest.fixture

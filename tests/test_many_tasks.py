@@ -50,6 +50,16 @@ def test_processes_are_used_again_and_have_one_thread_each(processes):
     assert {value[1] for value, _ in found.values()} == {os.environ.get("OMP_NUM_THREADS", "1")}
 
 
+def test_a_process_that_holds_too_much_memory_is_replaced(monkeypatch):
+    if not Path("/proc/self/statm").exists():
+        pytest.skip("the memory of a process is read from /proc")
+    monkeypatch.setattr("pymc_backbone._processes.MEGABYTES_PER_PROCESS", 100.0)
+    with Processes(1) as executor:
+        numbers = [executor.submit(many_jobs.hoard, 60).result() for _ in range(6)]
+    # 60 MB after the first, 180 after the third: more than 100 beyond it
+    assert numbers[0] == numbers[1] == numbers[2] != numbers[3] == numbers[4] == numbers[5]
+
+
 def test_a_process_is_replaced_after_its_tasks():
     with Processes(1, tasks_per_process=2) as executor:
         pids = [executor.submit(many_jobs.worker, i).result()[0] for i in range(5)]
