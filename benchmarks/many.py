@@ -23,9 +23,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pymc_backbone.survey.processes import Processes
 
 import pymc_backbone as pb
+from pymc_backbone._processes import Processes
 from pymc_backbone.results import plain
 from pymc_backbone.survey.structure import prepare_worker
 
