@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import inspect
 import re
 import subprocess
@@ -161,3 +162,16 @@ def test_script_in_the_readme_runs():
     scope: dict = {}
     exec(compile(script, "README.md", "exec"), scope)
     assert dict(scope["posterior"]["posterior"].sizes) == {"chain": 4, "draw": 2000}
+
+
+@pytest.mark.parametrize("folder", ["benchmarks", "examples"])
+def test_what_scripts_import_from_the_package_is_there(folder):
+    """Scripts that no test runs break without a sound when a module moves."""
+    for path in sorted((ROOT / folder).rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.ImportFrom) or not str(node.module).startswith(NAME):
+                continue
+            module = importlib.import_module(str(node.module))
+            for alias in node.names:
+                if not hasattr(module, alias.name):
+                    importlib.import_module(f"{node.module}.{alias.name}")
