@@ -31,6 +31,7 @@ from ._figures import (
     parameter_axis,
     smooth,
 )
+from ._study_words import added_effects, percent, set_name
 from .discrepancy.locate import mean_gap
 from .discrepancy.study import HeldOut, Study
 from .plots import plot_rank, plot_records, plot_trace
@@ -380,28 +381,6 @@ def plot_detectable(study: Study) -> Figure:
     handles, labels = axis.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=8, frameon=False)
     return figure
-
-
-def added_effects(study: Study) -> tuple[str, ...]:
-    """Return the names of the effects that the extended model has beyond the base."""
-    base = {effect.name for effect in study.base.effects}
-    return tuple(effect.name for effect in (study.extended or study.base).effects if effect.name not in base)
-
-
-def set_name(effects: Sequence[str]) -> str:
-    """Return a set of effects as words; the empty set is the base model."""
-    return " + ".join(name.replace("_", " ") for name in effects) if effects else "nothing (base model)"
-
-
-def percent(probability: float) -> str:
-    """Return a probability as a percentage that never rounds to certainty or to nothing."""
-    if not np.isfinite(probability):
-        return "-"
-    if 0.999 < probability < 1.0:
-        return "> 99.9 %"
-    if 0.0 < probability < 0.001:
-        return "< 0.1 %"
-    return f"{100.0 * probability:.3g} %" if probability < 0.995 else f"{100.0 * probability:.4g} %"
 
 
 def _height(panels: int) -> float:

@@ -24,28 +24,19 @@ from ._html import (
     tiles,
     unit,
 )
-from .diagnosis_plots import added_effects, percent, set_name
+from ._study_words import (
+    ADEQUATE_BY,
+    STATUS_WORDS,
+    VERDICT_MEANS,
+    VERDICT_WORDS,
+    added_effects,
+    percent,
+    set_name,
+)
 from .discrepancy.study import Candidate, Detectable, Estimate, HeldOut, Study
 from .effects import LIBRARY
 from .oscillator import Oscillator
 
-VERDICT_WORDS = {
-    "adequate": "\N{CHECK MARK} Adequate",
-    "found": "\N{BLACK CIRCLE} Found",
-    "ambiguous": "? Ambiguous",
-    "unexplained": "! Unexplained",
-}
-VERDICT_MEANS = {
-    "adequate": "The base model describes these records; no effect needs to be added.",
-    "found": "One set of effects explains the gap between base model and measurement, and the others do not.",
-    "ambiguous": "Several sets of effects explain the gap equally well; these records cannot tell them apart.",
-    "unexplained": "There is a gap that no effect known to the program explains; the best set explains a part of it.",
-}
-ADEQUATE_BY = {
-    "statistics": "Model and measurement agree within measurement error.",
-    "tolerance": "There is a difference beyond measurement error, and it is smaller than the tolerance that was set.",
-}
-STATUS_WORDS = {"best": "best", "possible": "possible", "rejected": "rejected", "failed": "could not be fitted"}
 FIRST_CANDIDATES = 6
 
 

@@ -188,7 +188,7 @@ def command_line(
 
 def describe_study(study: Study) -> str:
     """Say what was found: the verdict, why, the most probable sets, the gap before and after."""
-    from .diagnosis_plots import percent, set_name
+    from ._study_words import percent, set_name
 
     lines = [f"{study.verdict.upper()}: {study.sentence}"]
     lines += [f"- {sentence}" for sentence in (*study.reasons, *study.advice)]

@@ -14,8 +14,9 @@ from matplotlib import pyplot
 
 from pymc_backbone._checks import InputError
 from pymc_backbone._html import number, table, unit
+from pymc_backbone._study_words import percent
 from pymc_backbone.diagnosis_files import DIAGNOSIS_KEYS, write_study
-from pymc_backbone.diagnosis_plots import percent, study_figures
+from pymc_backbone.diagnosis_plots import study_figures
 from pymc_backbone.discrepancy.locate import mean_gap
 from pymc_backbone.discrepancy.study import VERDICTS
 from pymc_backbone.report import report_html

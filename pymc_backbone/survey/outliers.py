@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .._checks import FloatArray
+from .._study_words import set_name
 from .structure import Structure
 
 LEAST = 6
@@ -154,7 +155,7 @@ def stand_out(structures: Sequence[Structure]) -> dict[str, tuple[str, ...]]:
 
 def words(effects: Sequence[str]) -> str:
     """Return a set of effects as words, nothing for the empty one."""
-    return " + ".join(name.replace("_", " ") for name in effects) or "nothing"
+    return set_name(effects, "nothing")
 
 
 def _verdict_reason(item: Structure, most: tuple[tuple[str, ...], int, int] | None) -> str:

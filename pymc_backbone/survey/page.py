@@ -22,8 +22,7 @@ from .._html import (
     tiles,
     unit,
 )
-from ..diagnosis_plots import percent
-from ..report import VERDICT_MEANS, VERDICT_WORDS
+from .._study_words import VERDICT_MEANS, VERDICT_WORDS, percent
 from .figures import drawn_quantities, plot_damping_against_frequency, plot_quantity
 from .outliers import LEAST, Quantity, far, quantities
 from .structure import Structure
