@@ -83,6 +83,19 @@ def label_axes(axis: Axes, amplitude_label: str, observable: str) -> None:
     axis.ticklabel_format(axis="y", useOffset=False)
 
 
+def legend_below(axis: Axes, columns: int, **style: Any) -> None:
+    """Set what ``axis`` has labels for below the whole figure."""
+    handles, labels = axis.get_legend_handles_labels()
+    axis.get_figure(root=True).legend(  # type: ignore[union-attr]
+        handles, labels, loc="outside lower center", ncols=columns, fontsize=8, frameon=False, **style
+    )
+
+
+def evenly(count: int, most: int) -> list[int]:
+    """Return at most so many of ``count`` indices, evenly spaced, the first and the last among them."""
+    return [int(i) for i in np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int))]
+
+
 def span(values: FloatArray) -> tuple[float, float]:
     """Range of the values with a tenth of it to either side."""
     margin = 0.1 * float(np.ptp(values))

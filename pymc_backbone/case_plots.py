@@ -8,7 +8,17 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from ._figures import MEASURED, QUIET, SIMULATED, amplitude_axis, label_axes, observable_label, panels, span
+from ._figures import (
+    MEASURED,
+    QUIET,
+    SIMULATED,
+    amplitude_axis,
+    label_axes,
+    legend_below,
+    observable_label,
+    panels,
+    span,
+)
 from .case_comparison import Comparison
 from .density import Density
 
@@ -58,8 +68,7 @@ def plot_likelihood(backbones: xr.Dataset, density: Density) -> Figure:
         pair.set_xlabel(f"{label}, lowest level")
         pair.set_ylabel(f"{label}, highest level")
         pair.spines[["top", "right"]].set_visible(False)
-    handles, labels = axes[0, 1].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=8, frameon=False)
+    legend_below(axes[0, 1], 2)
     figure.suptitle(
         f"Likelihood ({density.kind.replace('_', '-')}): densities at the levels, and together", fontsize=11
     )
@@ -99,8 +108,7 @@ def plot_comparison(comparisons: Sequence[Comparison]) -> Figure:
             axis.tick_params(labelsize=8)
             axis.spines[["left", "top", "right"]].set_visible(False)
             axis.set_title(f"{item.place} amplitude: overlap {item.overlap:.0%}", fontsize=9)
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=8, frameon=False)
+    legend_below(axes[0, 0], 2)
     figure.suptitle("Measured and simulated distributions", fontsize=11)
     return figure
 

@@ -25,8 +25,10 @@ from ._figures import (
     TRUE,
     amplitude_axis,
     drawable,
+    evenly,
     label_axes,
     layout,
+    legend_below,
     observable_label,
     parameter_axis,
     smooth,
@@ -139,8 +141,7 @@ def plot_before_after(study: Study, observable: str) -> Figure:
     axes[-1].plot([], [], color=MEASURED, marker="o", markersize=3.0, linewidth=0.9, label="measured, 95 %")
     for label, _, colour in models:
         axes[-1].plot([], [], color=colour, linewidth=1.4, label=label)
-    handles, labels = axes[-1].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8, frameon=False, columnspacing=1.2)
+    legend_below(axes[-1], 3, columnspacing=1.2)
     return figure
 
 
@@ -192,8 +193,7 @@ def plot_gap(study: Study, observable: str) -> Figure:
         finite = largest[np.isfinite(largest)] * unit
         most = 1.15 * max(float(finite.max(initial=0.0)), 1e-300)
         axis.set_ylim(-most, most)
-    handles, labels = axis.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8, frameon=False)
+    legend_below(axis, 3)
     mean_of = f", mean of {len(value)} specimens" if len(value) > 1 else ""
     axis.set_title(f"Measured minus simulated{mean_of}", fontsize=9, loc="left")
     return figure
@@ -233,8 +233,7 @@ def plot_candidates(study: Study, *, most: int = MOST_CANDIDATES) -> Figure:
     axis.spines[["left", "top", "right"]].set_visible(False)
     for status in dict.fromkeys(candidate.status for candidate in shown):
         axis.barh(np.nan, np.nan, color=STATUS_COLOURS.get(status, QUIET), label=status)
-    handles, labels = axis.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
+    legend_below(axis, 4)
     rest = len(study.candidates) - len(shown)
     if rest > 0:
         axis.set_title(f"The {len(shown)} most probable of {len(study.candidates)} sets", fontsize=9, loc="left")
@@ -256,7 +255,7 @@ def plot_held_out(held_out: HeldOut, what: str) -> Figure:
     matplotlib.figure.Figure
         A row for each; one is what measurement noise alone gives.
     """
-    chosen = _at_most(len(held_out.labels), MOST_ROWS)
+    chosen = evenly(len(held_out.labels), MOST_ROWS)
     before, after = (np.asarray(each, dtype=float)[chosen] for each in (held_out.before_each, held_out.after_each))
     rows = np.arange(len(chosen))
     figure = Figure(figsize=(_WIDTH, 0.25 * len(chosen) + 1.35), layout=layout())
@@ -285,8 +284,7 @@ def plot_held_out(held_out: HeldOut, what: str) -> Figure:
     axis.spines[["top", "right"]].set_visible(False)
     axis.grid(alpha=0.25, linewidth=0.5, axis="x")
     axis.tick_params(axis="x", labelsize=8)
-    handles, labels = axis.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8, frameon=False)
+    legend_below(axis, 3)
     return figure
 
 
@@ -314,7 +312,7 @@ def plot_parameters(study: Study) -> Figure:
         ends = np.array([estimate.mean, estimate.hdi_low, estimate.hdi_high])
         scale, label = parameter_axis(name, ends[np.isfinite(ends)], units)
         if len(values) > 1:
-            _draw_specimens(axis, values[_at_most(len(values), MOST_ROWS)] * scale)
+            _draw_specimens(axis, values[evenly(len(values), MOST_ROWS)] * scale)
         elif len(values) == 1 and np.ptp(values[0]) > 0.0:
             x, density = smooth(values[0] * scale)
             axis.fill_between(x, density / density.max(), color=MEASURED, alpha=0.3, linewidth=0)
@@ -335,8 +333,7 @@ def plot_parameters(study: Study) -> Figure:
         axes[0].plot([], [], color=MEASURED, linewidth=1.4, label="specimens, 95 %")
     elif any(len(values) == 1 for values in shapes):
         axes[0].fill_between([], [], color=MEASURED, alpha=0.3, label="posterior")
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8, frameon=False)
+    legend_below(axes[0], 3)
     return figure
 
 
@@ -378,8 +375,7 @@ def plot_detectable(study: Study) -> Figure:
     axis.tick_params(axis="x", labelsize=8)
     axis.spines[["top", "right"]].set_visible(False)
     axis.grid(alpha=0.25, linewidth=0.5, axis="x")
-    handles, labels = axis.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=8, frameon=False)
+    legend_below(axis, 2)
     return figure
 
 
@@ -408,10 +404,6 @@ def _tolerated(study: Study, observable: str, value: FloatArray) -> FloatArray |
         warnings.filterwarnings("ignore", message="Mean of empty slice", category=RuntimeWarning)
         mean = np.abs(np.nanmean(value, axis=0))
     return tolerance * (np.ones_like(mean) if observable == "offset" else mean)
-
-
-def _at_most(count: int, most: int) -> list[int]:
-    return [int(i) for i in np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int))]
 
 
 def _by_specimen(draws: Any, name: str) -> FloatArray:

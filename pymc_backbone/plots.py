@@ -26,8 +26,10 @@ from ._figures import (
     counted,
     drawable,
     engineering,
+    evenly,
     label_axes,
     layout,
+    legend_below,
     observable_label,
     panels,
     parameter_axis,
@@ -59,9 +61,7 @@ def plot_records(records: Sequence[Any], *, most: int = MOST_PANELS) -> Figure:
     """
     if not len(records):
         raise InputError("`records` must hold at least one record, got none.")
-    chosen = [
-        records[i] for i in np.unique(np.linspace(0, len(records) - 1, min(most, len(records))).round().astype(int))
-    ]
+    chosen = [records[i] for i in evenly(len(records), most)]
     columns = min(4, len(chosen))
     rows = -(-len(chosen) // columns)
     figure = Figure(figsize=(2.7 * columns + 0.8, 1.25 * rows + 1.1), layout=layout())
@@ -182,13 +182,9 @@ def plot_predictive(measured: xr.Dataset, simulated: xr.Dataset, *, probability:
         axis.set_xticks(range(len(three)), [f"{levels[k] * scale:.3g}" for k in three])
         axis.set_xlim(-0.5, len(three) - 0.5)
         label_axes(axis, amplitude_label, name)
-    handles = [
-        axes[0, 0].plot([], [], color=MEASURED, linewidth=1.0, label="measured")[0],
-        axes[0, 0].plot(
-            [], [], color=SIMULATED, linewidth=6, alpha=0.4, label=f"posterior predictive, {probability:.0%}"
-        )[0],
-    ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=2, fontsize=8, frameon=False)
+    axes[0, 0].plot([], [], color=MEASURED, linewidth=1.0, label="measured")
+    axes[0, 0].plot([], [], color=SIMULATED, linewidth=6, alpha=0.4, label=f"posterior predictive, {probability:.0%}")
+    legend_below(axes[0, 0], 2)
     figure.suptitle("Measured against simulated backbones", fontsize=11)
     return figure
 
@@ -221,8 +217,8 @@ def plot_densities(
     levels, scale, amplitude_label = amplitude_axis(backbones)
     unit = amplitude_label.partition("[")[2].rstrip("]")
     names = [str(name) for name in backbones["observable"].values]
-    chosen = np.unique(np.linspace(0, levels.size - 1, min(most, levels.size)).round().astype(int))
-    figure, axes = panels(len(names), chosen.size, width=2.3, height=2.3)
+    chosen = evenly(levels.size, most)
+    figure, axes = panels(len(names), len(chosen), width=2.3, height=2.3)
     for row, name in enumerate(names):
         for column, k in enumerate(chosen):
             axis = axes[row, column]
@@ -239,7 +235,7 @@ def plot_densities(
                 axis.plot(*smooth(drawn), color=SIMULATED, linewidth=1.4, label="posterior predictive")
             if density is not None and name in density.observables:
                 x = np.linspace(*span(np.concatenate([value, drawn])), 400)
-                axis.plot(x, density.marginal(name, int(k))(x), color="black", linewidth=1.2, label="fitted density")
+                axis.plot(x, density.marginal(name, k)(x), color="black", linewidth=1.2, label="fitted density")
             axis.plot(value, np.zeros_like(value), "|", color=MEASURED, markersize=9, clip_on=False)
             axis.set_yticks([])
             axis.xaxis.set_major_locator(MaxNLocator(3, min_n_ticks=2))
@@ -248,8 +244,7 @@ def plot_densities(
             axis.set_xlabel(observable_label(name, short=True), fontsize=8)
             if row == 0:
                 axis.set_title(f"at {levels[k] * scale:.3g} {unit}", fontsize=9)
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8, frameon=False)
+    legend_below(axes[0, 0], 3)
     figure.suptitle("Distribution over the specimens at amplitude levels", fontsize=11)
     return figure
 
@@ -318,8 +313,7 @@ def plot_prior_posterior(
                 axis.set_xlim(x[0] - margin, x[-1] + margin)
     axes[0, 0].set_title("over the whole prior", fontsize=9)
     axes[0, 1].set_title("close up", fontsize=9)
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
+    legend_below(axes[0, 0], 4)
     figure.suptitle("Prior and posterior", fontsize=11)
     return figure
 
