@@ -21,7 +21,7 @@ STATEMENTS = {
     "import pymc, pymc_backbone": "import pymc, pymc_backbone",
     "import pymc_backbone": "import pymc_backbone",
     "import pymc; from pymc_backbone import *": "import pymc; from pymc_backbone import *",
-    "import pymc_backbone.cli": "import pymc_backbone.cli",
+    "import pymc_backbone.cli.main": "import pymc_backbone.cli.main",
 }
 
 

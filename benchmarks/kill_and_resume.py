@@ -50,10 +50,11 @@ def make_model() -> Any:
 
 def work(options: argparse.Namespace) -> None:
     """Sample in this process: with a store and a note of every draw, or undisturbed."""
-    from pymc_backbone import _recorder, sample
+    from pymc_backbone import sample
+    from pymc_backbone.inference.store import recorder
 
     if options.every_draw:
-        _recorder.CHUNK_DRAWS, _recorder.SHORTEST_WAIT = 1, 0.0
+        recorder.CHUNK_DRAWS, recorder.SHORTEST_WAIT = 1, 0.0
     kept: dict[str, Any] = {}
     if options.store is not None:
         note = mmap.mmap(os.open(options.note, os.O_RDWR), NOTE.size)
@@ -100,8 +101,8 @@ class Outcome:
 
 def stored_draws(store: Path, outcome: Outcome) -> tuple[int, float]:
     """Return how many draws a store holds and when the last chunk came; count what does not check."""
-    from pymc_backbone._draw_chunks import ChunkFolder
-    from pymc_backbone.store import read_manifest
+    from pymc_backbone.inference.store.draw_chunks import ChunkFolder
+    from pymc_backbone.inference.store.run_folder import read_manifest
 
     manifest = read_manifest(store)
     if manifest is None:
@@ -206,10 +207,11 @@ def overhead(step: str, repeats: int, folder: Path) -> tuple[int, float, float]:
 
     The same runs, because a busy machine makes two runs differ by far more than what the writing costs.
     """
-    from pymc_backbone import _recorder, sample
+    from pymc_backbone import sample
+    from pymc_backbone.inference.store import recorder
 
     tune, draws = RUNS[step]
-    write = _recorder.Recorder._write
+    write = recorder.Recorder._write
     spent: list[float] = []
     ratios, means = [], []
 
@@ -218,7 +220,7 @@ def overhead(step: str, repeats: int, folder: Path) -> tuple[int, float, float]:
         write(recorder)
         spent.append(time.perf_counter() - begin)
 
-    _recorder.Recorder._write = timed  # type: ignore[method-assign]
+    recorder.Recorder._write = timed  # type: ignore[method-assign]
     try:
         for repeat in range(repeats):
             spent.clear()
@@ -232,7 +234,7 @@ def overhead(step: str, repeats: int, folder: Path) -> tuple[int, float, float]:
             means.append(1e3 * float(np.mean(spent)))
             shutil.rmtree(store)
     finally:
-        _recorder.Recorder._write = write  # type: ignore[method-assign]
+        recorder.Recorder._write = write  # type: ignore[method-assign]
     return len(spent), float(np.median(means)), float(np.median(ratios))
 
 

@@ -25,8 +25,8 @@ from typing import Any
 import numpy as np
 
 import pymc_backbone as pb
-from pymc_backbone._processes import Processes
-from pymc_backbone.results import plain
+from pymc_backbone._common.processes import Processes
+from pymc_backbone.reporting.output_folder import plain
 from pymc_backbone.survey.structure import prepare_worker
 
 MASS, FREQUENCY, AMPLITUDE = 1.3, 5.0, 0.01

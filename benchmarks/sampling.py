@@ -22,9 +22,9 @@ import numpy as np
 import pymc as pm
 
 from pymc_backbone import Oscillator, build_model, fit_density, sample, simulated_backbones
-from pymc_backbone._native import call_log_likelihood, define_symbols
-from pymc_backbone._response import make_response
-from pymc_backbone.op import _describe
+from pymc_backbone.likelihood.native import call_log_likelihood, define_symbols
+from pymc_backbone.likelihood.op import _describe
+from pymc_backbone.simulation.response import make_response
 
 OSCILLATOR = Oscillator(1.0, ["cubic_stiffness"])
 LEVELS = np.geomspace(0.003, 0.03, 10)
@@ -96,7 +96,7 @@ def second_process() -> float:
         """
         import time, numpy as np, pytensor, pytensor.tensor as pt
         from pymc_backbone import Oscillator, BackboneLogLikelihood
-        from pymc_backbone._response import make_response
+        from pymc_backbone.simulation.response import make_response
         import pymc
         begin = time.perf_counter()
         op = BackboneLogLikelihood(make_response(Oscillator(1.0, ["cubic_stiffness"]), np.geomspace(0.003, 0.03, 10)))

@@ -15,9 +15,9 @@ from collections.abc import Callable
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from pymc_backbone.decay import Simulator, simulate_backbone, simulate_waveform
 from pymc_backbone.effects import BASE_EFFECTS, LIBRARY
 from pymc_backbone.oscillator import Oscillator
+from pymc_backbone.simulation.decay import Simulator, simulate_backbone, simulate_waveform
 
 MASS, K, C, K3 = 1.0, 6500.0, 1.1, 6.25e6
 LEVELS = np.geomspace(0.003, 0.03, 10)

@@ -13,9 +13,9 @@ import pymc as pm
 import xarray as xr
 
 import pymc_backbone as pb
-from pymc_backbone.beam import PAPER_BEAM
-from pymc_backbone.case_study import run_case
-from pymc_backbone.forced_response import ForcedOscillator, frequency_response
+from pymc_backbone.paper.beam import PAPER_BEAM
+from pymc_backbone.paper.case_study import run_case
+from pymc_backbone.simulation.forced_response import ForcedOscillator, frequency_response
 
 FORCE = 5e-5  # N; the paper gives none
 

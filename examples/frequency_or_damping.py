@@ -10,7 +10,7 @@ import argparse
 import logging
 
 import pymc_backbone as pb
-from pymc_backbone.case_study import run_case
+from pymc_backbone.paper.case_study import run_case
 
 
 def main() -> None:

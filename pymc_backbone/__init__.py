@@ -10,12 +10,27 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ._checks import InputError
-    from .backbone import backbones_at_levels, simulated_backbones
-    from .conditioning import ConditionedRecord, condition
-    from .cycles import Cycles, extract_cycles
-    from .data_consistent import fit_data_consistent
-    from .decay import (
+    from ._common.checks import InputError
+    from .discrepancy.study import Study
+    from .discrepancy.workflow import find_missing_effect
+    from .effects import LIBRARY, Effect, Parameter, Signature, get_effect
+    from .inference.diagnostics import findings, summarise
+    from .inference.hierarchical import build_hierarchical_model, unidentified_parameters
+    from .inference.model import backbone_likelihood, build_model, simulated_backbone
+    from .inference.sampling import sample
+    from .likelihood.data_consistent import fit_data_consistent
+    from .likelihood.density import Density
+    from .likelihood.density_fit import fit_density
+    from .likelihood.op import BackboneLogLikelihood, SimulatedBackbone
+    from .measurement.conditioning.condition import ConditionedRecord, condition
+    from .measurement.cycles import Cycles, extract_cycles
+    from .measurement.levels import backbones_at_levels, simulated_backbones
+    from .measurement.reading.measured_backbones import read_backbones
+    from .measurement.reading.records import Record, read_records, write_records
+    from .oscillator import Oscillator
+    from .reporting.output_folder import write_backbones
+    from .reporting.study_files import write_study
+    from .simulation.decay import (
         BackboneResult,
         DecayResult,
         Status,
@@ -24,25 +39,10 @@ if TYPE_CHECKING:
         simulate_decay,
         simulate_waveform,
     )
-    from .demo import demo_folder
-    from .density import Density
-    from .density_fit import fit_density
-    from .diagnosis_files import write_study
-    from .diagnostics import findings, summarise
-    from .discrepancy.study import Study
-    from .discrepancy.workflow import find_missing_effect
-    from .effects import LIBRARY, Effect, Parameter, Signature, get_effect
-    from .hierarchical import build_hierarchical_model, unidentified_parameters
-    from .measured_backbones import read_backbones
-    from .model import backbone_likelihood, build_model, simulated_backbone
-    from .op import BackboneLogLikelihood, SimulatedBackbone
-    from .oscillator import Oscillator
-    from .records import Record, read_records, write_records
-    from .results import write_backbones
-    from .sampling import sample
     from .survey.structure import Structure
     from .survey.survey import Survey
     from .survey.workflow import diagnose_many
+    from .workflows.demo import demo_folder
 
 try:
     __version__ = version("pymc-backbone")
@@ -50,12 +50,12 @@ except PackageNotFoundError:  # run from a source tree that was not installed
     __version__ = "0.0.0"
 
 _WHERE = {
-    "_checks": ("InputError",),
-    "backbone": ("backbones_at_levels", "simulated_backbones"),
-    "conditioning": ("ConditionedRecord", "condition"),
-    "cycles": ("Cycles", "extract_cycles"),
-    "data_consistent": ("fit_data_consistent",),
-    "decay": (
+    "_common.checks": ("InputError",),
+    "measurement.levels": ("backbones_at_levels", "simulated_backbones"),
+    "measurement.conditioning.condition": ("ConditionedRecord", "condition"),
+    "measurement.cycles": ("Cycles", "extract_cycles"),
+    "likelihood.data_consistent": ("fit_data_consistent",),
+    "simulation.decay": (
         "BackboneResult",
         "DecayResult",
         "Status",
@@ -64,22 +64,22 @@ _WHERE = {
         "simulate_decay",
         "simulate_waveform",
     ),
-    "demo": ("demo_folder",),
-    "density": ("Density",),
-    "density_fit": ("fit_density",),
-    "diagnosis_files": ("write_study",),
-    "diagnostics": ("findings", "summarise"),
+    "workflows.demo": ("demo_folder",),
+    "likelihood.density": ("Density",),
+    "likelihood.density_fit": ("fit_density",),
+    "reporting.study_files": ("write_study",),
+    "inference.diagnostics": ("findings", "summarise"),
     "discrepancy.study": ("Study",),
     "discrepancy.workflow": ("find_missing_effect",),
     "effects": ("LIBRARY", "Effect", "Parameter", "Signature", "get_effect"),
-    "hierarchical": ("build_hierarchical_model", "unidentified_parameters"),
-    "measured_backbones": ("read_backbones",),
-    "model": ("backbone_likelihood", "build_model", "simulated_backbone"),
-    "op": ("BackboneLogLikelihood", "SimulatedBackbone"),
+    "inference.hierarchical": ("build_hierarchical_model", "unidentified_parameters"),
+    "measurement.reading.measured_backbones": ("read_backbones",),
+    "inference.model": ("backbone_likelihood", "build_model", "simulated_backbone"),
+    "likelihood.op": ("BackboneLogLikelihood", "SimulatedBackbone"),
     "oscillator": ("Oscillator",),
-    "records": ("Record", "read_records", "write_records"),
-    "results": ("write_backbones",),
-    "sampling": ("sample",),
+    "measurement.reading.records": ("Record", "read_records", "write_records"),
+    "reporting.output_folder": ("write_backbones",),
+    "inference.sampling": ("sample",),
     "survey.structure": ("Structure",),
     "survey.survey": ("Survey",),
     "survey.workflow": ("diagnose_many",),

@@ -12,8 +12,8 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from ._checks import FloatArray, InputError, check_finite_array, check_positive
-from ._function_digest import FunctionDigest
+from ._common.checks import FloatArray, InputError, check_finite_array, check_positive
+from ._common.digests import FunctionDigest
 from .effects import BASE_EFFECTS, LIBRARY, Effect, Parameter, get_effect
 
 EffectLike = str | Effect

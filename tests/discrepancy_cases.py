@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from pymc_backbone.backbone import backbones_at_levels, default_levels
-from pymc_backbone.conditioning import condition
-from pymc_backbone.cycles import extract_cycles
-from pymc_backbone.decay import simulate_waveform
 from pymc_backbone.discrepancy.batch import Batch, batch_of_records
+from pymc_backbone.measurement.conditioning.condition import condition
+from pymc_backbone.measurement.cycles import extract_cycles
+from pymc_backbone.measurement.levels import backbones_at_levels, default_levels
+from pymc_backbone.measurement.reading.records import Record
 from pymc_backbone.oscillator import Oscillator
-from pymc_backbone.records import Record
+from pymc_backbone.simulation.decay import simulate_waveform
 
 MASS, FREQUENCY, AMPLITUDE, RATIO = 1.3, 5.0, 0.01, 0.006
 OMEGA = 2.0 * np.pi * FREQUENCY

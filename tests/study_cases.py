@@ -8,21 +8,13 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from pymc_backbone.backbone import simulated_backbones
-from pymc_backbone.diagnostics import findings, summarise
-from pymc_backbone.discrepancy.study import (
-    Candidate,
-    Check,
-    Detectable,
-    Estimate,
-    GapRange,
-    HeldOut,
-    Study,
-)
+from pymc_backbone.discrepancy.study import Candidate, Check, Detectable, Estimate, GapRange, HeldOut, Study
 from pymc_backbone.effects import LIBRARY
-from pymc_backbone.model import build_model
+from pymc_backbone.inference.diagnostics import findings, summarise
+from pymc_backbone.inference.model import build_model
+from pymc_backbone.inference.sampling import sample
+from pymc_backbone.measurement.levels import simulated_backbones
 from pymc_backbone.oscillator import Oscillator
-from pymc_backbone.sampling import sample
 
 SENTENCES = {
     "adequate": "Nothing is missing: base model and measurement agree within measurement error at every amplitude.",

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pymc_backbone._checks import InputError
-from pymc_backbone.backbone import backbones_at_levels, default_levels, simulated_backbones
-from pymc_backbone.cycles import Cycles, extract_cycles_from_arrays
-from pymc_backbone.decay import simulate_backbone, simulate_waveform
+from pymc_backbone._common.checks import InputError
+from pymc_backbone.measurement.cycles import Cycles, extract_cycles_from_arrays
+from pymc_backbone.measurement.levels import backbones_at_levels, default_levels, simulated_backbones
 from pymc_backbone.oscillator import Oscillator
+from pymc_backbone.simulation.decay import simulate_backbone, simulate_waveform
 
 STIFFNESS = (2.0 * np.pi) ** 2
 EVERY = ("frequency", "damping", "offset")
@@ -165,9 +165,9 @@ needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the measured records 
 
 def measured(path: Path, band: tuple[float, float] | None = None) -> Cycles:
     """Return the cycles of a measured record."""
-    from pymc_backbone.conditioning import condition
-    from pymc_backbone.cycles import extract_cycles
-    from pymc_backbone.records import read_records
+    from pymc_backbone.measurement.conditioning.condition import condition
+    from pymc_backbone.measurement.cycles import extract_cycles
+    from pymc_backbone.measurement.reading.records import read_records
 
     return extract_cycles(condition(read_records(path)[0], band=band))
 

@@ -10,16 +10,9 @@ import pytest
 from scipy.linalg import eigh
 from scipy.optimize import brentq
 
-from pymc_backbone._checks import InputError
-from pymc_backbone.beam import (
-    PAPER_BEAM,
-    CantileverBeam,
-    PointMass,
-    half_sine,
-    natural_modes,
-    reduce_to_one_mode,
-)
-from pymc_backbone.decay import simulate_backbone
+from pymc_backbone._common.checks import InputError
+from pymc_backbone.paper.beam import PAPER_BEAM, CantileverBeam, PointMass, half_sine, natural_modes, reduce_to_one_mode
+from pymc_backbone.simulation.decay import simulate_backbone
 
 BEAM = PAPER_BEAM.beam
 STIFFNESS, SOFTENING = np.array(PAPER_BEAM.stiffness), np.array(PAPER_BEAM.softening)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from pymc_backbone import demo_folder
-from pymc_backbone.cli import main
+from pymc_backbone.cli.main import main
 
 BROWSER = next(
     (place for name in ("chromium", "chromium-browser", "google-chrome", "chrome") if (place := shutil.which(name))),
@@ -102,7 +102,7 @@ def test_names_in_a_study_are_text_in_the_report(tmp_path):
     """The same of a study that is made up, with names that no file system holds."""
     import dataclasses
 
-    from pymc_backbone.diagnosis_files import write_study
+    from pymc_backbone.reporting.study_files import write_study
 
     from .study_cases import make_study
 

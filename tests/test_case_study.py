@@ -10,13 +10,13 @@ import xarray as xr
 from scipy import stats
 
 from pymc_backbone import InputError
-from pymc_backbone.backbone import simulated_backbones
-from pymc_backbone.case_comparison import compare_distributions, describe_gap, overlap
-from pymc_backbone.case_files import describe_case
-from pymc_backbone.case_study import KEYS, run_case
-from pymc_backbone.cases import CASES
-from pymc_backbone.cli import main
-from pymc_backbone.run_cases import run_cases
+from pymc_backbone.cli.main import main
+from pymc_backbone.measurement.levels import simulated_backbones
+from pymc_backbone.paper.case_comparison import compare_distributions, describe_gap, overlap
+from pymc_backbone.paper.case_files import describe_case
+from pymc_backbone.paper.case_study import KEYS, run_case
+from pymc_backbone.paper.cases import CASES
+from pymc_backbone.paper.run_cases import run_cases
 
 SMALL = {"draws": 250, "tune": 300, "chains": 2, "random_seed": 4}
 

@@ -12,11 +12,14 @@ from pathlib import Path
 
 import pytest
 
-from pymc_backbone import _cli_update, cli, demo, run
-from pymc_backbone._checks import InputError
-from pymc_backbone._progress import ProgressBar
+from pymc_backbone._common.checks import InputError
+from pymc_backbone.cli import main as cli
+from pymc_backbone.cli import update as _cli_update
+from pymc_backbone.cli.progress import ProgressBar
 from pymc_backbone.effects import LIBRARY
-from pymc_backbone.results import read_result
+from pymc_backbone.reporting.output_folder import read_result
+from pymc_backbone.workflows import demo
+from pymc_backbone.workflows import update as run
 
 from . import format_files
 
@@ -162,7 +165,8 @@ UPDATE = run.update
 
 def test_choices_are_those_of_the_modules():
     """The command line repeats them, so as not to load PyMC for its help."""
-    from pymc_backbone import density, model
+    from pymc_backbone.inference import model
+    from pymc_backbone.likelihood import density
 
     assert _cli_update.LIKELIHOODS == model.LIKELIHOODS
     assert _cli_update.DENSITIES == density.KINDS

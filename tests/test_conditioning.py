@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.interpolate import make_interp_spline
 
-from pymc_backbone._checks import InputError
-from pymc_backbone.conditioning import ConditionedRecord, condition
-from pymc_backbone.cycles import extract_cycles
-from pymc_backbone.records import Record, read_records
+from pymc_backbone._common.checks import InputError
+from pymc_backbone.measurement.conditioning.condition import ConditionedRecord, condition
+from pymc_backbone.measurement.cycles import extract_cycles
+from pymc_backbone.measurement.reading.records import Record, read_records
 
 Array = NDArray[np.float64]
 FREQUENCY = 10.0

@@ -9,11 +9,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pymc_backbone._checks import InputError
-from pymc_backbone.backbone import backbones_at_levels
-from pymc_backbone.conditioning import condition
-from pymc_backbone.cycles import QUANTITIES, extract_cycles, extract_cycles_from_arrays
-from pymc_backbone.records import Record
+from pymc_backbone._common.checks import InputError
+from pymc_backbone.measurement.conditioning.condition import condition
+from pymc_backbone.measurement.cycles import QUANTITIES, extract_cycles, extract_cycles_from_arrays
+from pymc_backbone.measurement.levels import backbones_at_levels
+from pymc_backbone.measurement.reading.records import Record
 
 FREQUENCY, RATIO = 2.0, 0.01
 

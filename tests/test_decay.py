@@ -15,12 +15,13 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from pymc_backbone import _compiled, _forces, _kernels, _memory, _stepper
-from pymc_backbone._checks import InputError
-from pymc_backbone._pointers import address, shifted
-from pymc_backbone.decay import Simulator, Status, simulate_backbone, simulate_decay, simulate_waveform
+from pymc_backbone._common import compiled
+from pymc_backbone._common.checks import InputError
 from pymc_backbone.effects import BASE_EFFECTS, LIBRARY, Effect
 from pymc_backbone.oscillator import Oscillator
+from pymc_backbone.simulation import forces, kernels, memory, stepper
+from pymc_backbone.simulation.decay import Simulator, Status, simulate_backbone, simulate_decay, simulate_waveform
+from pymc_backbone.simulation.pointers import address, shifted
 
 from .decay_cases import (
     AMPLITUDE,
@@ -381,23 +382,23 @@ def test_units_do_not_matter(effects, factors):
 @numba.njit
 def _steps(table, p, h, count, sensitivities):
     """Return displacement, velocity, and their derivatives to the start and to p[2], after steps of fixed length."""
-    run = _kernels._prepare(0, table, 0, 1, 0, 1.0, False, p, sensitivities, 1e-9, 1.5)
-    place = _memory.place_of(address(run.numbers))
-    memory = address(run.memory)
-    model = _memory.model_of(address(run.numbers), memory, address(run.p), place)
-    y, y1 = shifted(memory, place.now), shifted(memory, place.next)
+    run = kernels._prepare(0, table, 0, 1, 0, 1.0, False, p, sensitivities, 1e-9, 1.5)
+    place = memory.place_of(address(run.numbers))
+    numbers = address(run.memory)
+    model = memory.model_of(address(run.numbers), numbers, address(run.p), place)
+    y, y1 = shifted(numbers, place.now), shifted(numbers, place.next)
     S, S1 = shifted(y, 2), shifted(y1, 2)
     n = run.columns
     y[0], y[1], S[0] = 1.0, -0.5, 1.0
     model.scales[0] = model.scales[1] = 1.0
     for _ in range(count):
-        force, fx, fv = _forces.force_slopes(model, y[0], y[1], -1.0, shifted(y, 2))
+        force, fx, fv = forces.force_slopes(model, y[0], y[1], -1.0, shifted(y, 2))
         if sensitivities:
-            _stepper.step_sensitivity(
-                model, y, S, -force, fx, fv, -1.0, h, 1e-9, y1, S1, shifted(memory, place.quadrature)
+            stepper.step_sensitivity(
+                model, y, S, -force, fx, fv, -1.0, h, 1e-9, y1, S1, shifted(numbers, place.quadrature)
             )
         else:
-            _stepper.step_value(model, y, S, -force, fx, fv, -1.0, h, 1e-9, y1, S1)
+            stepper.step_value(model, y, S, -force, fx, fv, -1.0, h, 1e-9, y1, S1)
         for k in range(2 + 2 * n):
             y[k] = y1[k]
     return np.array([y[0], y[1], S[0], S[n], S[n - 1], S[2 * n - 1]])
@@ -431,7 +432,7 @@ def test_tolerance_sets_the_error(monkeypatch):
     p = parameters_of(oscillator, share=0.8)
     results = []
     for tolerance in (1e-13, 1e-9, 1e-7, 1e-5):
-        monkeypatch.setattr("pymc_backbone.decay.TOLERANCE", tolerance)
+        monkeypatch.setattr("pymc_backbone.simulation.decay.TOLERANCE", tolerance)
         results.append(simulate_decay(oscillator, p, AMPLITUDE, n_cycles=4).turning_values)
     errors = [np.abs(r - results[0]).max() / AMPLITUDE for r in results[1:]]
     slopes = np.diff(np.log10(errors)) / 2.0
@@ -450,22 +451,26 @@ def test_the_written_out_stepper_is_what_its_generator_writes():
 
 
 def test_every_file_that_is_compiled_in_is_part_of_the_cache_key(tmp_path, monkeypatch):
-    package = Path(_compiled.__file__).parent
-    for name in _compiled._COMPILED_MODULES:
+    package = compiled._PACKAGE
+    for name in compiled._COMPILED_MODULES:
         assert (package / name).is_file(), f"{name} is listed in _COMPILED_MODULES and does not exist"
-    needed, to_visit = set(), ["_kernels.py"]
+    needed, to_visit = set(), ["simulation/kernels.py"]
     while to_visit:
         name = to_visit.pop()
         needed.add(name)
-        imported = re.findall(r"^from \.(_\w+) import", (package / name).read_text(), re.M)
-        to_visit += [f"{module}.py" for module in imported if f"{module}.py" not in needed]
-    assert needed - {"_checks.py"} <= set(_compiled._COMPILED_MODULES)
+        for dots, module in re.findall(r"^from (\.+)([\w.]+) import", (package / name).read_text(), re.M):
+            folder = Path(name).parent if dots == "." else Path()
+            imported = (folder / module.replace(".", "/")).with_suffix(".py").as_posix()
+            if imported not in needed and (package / imported).is_file():
+                to_visit.append(imported)
+    assert len(needed) > 8, "the walk over imports found nothing"
+    assert needed - {"_common/checks.py"} <= set(compiled._COMPILED_MODULES)
     copy = tmp_path / "copy"
     shutil.copytree(package, copy, ignore=shutil.ignore_patterns("__pycache__", "data"))
-    monkeypatch.setattr(_compiled, "_FOLDER", copy)
-    compute = _compiled.compiled_sources_digest.__wrapped__
+    monkeypatch.setattr(compiled, "_PACKAGE", copy)
+    compute = compiled.compiled_sources_digest.__wrapped__
     before = compute()
-    for path in [copy / "effects" / "jenkins.py", *(copy / name for name in _compiled._COMPILED_MODULES)]:
+    for path in [copy / "effects" / "jenkins.py", *(copy / name for name in compiled._COMPILED_MODULES)]:
         text = path.read_text()
         path.write_text(text + "\n")
         assert compute() != before, path.name
@@ -477,7 +482,7 @@ _FRESH = """
 import numpy as np
 from numba.core import event
 from pymc_backbone.oscillator import Oscillator
-from pymc_backbone.decay import simulate_backbone, simulate_waveform
+from pymc_backbone.simulation.decay import simulate_backbone, simulate_waveform
 with event.install_recorder("numba:compile") as compiled:
     oscillator, p = Oscillator(1.0, "cubic_stiffness"), [100.0, 0.1, 50.0]
     result = simulate_backbone(oscillator, p, [0.1, 0.2])
@@ -507,7 +512,7 @@ def test_another_process_takes_the_machine_code_from_disk():
 
 @pytest.mark.slow
 def test_an_edited_force_is_compiled_anew(tmp_path):
-    package = Path(_compiled.__file__).parent
+    package = compiled._PACKAGE
     shutil.copytree(package, tmp_path / "pymc_backbone", ignore=shutil.ignore_patterns("__pycache__", "data"))
     (tmp_path / "pymc_backbone" / "__init__.py").write_text("")  # the simulator needs nothing of the rest
     compilations, before = _fresh_process(tmp_path)

@@ -7,9 +7,9 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.special import ellipk
 
-from pymc_backbone.decay import Status, simulate_backbone, simulate_decay, simulate_waveform
 from pymc_backbone.effects import LIBRARY
 from pymc_backbone.oscillator import Oscillator
+from pymc_backbone.simulation.decay import Status, simulate_backbone, simulate_decay, simulate_waveform
 
 from .decay_cases import (
     AMPLITUDE,

@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pymc_backbone import decay
-from pymc_backbone.decay import simulate_backbone, simulate_decay, simulate_waveform
+from pymc_backbone.simulation import decay
+from pymc_backbone.simulation.decay import simulate_backbone, simulate_decay, simulate_waveform
 
 from .decay_cases import (
     AMPLITUDE,

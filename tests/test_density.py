@@ -13,13 +13,13 @@ import pytest
 import xarray as xr
 from scipy import special, stats
 
-from pymc_backbone import _density_joint
-from pymc_backbone import _density_kernel as kernel
-from pymc_backbone._checks import InputError
-from pymc_backbone._density_joint import principal_directions
-from pymc_backbone._density_marginals import fit_gev, fit_kde, fit_uniform, kernel_bandwidth
-from pymc_backbone.density import Density, log_density
-from pymc_backbone.density_fit import fit_density
+from pymc_backbone._common.checks import InputError
+from pymc_backbone.likelihood import density_joint
+from pymc_backbone.likelihood import density_kernel as kernel
+from pymc_backbone.likelihood.density import Density, log_density
+from pymc_backbone.likelihood.density_fit import fit_density
+from pymc_backbone.likelihood.density_joint import principal_directions
+from pymc_backbone.likelihood.density_marginals import fit_gev, fit_kde, fit_uniform, kernel_bandwidth
 
 OBSERVABLES = ("frequency", "damping")
 
@@ -418,7 +418,7 @@ def test_joint_keeps_the_spread_through_the_curved_map(n_levels, variation, rng)
 
 def test_without_the_floor_curvature_narrows(rng, monkeypatch):
     """Negative control: what the floor of 0.1 is for."""
-    monkeypatch.setattr(_density_joint, "RELATIVE_FLOOR", 1e-3)
+    monkeypatch.setattr(density_joint, "RELATIVE_FLOOR", 1e-3)
     levels = np.geomspace(0.005, 0.05, 6)
     value = duffing(MEAN + SPREAD * standardised(rng.standard_normal((200, 3))), levels)
     spread = recovered_spread(fit_density(dataset(value, levels), "joint"), lambda p: duffing(p, levels))
@@ -518,7 +518,7 @@ def test_round_trips(kind, marginal, rng):
 def test_digest_does_not_depend_on_the_process(rng):
     sample = np.round(rng.normal(12.0, 0.3, 20), 6)
     code = (
-        "import numpy as np, xarray as xr; from pymc_backbone.density_fit import fit_density;"
+        "import numpy as np, xarray as xr; from pymc_backbone.likelihood.density_fit import fit_density;"
         f"v = np.array({sample.tolist()})[:, None, None];"
         "c = {'observable': ['frequency'], 'level': [0.01]};"
         "d = xr.Dataset({'value': (('specimen', 'observable', 'level'), v)}, c);"

@@ -14,11 +14,13 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from pymc_backbone import cli, demo, run_diagnosis
-from pymc_backbone._checks import InputError
-from pymc_backbone._progress import LINE_EVERY, ProgressBar
-from pymc_backbone.diagnosis_files import DIAGNOSIS_KEYS
-from pymc_backbone.results import read_result
+from pymc_backbone._common.checks import InputError
+from pymc_backbone.cli import main as cli
+from pymc_backbone.cli.progress import LINE_EVERY, ProgressBar
+from pymc_backbone.reporting.output_folder import read_result
+from pymc_backbone.reporting.study_files import DIAGNOSIS_KEYS
+from pymc_backbone.workflows import demo
+from pymc_backbone.workflows import diagnose as run_diagnosis
 
 from .study_cases import make_study
 from .test_cli import MASS, ROOT, is_one_sentence, run_cli
@@ -190,7 +192,7 @@ def test_bar_on_a_terminal_is_one_line_and_goes_away():
 
 def test_time_left_is_estimated_once_there_is_something_to_go_by(monkeypatch):
     now = [0.0]
-    monkeypatch.setattr("pymc_backbone._progress.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("pymc_backbone.cli.progress.time.monotonic", lambda: now[0])
     stream = Terminal()
     with ProgressBar(stream) as bar:
         for at, share in ((0.0, 0.0), (1.0, 0.1), (10.0, 0.25), (20.0, 0.5)):
@@ -215,7 +217,7 @@ def test_time_left_is_estimated_once_there_is_something_to_go_by(monkeypatch):
 
 def test_lines_now_and_then_where_there_is_no_terminal(monkeypatch):
     now = [100.0]
-    monkeypatch.setattr("pymc_backbone._progress.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("pymc_backbone.cli.progress.time.monotonic", lambda: now[0])
     stream = io.StringIO()
     with ProgressBar(stream) as bar:
         for step in range(100):

@@ -7,8 +7,8 @@ import pytest
 import xarray as xr
 from scipy import stats
 
-from pymc_backbone._checks import InputError
-from pymc_backbone.diagnostics import (
+from pymc_backbone._common.checks import InputError
+from pymc_backbone.inference.diagnostics import (
     TABLE_COLUMNS,
     acceptance_rate,
     distance_from_uniform,

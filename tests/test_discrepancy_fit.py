@@ -10,22 +10,14 @@ import xarray as xr
 from scipy.signal import butter, lfilter
 from scipy.stats import chi2
 
-from pymc_backbone.conditioning import condition
-from pymc_backbone.cycles import extract_cycles
 from pymc_backbone.discrepancy import joint_fit, starts, whitening
-from pymc_backbone.discrepancy.joint_fit import (
-    NUISANCES,
-    SCATTER,
-    State,
-    _recentred,
-    fit,
-    parameters_of,
-    start_state,
-)
+from pymc_backbone.discrepancy.joint_fit import NUISANCES, SCATTER, State, _recentred, fit, parameters_of, start_state
 from pymc_backbone.discrepancy.layout import make_layout
 from pymc_backbone.discrepancy.record_witness import first_turning_point
 from pymc_backbone.discrepancy.witness import level_witness
 from pymc_backbone.effects import BASE_EFFECTS, LIBRARY
+from pymc_backbone.measurement.conditioning.condition import condition
+from pymc_backbone.measurement.cycles import extract_cycles
 from pymc_backbone.oscillator import Oscillator
 
 from .discrepancy_cases import (

@@ -99,7 +99,7 @@ def test_every_public_name_of_every_public_module_is_in_the_reference(generators
 
 
 def test_every_command_is_in_the_reference(generators):
-    from pymc_backbone.cli import build_parser
+    from pymc_backbone.cli.main import build_parser
 
     text = generators["api"].command_line()
     (commands,) = (action.choices for action in build_parser()._actions if isinstance(action.choices, dict))

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import pymc_backbone.effects as effects_package
-from pymc_backbone._checks import InputError
-from pymc_backbone.decay import simulate_backbone
+from pymc_backbone._common.checks import InputError
 from pymc_backbone.effects import BASE_EFFECTS, LIBRARY, Effect, Parameter, Signature, get_effect
 from pymc_backbone.oscillator import Oscillator
+from pymc_backbone.simulation.decay import simulate_backbone
 
 ALL = pytest.mark.parametrize("effect", LIBRARY.values(), ids=LIBRARY.keys())
 

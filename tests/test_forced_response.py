@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from pymc_backbone._checks import InputError
-from pymc_backbone.forced_response import ForcedOscillator, branch_roots, frequency_response
-from pymc_backbone.harmonic_balance import periodic_motion
+from pymc_backbone._common.checks import InputError
+from pymc_backbone.simulation.forced_response import ForcedOscillator, branch_roots, frequency_response
+from pymc_backbone.simulation.harmonic_balance import periodic_motion
 
 SAMPLE = ForcedOscillator(0.03842, 0.07098, 82.59, 9.16e9, force=1.2e-4)
 SYSTEMS = {

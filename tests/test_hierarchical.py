@@ -15,9 +15,9 @@ from pytensor.compile.mode import Mode
 from scipy.stats import halfnorm, multivariate_normal, norm, truncnorm
 
 from pymc_backbone import InputError, Oscillator, sample, simulate_backbone
-from pymc_backbone._population import Coordinate, cut_moments
-from pymc_backbone._starts import StartFinder
-from pymc_backbone.hierarchical import build_hierarchical_model, unidentified_parameters
+from pymc_backbone.inference.hierarchical import build_hierarchical_model, unidentified_parameters
+from pymc_backbone.inference.population import Coordinate, cut_moments
+from pymc_backbone.inference.starts import StartFinder
 
 from .test_model import BOUNDS, LEVELS, noisy
 

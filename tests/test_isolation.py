@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from pymc_backbone import read_records
-from pymc_backbone.formats import isolation
+from pymc_backbone.measurement.reading.formats import isolation
 
 from . import format_files as files
 from .test_formats import refuses
@@ -82,7 +82,7 @@ def test_other_formats_start_no_process(tmp_path: Path) -> None:
 def test_the_process_ends_with_the_program(tmp_path: Path) -> None:
     files.WRITERS["a.nc"](tmp_path / "a.nc")
     code = (
-        "import pymc_backbone as pb\nfrom pymc_backbone.formats import isolation\n"
+        "import pymc_backbone as pb\nfrom pymc_backbone.measurement.reading.formats import isolation\n"
         f"pb.read_records({str(tmp_path / 'a.nc')!r})\nprint(isolation._state['process'].pid)"
     )
     done = subprocess.run(

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 import pymc_backbone as pb
-from pymc_backbone._checks import InputError
-from pymc_backbone._processes import MEGABYTES_PER_PROCESS, Processes
-from pymc_backbone.results import plain, read_result
+from pymc_backbone._common.checks import InputError
+from pymc_backbone._common.processes import MEGABYTES_PER_PROCESS, Processes
+from pymc_backbone.reporting.output_folder import plain, read_result
 from pymc_backbone.survey import workflow
 from pymc_backbone.survey.files import stored_seed
 from pymc_backbone.survey.names import folder_names, seed_of, structures_of
@@ -279,7 +279,7 @@ def test_output_folder_and_resume(tmp_path, batches, monkeypatch):
 
 
 def test_a_fault_of_the_program_is_one_failure_with_its_place(monkeypatch):
-    from pymc_backbone import run_diagnosis
+    from pymc_backbone.workflows import diagnose as run_diagnosis
 
     def fail(*_: Any, **__: Any) -> Any:
         raise ZeroDivisionError("by\nnothing")

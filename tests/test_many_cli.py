@@ -12,8 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from pymc_backbone import _cli_many, cli
-from pymc_backbone._checks import InputError
+from pymc_backbone._common.checks import InputError
+from pymc_backbone.cli import main as cli
+from pymc_backbone.cli import many as _cli_many
 from pymc_backbone.survey import workflow
 
 from . import many_jobs

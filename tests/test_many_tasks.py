@@ -14,8 +14,8 @@ from typing import Any
 
 import pytest
 
-from pymc_backbone._checks import InputError
-from pymc_backbone._processes import Processes, WorkerDied
+from pymc_backbone._common.checks import InputError
+from pymc_backbone._common.processes import Processes, WorkerDied
 from pymc_backbone.survey.tasks import Here, Lost, run_tasks
 
 from . import many_jobs
@@ -53,7 +53,7 @@ def test_processes_are_used_again_and_have_one_thread_each(processes):
 def test_a_process_that_holds_too_much_memory_is_replaced(monkeypatch):
     if not Path("/proc/self/statm").exists():
         pytest.skip("the memory of a process is read from /proc")
-    monkeypatch.setattr("pymc_backbone._processes.MEGABYTES_PER_PROCESS", 100.0)
+    monkeypatch.setattr("pymc_backbone._common.processes.MEGABYTES_PER_PROCESS", 100.0)
     with Processes(1) as executor:
         numbers = [executor.submit(many_jobs.hoard, 60).result() for _ in range(6)]
     # 60 MB after the first, 180 after the third: more than 100 beyond it
@@ -143,7 +143,7 @@ def is_alive(pid: int) -> bool:
 def test_processes_end_with_a_killed_parent(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(
-        "import time\nfrom pymc_backbone._processes import Processes\nfrom tests import many_jobs\n"
+        "import time\nfrom pymc_backbone._common.processes import Processes\nfrom tests import many_jobs\n"
         "if __name__ == '__main__':\n    executor = Processes(1)\n    future = executor.submit(many_jobs.pause, 60.0)\n"
         "    while not executor.process_ids:\n        time.sleep(0.05)\n"
         "    time.sleep(1.5)\n    print(executor.process_ids[0], flush=True)\n    time.sleep(60)\n"
@@ -164,7 +164,7 @@ def test_processes_end_with_a_killed_parent(tmp_path):
 def test_a_script_without_a_guard_is_told_so(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(
-        "from pymc_backbone._processes import Processes\nfrom pymc_backbone._checks import InputError\n"
+        "from pymc_backbone._common.processes import Processes\nfrom pymc_backbone._common.checks import InputError\n"
         "from tests import many_jobs\nwith Processes(1) as executor:\n    try:\n"
         "        executor.submit(many_jobs.square, 2).result()\n    except InputError as error:\n        print(error)\n"
     )

@@ -23,13 +23,13 @@ from pymc_backbone import (
     Oscillator,
     Parameter,
     SimulatedBackbone,
-    _native,
     fit_density,
     simulate_backbone,
     simulated_backbones,
 )
-from pymc_backbone._response import make_response
-from pymc_backbone.op import make_memory
+from pymc_backbone.likelihood import native
+from pymc_backbone.likelihood.op import make_memory
+from pymc_backbone.simulation.response import make_response
 
 LEVELS = np.geomspace(0.004, 0.03, 5)
 DUFFING = np.array([6500.0, 1.1, 6.25e6])
@@ -169,12 +169,12 @@ def test_memory_answers_a_repeated_point_without_simulating(random_seed):
     function = pytensor.function([vector], op(vector, density.codes, density.table, memory)[0])
     first, second = function(theta), function(1.01 * theta)
     held = memory.get_value(borrow=True)
-    slots = held[_native.FIRST_SLOT :].reshape(_native.SLOTS, -1)
-    np.testing.assert_array_equal(slots[:2, _native.BEFORE_PARAMETERS :], [theta, 1.01 * theta])
+    slots = held[native.FIRST_SLOT :].reshape(native.SLOTS, -1)
+    np.testing.assert_array_equal(slots[:2, native.BEFORE_PARAMETERS :], [theta, 1.01 * theta])
     slots[1, 0] = 123.0  # what is remembered is what comes back: no simulation
     assert function(1.01 * theta) == 123.0
     assert function(theta) == first != second
-    assert held[_native.EVALUATIONS] == 4 and held[_native.SIMULATIONS] == 2
+    assert held[native.EVALUATIONS] == 4 and held[native.SIMULATIONS] == 2
 
 
 def test_the_present_point_of_a_walk_outlives_many_rejections(random_seed):
@@ -187,7 +187,7 @@ def test_the_present_point_of_a_walk_outlives_many_rejections(random_seed):
     for factor in (1.01, 1.02, 1.03, 1.04):
         for point in (factor * theta, theta):  # the proposal, then the present point, as PyMC's Metropolis asks
             function(point)
-    assert memory.get_value()[_native.SIMULATIONS] == 5
+    assert memory.get_value()[native.SIMULATIONS] == 5
 
 
 def test_constant_memory_is_refused(random_seed):
@@ -248,8 +248,8 @@ def test_edited_force_changes_key_and_numbers():
 EDITED = """
 import numba, numpy as np, pytensor, pytensor.tensor as pt
 from pymc_backbone import Effect, Oscillator, Parameter, SimulatedBackbone
-from pymc_backbone import _native
-from pymc_backbone._response import make_response
+from pymc_backbone.likelihood import native
+from pymc_backbone.simulation.response import make_response
 
 FACTOR = {factor}
 
@@ -283,12 +283,13 @@ def test_second_process_finds_everything_compiled():
     script = textwrap.dedent(
         """
         import numpy as np, pytensor, pytensor.tensor as pt
-        from pymc_backbone import Oscillator, SimulatedBackbone, _native
-        from pymc_backbone._response import make_response
+        from pymc_backbone import Oscillator, SimulatedBackbone
+        from pymc_backbone.likelihood import native
+        from pymc_backbone.simulation.response import make_response
         vector = pt.dvector()
         op = SimulatedBackbone(make_response(Oscillator(1.0, ["cubic_stiffness"]), [0.01, 0.02]))
         pytensor.function([vector], op(vector)[0])(np.array([6500.0, 1.1, 6.25e6]))
-        print([compiled.cache_hits for compiled in _native._KEPT])
+        print([compiled.cache_hits for compiled in native._KEPT])
         """
     )
     runs = [

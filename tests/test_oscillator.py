@@ -12,7 +12,7 @@ import numba
 import numpy as np
 import pytest
 
-from pymc_backbone._checks import InputError
+from pymc_backbone._common.checks import InputError
 from pymc_backbone.effects import LIBRARY, Effect, Parameter
 from pymc_backbone.oscillator import Oscillator
 

@@ -11,9 +11,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from pymc_backbone import _figures, plots
-from pymc_backbone._checks import InputError
-from pymc_backbone.density_fit import fit_density
+from pymc_backbone._common.checks import InputError
+from pymc_backbone.likelihood.density_fit import fit_density
+from pymc_backbone.reporting import posterior_plots as plots
+from pymc_backbone.reporting import style as _figures
 
 LEVELS = np.linspace(0.002, 0.018, 9)
 UNITS = {"linear_stiffness": "N/m", "viscous_damping": "N s/m", "cubic_stiffness": "N/m^3"}

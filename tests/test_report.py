@@ -12,15 +12,15 @@ import pytest
 import xarray as xr
 from matplotlib import pyplot
 
-from pymc_backbone._checks import InputError
-from pymc_backbone._html import number, table, unit
-from pymc_backbone._study_words import percent
-from pymc_backbone.diagnosis_files import DIAGNOSIS_KEYS, write_study
-from pymc_backbone.diagnosis_plots import study_figures
+from pymc_backbone._common.checks import InputError
 from pymc_backbone.discrepancy.locate import mean_gap
 from pymc_backbone.discrepancy.study import VERDICTS
-from pymc_backbone.report import report_html
-from pymc_backbone.results import DIAGNOSIS_FIGURES, FIGURES, read_result
+from pymc_backbone.reporting.html import number, table, unit
+from pymc_backbone.reporting.output_folder import DIAGNOSIS_FIGURES, FIGURES, read_result
+from pymc_backbone.reporting.report import report_html
+from pymc_backbone.reporting.study_files import DIAGNOSIS_KEYS, write_study
+from pymc_backbone.reporting.study_plots import study_figures
+from pymc_backbone.reporting.words import percent
 
 from .study_cases import make_study
 from .test_plots import drawn_without_overlap

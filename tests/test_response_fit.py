@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from pymc_backbone import response_fit
-from pymc_backbone._checks import InputError
-from pymc_backbone.forced_response import ForcedOscillator, frequency_response
-from pymc_backbone.harmonic_balance import periodic_motion
-from pymc_backbone.response_fit import fit_frequency_response
+from pymc_backbone._common.checks import InputError
+from pymc_backbone.simulation import response_fit
+from pymc_backbone.simulation.forced_response import ForcedOscillator, frequency_response
+from pymc_backbone.simulation.harmonic_balance import periodic_motion
+from pymc_backbone.simulation.response_fit import fit_frequency_response
 
 TRUTH = ForcedOscillator(0.03842, 0.07098, 82.59, 9.16e9, force=1.2e-4)
 START = ForcedOscillator(0.03842, 0.07098, 100.0, 0.0, force=1.2e-4)

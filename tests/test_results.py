@@ -12,9 +12,15 @@ import pytest
 import xarray as xr
 from matplotlib.figure import Figure
 
-from pymc_backbone._checks import InputError
-from pymc_backbone.measured_backbones import read_backbones
-from pymc_backbone.results import RESULT_KEYS, prepare_output, read_result, write_backbones, write_results
+from pymc_backbone._common.checks import InputError
+from pymc_backbone.measurement.reading.measured_backbones import read_backbones
+from pymc_backbone.reporting.output_folder import (
+    RESULT_KEYS,
+    prepare_output,
+    read_result,
+    write_backbones,
+    write_results,
+)
 
 
 @pytest.fixture

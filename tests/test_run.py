@@ -11,13 +11,18 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from pymc_backbone import demo, run, store  # noqa: F401  the store needs the model that the fixture replaces
-from pymc_backbone._checks import InputError
-from pymc_backbone._describe import compare, describe_measured
-from pymc_backbone.backbone import simulated_backbones
-from pymc_backbone.density_fit import fit_density
+from pymc_backbone._common.checks import InputError
+from pymc_backbone.likelihood.density_fit import fit_density
+from pymc_backbone.measurement.levels import simulated_backbones
 from pymc_backbone.oscillator import Oscillator
-from pymc_backbone.results import RESULT_KEYS, backbone_table, read_result
+from pymc_backbone.reporting.output_folder import RESULT_KEYS, backbone_table, read_result
+from pymc_backbone.reporting.terminal import compare, describe_measured
+from pymc_backbone.workflows import (
+    demo,
+)  # noqa: F401  the store needs the model that the fixture replaces
+from pymc_backbone.workflows import (
+    update as run,
+)
 
 MEANS = {"linear_stiffness": (7000.0, 140.0), "viscous_damping": (1.7, 0.1), "cubic_stiffness": (6e6, 3.6e5)}
 LEVELS = np.geomspace(0.002, 0.018, 4)

@@ -13,7 +13,7 @@ import pytest
 from scipy import stats
 
 from pymc_backbone import simulate_backbone
-from pymc_backbone.sampling import _counts
+from pymc_backbone.inference.sampling import _counts
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks" / "samplers"))
 

@@ -17,7 +17,7 @@ from pymc_backbone import (
     sample,
     simulate_backbone,
 )
-from pymc_backbone._starts import StartFinder
+from pymc_backbone.inference.starts import StartFinder
 
 from .test_model import BOUNDS, DUFFING, LEVELS, TRUTH, batch, noisy
 

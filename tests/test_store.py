@@ -20,22 +20,24 @@ import numpy as np
 import pymc as pm
 import pytest
 
-from pymc_backbone import (
-    InputError,
-    _atomic_files,
-    _recorder,
-    _store_lock,
-    build_model,
-    fit_density,
-    sample,
-    sampling,
-    store,
+from pymc_backbone import InputError, build_model, fit_density, sample
+from pymc_backbone._common import atomic_files
+from pymc_backbone._common.atomic_files import replacing
+from pymc_backbone.inference import sampling
+from pymc_backbone.inference.store import lock as _store_lock
+from pymc_backbone.inference.store import recorder
+from pymc_backbone.inference.store import run_folder as store
+from pymc_backbone.inference.store.draw_chunks import ChunkFolder
+from pymc_backbone.inference.store.lock import LOCK, FolderLock
+from pymc_backbone.inference.store.run_folder import MANIFEST, DrawStore, read_manifest
+from pymc_backbone.inference.store.step_state import (
+    History,
+    PlainState,
+    StateError,
+    encode_state,
+    grow_lists,
+    restore_state,
 )
-from pymc_backbone._atomic_files import replacing
-from pymc_backbone._draw_chunks import ChunkFolder
-from pymc_backbone._step_state import History, PlainState, StateError, encode_state, grow_lists, restore_state
-from pymc_backbone._store_lock import LOCK, FolderLock
-from pymc_backbone.store import MANIFEST, DrawStore, read_manifest
 
 from .test_model import BOUNDS, DUFFING, batch
 
@@ -86,8 +88,8 @@ def cut_after(draws: int):
 
 @pytest.fixture
 def small_chunks(monkeypatch) -> None:
-    monkeypatch.setattr(_recorder, "CHUNK_DRAWS", 7)
-    monkeypatch.setattr(_recorder, "SHORTEST_WAIT", 0.0)
+    monkeypatch.setattr(recorder, "CHUNK_DRAWS", 7)
+    monkeypatch.setattr(recorder, "SHORTEST_WAIT", 0.0)
 
 
 @pytest.fixture
@@ -123,7 +125,7 @@ def test_draws_need_the_state_of_the_sampler(tmp_path, small_chunks, monkeypatch
     whole = sample(plain_model(), **SIZES, step="nuts")
     with pytest.raises(Cut):
         sample(plain_model(), **SIZES, step="nuts", store=tmp_path / "run", callback=cut_after(40))
-    monkeypatch.setattr(_recorder, "restore_state", lambda *_: History())
+    monkeypatch.setattr(recorder, "restore_state", lambda *_: History())
     resumed = sample(plain_model(), **SIZES, step="nuts", store=tmp_path / "run", resume=True)
     with pytest.raises(AssertionError):
         assert_same(whole, resumed)
@@ -478,10 +480,10 @@ def test_a_write_that_the_system_refuses_leaves_the_file_before_it(tmp_path):
 def test_content_is_on_the_disk_before_its_name(tmp_path, monkeypatch):
     events = []
     monkeypatch.setattr(
-        _atomic_files.os, "fsync", lambda descriptor: events.append(os.readlink(f"/proc/self/fd/{descriptor}"))
+        atomic_files.os, "fsync", lambda descriptor: events.append(os.readlink(f"/proc/self/fd/{descriptor}"))
     )
     replace = os.replace
-    monkeypatch.setattr(_atomic_files.os, "replace", lambda *names: (events.append("replace"), replace(*names)))
+    monkeypatch.setattr(atomic_files.os, "replace", lambda *names: (events.append("replace"), replace(*names)))
     with replacing(tmp_path / "file") as temporary:
         temporary.write_text("x")
     assert events == [str(temporary), "replace", str(tmp_path)]
@@ -497,7 +499,7 @@ def test_leftovers_of_a_killed_process_are_removed(tmp_path):
 HOLD = """
 import sys, time
 from pathlib import Path
-from pymc_backbone._store_lock import FolderLock
+from pymc_backbone.inference.store.lock import FolderLock
 FolderLock(Path(sys.argv[1])).acquire()
 print("held", flush=True)
 time.sleep(60)
@@ -559,10 +561,10 @@ def test_at_most_a_hundred_draws_or_ten_seconds_are_lost(seconds, draws, monkeyp
         def append(self, points, *_: object) -> None:
             written.append(len(points))
 
-    monkeypatch.setattr(_recorder, "time", Clock)
-    monkeypatch.setattr(_recorder, "encode_state", lambda *_: (None, History()))
+    monkeypatch.setattr(recorder, "time", Clock)
+    monkeypatch.setattr(recorder, "encode_state", lambda *_: (None, History()))
     step = Step()
-    _recorder.Recorder(step, [Folder()], [_recorder.StoredChain()], lambda: {"evaluations": 0.0})
+    recorder.Recorder(step, [Folder()], [recorder.StoredChain()], lambda: {"evaluations": 0.0})
     step.setup_chain(None, 0, 2 * draws + 1)
     for _ in range(2 * draws + 1):
         step.step({})
@@ -625,7 +627,7 @@ def test_kills_at_random_moments_change_no_draw(tmp_path, random_seed):
 
 @pytest.mark.slow
 def test_command_line_survives_a_kill(tmp_path, rng):
-    from pymc_backbone.results import backbone_table
+    from pymc_backbone.reporting.output_folder import backbone_table
 
     from .test_run import make_backbones
 

@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from pymc_backbone import Oscillator, build_model, fit_density, sample, simulated_backbones, summarise
-from pymc_backbone.case_study import run_case
-from pymc_backbone.data_consistent import fit_data_consistent
+from pymc_backbone.likelihood.data_consistent import fit_data_consistent
+from pymc_backbone.paper.case_study import run_case
 
 DUFFING = Oscillator(1.0, "cubic_stiffness")
 CENTRE = np.array([6500.0, 1.4, 6.2e6])  # N/m, N s/m, N/m^3

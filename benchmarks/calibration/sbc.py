@@ -40,9 +40,9 @@ sys.path[:0] = [str(Path(__file__).resolve().parents[1])]
 from reuse import Reusable  # noqa: E402
 
 from pymc_backbone import build_model, sample, simulated_backbones  # noqa: E402
-from pymc_backbone._proposal import make_metropolis  # noqa: E402
-from pymc_backbone._starts import StartFinder  # noqa: E402
-from pymc_backbone.cases import CASES, get_case  # noqa: E402
+from pymc_backbone.inference.proposal import make_metropolis  # noqa: E402
+from pymc_backbone.inference.starts import StartFinder  # noqa: E402
+from pymc_backbone.paper.cases import CASES, get_case  # noqa: E402
 
 RANKS = 31  # draws that a value is ranked among: 32 possible ranks, four to a bin
 BINS = 8

@@ -32,8 +32,8 @@ sys.path[:0] = [str(HERE), str(HERE.parents[1])]
 
 import truth as oracle  # noqa: E402
 
-from pymc_backbone.backbone import backbones_at_levels, default_levels  # noqa: E402
-from pymc_backbone.cycles import extract_cycles_from_arrays  # noqa: E402
+from pymc_backbone.measurement.cycles import extract_cycles_from_arrays  # noqa: E402
+from pymc_backbone.measurement.levels import backbones_at_levels, default_levels  # noqa: E402
 
 OBSERVABLES = ("frequency", "damping", "offset")
 

@@ -41,19 +41,12 @@ from hypothesis import HealthCheck, Phase, given, seed, settings  # noqa: E402
 from hypothesis import strategies as st  # noqa: E402
 
 from benchmarks.fuzz.stores import Run, damaged_stores  # noqa: E402
-from pymc_backbone import (  # noqa: E402
-    InputError,
-    Record,
-    cli,
-    condition,
-    extract_cycles,
-    plots,
-    read_backbones,
-    read_records,
-    results,
-    run,
-)  # fmt: skip
-from pymc_backbone.formats import isolation  # noqa: E402
+from pymc_backbone import InputError, Record, condition, extract_cycles, read_backbones, read_records  # noqa: E402
+from pymc_backbone.cli import main as cli  # noqa: E402
+from pymc_backbone.measurement.reading.formats import isolation  # noqa: E402
+from pymc_backbone.reporting import output_folder as results  # noqa: E402
+from pymc_backbone.reporting import posterior_plots as plots  # noqa: E402
+from pymc_backbone.workflows import update as run  # noqa: E402
 from tests.format_files import WRITERS  # noqa: E402
 
 SECONDS, MEGABYTES = 20.0, 1500.0
@@ -259,14 +252,18 @@ def damaged_files(folder: Path, number: int, chance: random.Random, tally: Tally
 
 
 CELL = st.one_of(
-    st.floats().map(repr), st.integers(-9999, 9999).map(str), st.text(max_size=6),
+    st.floats().map(repr),
+    st.integers(-9999, 9999).map(str),
+    st.text(max_size=6),
     st.sampled_from(["1,5", "1,234", "1.234,5", "", "nan", "time", "acc (g)", "m/s", '"', "#", "-1"]),
-)  # fmt: skip
+)  # noqa: E402
 HEADER = st.sampled_from(["time", "time [ms]", "displacement [mm]", "acc [g]", "specimen", "x", "vel", "n"])
 NUMBERS = st.one_of(
     st.lists(st.one_of(st.floats(), st.none(), st.text(max_size=2)), max_size=40),
-    st.integers(0, 60).map(lambda n: [0.01 * k for k in range(n)]), st.none(), st.integers(),
-)  # fmt: skip
+    st.integers(0, 60).map(lambda n: [0.01 * k for k in range(n)]),
+    st.none(),
+    st.integers(),
+)  # noqa: E402
 CHANGES = st.dictionaries(
     st.sampled_from(["name", "data", "unit_str", "fs", "time", "quantity", "group", "start_timestamp"]),
     st.one_of(NUMBERS, st.text(max_size=5), st.sampled_from(["m", "mm", "g", "a", "d", 100.0, float("inf")])),
@@ -274,10 +271,13 @@ CHANGES = st.dictionaries(
 GOOD = {"name": "tip", "data": np.cos(np.arange(60.0)).tolist(), "unit_str": "mm", "fs": 100.0}
 SERIES = st.one_of(CHANGES, CHANGES.map(lambda changes: {**GOOD, **changes}))
 LEAF = st.one_of(
-    st.integers(2, 50).map(lambda n: np.arange(n) / 64.0), st.floats().map(np.array), st.text(max_size=5),
+    st.integers(2, 50).map(lambda n: np.arange(n) / 64.0),
+    st.floats().map(np.array),
+    st.text(max_size=5),
     st.tuples(st.integers(0, 5), st.integers(0, 40)).map(lambda shape: np.ones(shape)),
-    st.just(np.array([1j, 2.0])), st.just(np.array([True, False])),
-)  # fmt: skip
+    st.just(np.array([1j, 2.0])),
+    st.just(np.array([True, False])),
+)  # noqa: E402
 NAME = st.sampled_from(
     ["t", "time", "acc", "vel_mm", "fs", "dt", "data", "unit", "units", "names", "x_values", "y_values"]
 )
@@ -307,12 +307,43 @@ SIGNAL = st.fixed_dictionaries(
 )
 WORD = st.one_of(
     st.sampled_from(
-        ["extract", "update", "diagnose", "effects", "RECORDS", "--out", "OUT", "--mass", "1", "--band", "5:20", "20:5",
-         "--levels", "--start", "nan", "1e999", "--unit", "mm", "--columns", "time=t", "--json", "--quiet", "--prior",
-         "cubic_stiffness=0:1", "--fix", "--effect", "freeplay", "--observables", "offset", "--backbones", "--", "-1"]
+        [
+            "extract",
+            "update",
+            "diagnose",
+            "effects",
+            "RECORDS",
+            "--out",
+            "OUT",
+            "--mass",
+            "1",
+            "--band",
+            "5:20",
+            "20:5",
+            "--levels",
+            "--start",
+            "nan",
+            "1e999",
+            "--unit",
+            "mm",
+            "--columns",
+            "time=t",
+            "--json",
+            "--quiet",
+            "--prior",
+            "cubic_stiffness=0:1",
+            "--fix",
+            "--effect",
+            "freeplay",
+            "--observables",
+            "offset",
+            "--backbones",
+            "--",
+            "-1",
+        ]
     ),
     st.text(max_size=6),
-)  # fmt: skip
+)  # noqa: E402
 
 
 def made_up(folder: Path, number: int, start: int, tally: Tally) -> None:
@@ -397,9 +428,14 @@ def batch(number: int, start: int, keep: Path | None) -> Tally:
     try:
         damaged_files(folder, number - number // 3 - number // 10, chance, tally, keep)
         damaged_stores(
-            _stored_run(), folder, number // 10, chance, damage,
-            lambda subject, action, what: judge(subject, action, tally, what), keep,
-        )  # fmt: skip
+            _stored_run(),
+            folder,
+            number // 10,
+            chance,
+            damage,
+            lambda subject, action, what: judge(subject, action, tally, what),
+            keep,
+        )  # noqa: E402
         made_up(folder, number // 3, start, tally)
     finally:
         shutil.rmtree(folder, ignore_errors=True)

@@ -18,8 +18,10 @@ from typing import Any
 import numpy as np
 import pymc as pm
 
-from pymc_backbone import _recorder, sample, store
-from pymc_backbone._starts import StartFinder
+from pymc_backbone import sample
+from pymc_backbone.inference.starts import StartFinder
+from pymc_backbone.inference.store import recorder
+from pymc_backbone.inference.store import run_folder as store
 
 SETTINGS = {"draws": 12, "tune": 9, "chains": 2, "step": "nuts", "random_seed": 3}
 WORDS = ["", "x", "\x1b[31m", "<f8", "|O", "float", "dict", "array", "grown", "fields", "state_0", "../../x", "1e999"]
@@ -30,7 +32,7 @@ class Run:
     """A stored run with its model and step, made once."""
 
     def __init__(self, folder: Path) -> None:
-        _recorder.CHUNK_DRAWS, _recorder.SHORTEST_WAIT = 7, 0.0
+        recorder.CHUNK_DRAWS, recorder.SHORTEST_WAIT = 7, 0.0
         for name in ("pymc", "pymc_backbone"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
         with pm.Model() as self.model:

@@ -26,9 +26,9 @@ def _one(task: tuple[Path, float | None, str]) -> str:
     if target.exists():
         return folder.name
     from pymc_backbone import InputError, Oscillator, read_records
-    from pymc_backbone.diagnosis_files import study_entries
     from pymc_backbone.discrepancy.workflow import find_missing_effect
-    from pymc_backbone.results import plain
+    from pymc_backbone.reporting.output_folder import plain
+    from pymc_backbone.reporting.study_files import study_entries
 
     truth = json.loads((folder / "truth.json").read_text())
     begin = time.perf_counter()

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 import pymc_backbone as pb
-from pymc_backbone.cases import CASES
+from pymc_backbone.paper.cases import CASES
 
 SHOWN = 12
 

@@ -23,7 +23,7 @@ from populations import CASE, NAMES, OSCILLATOR, draw_population, extract, measu
 from reuse import Reusable  # noqa: E402
 
 from pymc_backbone import build_model  # noqa: E402
-from pymc_backbone.hierarchical import build_hierarchical_model  # noqa: E402
+from pymc_backbone.inference.hierarchical import build_hierarchical_model  # noqa: E402
 
 
 def build(fit: str, data, linearised: bool):

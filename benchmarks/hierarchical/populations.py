@@ -7,8 +7,8 @@ import xarray as xr
 from scipy.stats import truncnorm
 
 from pymc_backbone import backbones_at_levels, condition, extract_cycles, simulate_waveform, simulated_backbones
-from pymc_backbone.cases import get_case
-from pymc_backbone.records import Record
+from pymc_backbone.measurement.reading.records import Record
+from pymc_backbone.paper.cases import get_case
 
 CASE = get_case("1")
 OSCILLATOR = CASE.model

@@ -22,7 +22,7 @@ from populations import CASE, MEAN, NAMES, OSCILLATOR, draw_population, measure 
 from reuse import Reusable  # noqa: E402
 
 from pymc_backbone import simulate_backbone  # noqa: E402
-from pymc_backbone.hierarchical import build_hierarchical_model  # noqa: E402
+from pymc_backbone.inference.hierarchical import build_hierarchical_model  # noqa: E402
 
 
 def recover(specimens: int, n_levels: int, seed: int, linearised: bool, draws: int = 250, tune: int = 150):

@@ -17,7 +17,7 @@ import numpy as np
 import pymc as pm
 
 from pymc_backbone import sample
-from pymc_backbone.sampling import _counts
+from pymc_backbone.inference.sampling import _counts
 
 from problems import LogDensity, Problem  # isort: skip
 

@@ -1,7 +1,8 @@
 """The posteriors on which samplers are compared, and their log-density as a plain function of a vector.
 
-Cases 1 to 5 are those of the source paper (`pymc_backbone.cases`), each with a population of 200 specimens. The beam is
-the paper's cantilever with nine magnet positions: Duffing pairs of its Table 6, frequency alone, viscous damping known.
+Cases 1 to 5 are those of the source paper (`pymc_backbone.paper.cases`), each with a population of 200 specimens. The
+beam is the paper's cantilever with nine magnet positions: Duffing pairs of its Table 6, frequency alone, viscous
+damping known.
 """
 
 from __future__ import annotations
@@ -13,10 +14,10 @@ import pymc as pm
 from scipy.special import expit
 
 from pymc_backbone import Oscillator, build_model, fit_density, simulated_backbones
-from pymc_backbone._starts import StartFinder
-from pymc_backbone.cases import CASES, get_case
-from pymc_backbone.density import Density
-from pymc_backbone.sampling import _counts
+from pymc_backbone.inference.sampling import _counts
+from pymc_backbone.inference.starts import StartFinder
+from pymc_backbone.likelihood.density import Density
+from pymc_backbone.paper.cases import CASES, get_case
 
 POPULATION_SEED = 1
 BEAM_DAMPING = 0.07098  # N s/m

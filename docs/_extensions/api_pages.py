@@ -16,7 +16,7 @@ from types import ModuleType
 from freshness import write_if_new
 
 import pymc_backbone
-from pymc_backbone.cli import build_parser
+from pymc_backbone.cli.main import build_parser
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "pymc_backbone"
@@ -73,13 +73,13 @@ def _definitions(module: ModuleType) -> dict[str, str]:
 def where(name: str) -> str:
     """Return the full name under which a public name of the package is described."""
     module = f"pymc_backbone.{pymc_backbone._MODULE_OF[name]}"
-    return f"pymc_backbone._checks.{name}" if module.endswith("._checks") else f"{module}.{name}"
+    return f"pymc_backbone._common.checks.{name}" if module.endswith("._checks") else f"{module}.{name}"
 
 
 def write(folder: Path) -> None:
     """Write the overview, a page for each public module and the page of the command line."""
     folder.mkdir(parents=True, exist_ok=True)
-    described = [*public_modules(), "pymc_backbone._checks"]
+    described = [*public_modules(), "pymc_backbone._common.checks"]
     for name in described:
         write_if_new(folder / f"{name}.rst", _module_page(name))
     write_if_new(folder / "index.rst", _overview(described))
@@ -89,7 +89,7 @@ def write(folder: Path) -> None:
 def _module_page(name: str) -> str:
     heading = name.removeprefix("pymc_backbone.").removeprefix("_checks") or "errors"
     lines = [heading, "=" * len(heading), "", f".. automodule:: {name}", ""]
-    if name == "pymc_backbone._checks":
+    if name == "pymc_backbone._common.checks":
         lines[3] = f".. currentmodule:: {name}"
         return "\n".join([*lines, f".. autoexception:: {name}.InputError", ""])
     module = importlib.import_module(name)

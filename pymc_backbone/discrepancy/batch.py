@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from .._checks import FloatArray, InputError
-from .._conditioned import ConditionedRecord
-from ..cycles import Cycles
+from .._common.checks import FloatArray, InputError
+from ..measurement.conditioning.conditioned import ConditionedRecord
+from ..measurement.cycles import Cycles
 from .record_witness import turning_witness, waveform_witness
 from .witness import LevelWitness, TurningWitness, WaveformWitness, Witness, level_witness
 

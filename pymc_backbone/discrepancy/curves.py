@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import xarray as xr
 
-from .._checks import OBSERVABLES, FloatArray
+from .._common.checks import OBSERVABLES, FloatArray
 from . import joint_fit
 from .batch import Batch
 from .joint_fit import NUISANCES, SCATTER, Fit, State, fit, linearise, parameters_of

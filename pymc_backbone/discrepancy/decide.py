@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from .._checks import FloatArray
+from .._common.checks import FloatArray
 from . import evidence, starts
 from .batch import Batch
 from .curves import curve, level_chi_square, on_levels, simulate

@@ -9,7 +9,7 @@ from math import comb
 import numpy as np
 from scipy.special import logsumexp
 
-from .._checks import FloatArray
+from .._common.checks import FloatArray
 from .batch import Batch
 from .joint_fit import NUISANCES, Fit, information
 from .witness import WaveformWitness, Witness

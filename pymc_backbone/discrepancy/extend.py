@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from .._checks import OBSERVABLES, FloatArray
+from .._common.checks import OBSERVABLES, FloatArray
 from ..effects import BASE_EFFECTS
 from .batch import Batch
 from .curves import curve, measured, on_levels
@@ -99,8 +99,8 @@ def sample_extended(
     batch: Batch, found: Fit, backbone: xr.Dataset, mean: FloatArray, options: Mapping[str, Any]
 ) -> tuple[xr.DataTree, dict[str, tuple[float, float]], dict[str, float]]:
     """Sample the extended model on the backbone of the mean specimen; return draws, bounds and held parameters."""
-    from ..model import build_model
-    from ..sampling import sample
+    from ..inference.model import build_model
+    from ..inference.sampling import sample
 
     bounds, held = prior_bounds(batch, found, mean)
     model = build_model(found.layout.oscillator, backbone, bounds=bounds, fixed=held, likelihood="pooled")

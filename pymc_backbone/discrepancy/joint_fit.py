@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from .._checks import FloatArray
+from .._common.checks import FloatArray
 from .layout import Layout
 from .witness import Witness
 

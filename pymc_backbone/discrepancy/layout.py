@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from .._checks import FloatArray
-from ..decay import Simulator
+from .._common.checks import FloatArray
 from ..effects import BASE_EFFECTS
 from ..oscillator import Oscillator
+from ..simulation.decay import Simulator
 
 _BOX = 4.0
 _STIFFEST = 0.003  # slip displacement over amplitude

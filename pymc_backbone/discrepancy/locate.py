@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from .._checks import OBSERVABLE_UNITS, FloatArray
+from .._common.checks import OBSERVABLE_UNITS, FloatArray
 from .batch import Batch
 from .study import GapRange
 

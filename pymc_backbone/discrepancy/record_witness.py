@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from .._checks import FloatArray
-from .._conditioned import ConditionedRecord
-from ..cycles import Cycles
+from .._common.checks import FloatArray
+from ..measurement.conditioning.conditioned import ConditionedRecord
+from ..measurement.cycles import Cycles
 from .whitening import EDGE, of_means, whitener
 from .witness import TurningWitness, WaveformWitness
 

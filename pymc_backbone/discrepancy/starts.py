@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .._checks import FloatArray
+from .._common.checks import FloatArray
 from ..effects import BASE_EFFECTS
 from . import joint_fit
 from .batch import Batch

@@ -8,7 +8,7 @@ from typing import Any
 
 import xarray as xr
 
-from .._checks import FloatArray
+from .._common.checks import FloatArray
 from ..oscillator import Oscillator
 
 VERDICTS = ("adequate", "found", "ambiguous", "unexplained")

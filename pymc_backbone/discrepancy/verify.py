@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .._checks import OBSERVABLES, FloatArray
+from .._common.checks import OBSERVABLES, FloatArray
 from .batch import Batch
 from .curves import curve, measured, one_on_levels, prediction_errors
 from .joint_fit import NUISANCES, SCATTER, Fit, State, fit, parameters_of

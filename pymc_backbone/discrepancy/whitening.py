@@ -8,7 +8,7 @@ import numpy as np
 from scipy.linalg import solve_toeplitz, solve_triangular, toeplitz
 from scipy.signal import lfilter
 
-from .._checks import FloatArray
+from .._common.checks import FloatArray
 
 MOST_LAGS = 32
 EDGE = 2

@@ -12,8 +12,8 @@ from typing import Any, Protocol
 import numpy as np
 import xarray as xr
 
-from .._checks import OBSERVABLES, FloatArray
-from ..decay import Simulator
+from .._common.checks import OBSERVABLES, FloatArray
+from ..simulation.decay import Simulator
 from .whitening import EDGE, average
 
 DRIFT = 0.05  # relative change of frequency over a record that one unit of drift stands for

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .._checks import OBSERVABLES, FloatArray
+from .._common.checks import OBSERVABLES, FloatArray
 from ..effects import LIBRARY
 from . import starts
 from .batch import Batch

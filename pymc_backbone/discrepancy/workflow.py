@@ -10,14 +10,14 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from .._checks import FloatArray, InputError, check_choice
-from .._conditioned import ConditionedRecord
-from .._extraction import extract_all
-from ..backbone import backbones_at_levels, default_levels
-from ..cycles import Cycles
+from .._common.checks import FloatArray, InputError, check_choice
 from ..effects import BASE_EFFECTS, LIBRARY, Effect
+from ..measurement.conditioning.conditioned import ConditionedRecord
+from ..measurement.cycles import Cycles
+from ..measurement.extraction import extract_all
+from ..measurement.levels import backbones_at_levels, default_levels
+from ..measurement.reading.records import Record
 from ..oscillator import Oscillator
-from ..records import Record
 from . import rivals, words
 from .batch import Batch, batch_of_backbones, batch_of_records
 from .curves import level_chi_square, on_levels, simulate
@@ -329,7 +329,7 @@ def _settle_listed(decision: Decision) -> None:
 
 def _judged(posterior: xr.DataTree, options: Mapping[str, Any]) -> tuple[tuple[str, ...], dict[str, float]]:
     """Return what is wrong with the draws, in words, and the figures of convergence."""
-    from ..diagnostics import findings, summarise
+    from ..inference.diagnostics import findings, summarise
 
     table = summarise(posterior)
     return tuple(findings(posterior)), {

@@ -11,7 +11,7 @@ import pkgutil
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from .._checks import InputError, check_choice
+from .._common.checks import InputError, check_choice
 from ._base import Effect, Parameter, Signature
 
 BASE_EFFECTS: tuple[str, str] = ("linear_stiffness", "viscous_damping")

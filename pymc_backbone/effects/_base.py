@@ -10,7 +10,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from .._checks import InputError
+from .._common.checks import InputError
 
 BoundsFunction = Callable[[float, float, float], tuple[float, float]]
 TypicalFunction = Callable[[float, float, float], tuple[float, ...]]

@@ -12,7 +12,7 @@ import math
 import numba
 import numpy as np
 
-from .._checks import FloatArray
+from .._common.checks import FloatArray
 from ._base import Effect, Parameter, Signature
 
 

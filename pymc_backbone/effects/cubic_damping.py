@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numba
 
-from .._checks import FloatArray
+from .._common.checks import FloatArray
 from ._base import Effect, Parameter, Signature
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from .._checks import FloatArray
+from .._common.checks import FloatArray
 from ._base import Effect, Parameter, Signature
 
 

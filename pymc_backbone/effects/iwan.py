@@ -19,7 +19,7 @@ import math
 
 import numba
 
-from .._checks import FloatArray
+from .._common.checks import FloatArray
 from ._base import Effect, Parameter, Signature
 
 

@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from .._checks import FloatArray
-from .._figures import MEASURED, QUIET, SIMULATED, drawable, layout, parameter_axis
+from .._common.checks import FloatArray
+from ..reporting.style import MEASURED, QUIET, SIMULATED, drawable, layout, parameter_axis
 from .outliers import Quantity, far
 from .structure import Structure
 

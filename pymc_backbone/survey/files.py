@@ -22,8 +22,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from .._atomic_files import remove_leftovers, replacing
-from ..results import PROGRAM, REPORT, package_version, plain, prepare_output, write_files
+from .._common.atomic_files import remove_leftovers, replacing
+from ..reporting.output_folder import PROGRAM, REPORT, package_version, plain, prepare_output, write_files
 from .survey import Survey
 
 PAGE, SUMMARY, TABLE, STRUCTURES = "summary.html", "summary.json", "summary.csv", "structures"

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from .._checks import InputError
-from .._tables import natural_key, printable
+from .._common.checks import InputError
+from ..measurement.reading.tables import natural_key, printable
 
 MOST_CHARACTERS = 80  # of the name of a folder; longer ones trouble some file systems
 
@@ -116,7 +116,7 @@ def seed_of(seed: int, name: str) -> int:
 
 def request_digest(source: Any, settings: Mapping[str, Any], version: str) -> str:
     """Return a digest of all that the result of a structure depends on: settings, version, records."""
-    from ..results import plain
+    from ..reporting.output_folder import plain
 
     digest = hashlib.sha256(json.dumps([version, plain(settings)], sort_keys=True).encode())
     for part in _parts(source):

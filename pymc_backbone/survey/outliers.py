@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .._checks import FloatArray
-from .._study_words import set_name
+from .._common.checks import FloatArray
+from ..reporting.words import set_name
 from .structure import Structure
 
 LEAST = 6

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .._html import (
+from ..reporting.html import (
     Raw,
     bullets,
     details,
@@ -22,7 +22,7 @@ from .._html import (
     tiles,
     unit,
 )
-from .._study_words import VERDICT_MEANS, VERDICT_WORDS, percent
+from ..reporting.words import VERDICT_MEANS, VERDICT_WORDS, percent
 from .figures import drawn_quantities, plot_damping_against_frequency, plot_quantity
 from .outliers import LEAST, Quantity, far, quantities
 from .structure import Structure

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from .._atomic_files import replacing
-from .._checks import InputError
+from .._common.atomic_files import replacing
+from .._common.checks import InputError
 
 STRUCTURE_FILE = "structure.json"
 _ONE_STUDY = threading.Lock()
@@ -143,7 +143,7 @@ class Job:
 
 def run_job(job: Job) -> dict[str, Any]:
     """Diagnose one structure and return its record; what fails becomes a sentence in it."""
-    from ..run_diagnosis import diagnose
+    from ..workflows.diagnose import diagnose
 
     begun = time.perf_counter()
     entries = blank(job)
@@ -223,7 +223,7 @@ def summary_of(result: Mapping[str, Any]) -> dict[str, Any]:
 
 def write_entries(folder: Path, entries: Mapping[str, Any], request: str) -> None:
     """Keep a finished record in its folder: the sign that everything else there is written."""
-    from ..results import plain
+    from ..reporting.output_folder import plain
 
     text = json.dumps({"request": request, **plain(entries)}, indent=1, allow_nan=False)
     with replacing(folder / STRUCTURE_FILE) as temporary:

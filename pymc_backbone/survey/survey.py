@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-from .._describe import aligned, short
 from ..discrepancy.study import VERDICTS
+from ..reporting.terminal import aligned, short
 from .outliers import majority, stand_out, words
 from .structure import Structure
 
@@ -176,7 +176,7 @@ def effects_in_words(item: Structure) -> str:
 
 
 def _plain(text: str) -> str:
-    from .._tables import printable
+    from ..measurement.reading.tables import printable
 
     return printable(text)
 

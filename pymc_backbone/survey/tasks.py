@@ -10,7 +10,7 @@ from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future
 from contextlib import contextmanager
 from typing import Any
 
-from .._checks import InputError
+from .._common.checks import InputError
 
 POLL = 0.2  # seconds between two looks at Ctrl-C and the clock
 BROKEN = (

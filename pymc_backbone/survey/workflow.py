@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from .._checks import InputError, check_choice
-from .._processes import Processes
+from .._common.checks import InputError, check_choice
+from .._common.processes import Processes
 from .files import begin_survey, stored_seed, structure_folder, write_survey
 from .names import folder_names, request_digest, seed_of, structures_of
 from .structure import Job, Structure, blank, prepare_worker, read_entries, run_job
@@ -103,12 +103,12 @@ def diagnose_many(
 
     Examples
     --------
-    >>> from pymc_backbone.demo import demo_folder
+    >>> from pymc_backbone.workflows.demo import demo_folder
     >>> files = [demo_folder() / f"specimen_0{i}.csv" for i in (1, 2)]
     >>> survey = diagnose_many(files, mass=-1.0, workers=0)
     Traceback (most recent call last):
         ...
-    pymc_backbone._checks.InputError: `mass` must be positive and finite, got -1.
+    pymc_backbone._common.checks.InputError: `mass` must be positive and finite, got -1.
     """
     begun = time.perf_counter()
     if executor is not None and workers is not None:
@@ -122,7 +122,7 @@ def diagnose_many(
     if resume and random_seed is None and output is not None:
         random_seed = stored_seed(output)
     seed = int(np.random.default_rng().integers(2**31)) if random_seed is None else int(random_seed)
-    from ..results import package_version
+    from ..reporting.output_folder import package_version
 
     version = package_version()
     folder = None if output is None else begin_survey(output, overwrite, resume, seed)
@@ -260,7 +260,7 @@ def _in_words(executor: Executor, workers: int | None, count: int) -> str:
 
 def _line(item: Structure) -> str:
     """Return what is said when a structure is finished."""
-    from .._tables import printable
+    from ..measurement.reading.tables import printable
 
     if not item.is_done:
         return f"{printable(item.name)}: failed: {printable(str(item.error))}"

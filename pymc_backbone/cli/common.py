@@ -1,0 +1,199 @@
+"""What the commands share: groups of options, what is printed, and what libraries may say."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from .._common.checks import OBSERVABLES
+from ..measurement.reading.headers import QUANTITIES
+from . import options
+from .progress import ProgressBar
+
+STEPS = ("metropolis", "elementwise", "demetropolisz", "slice", "nuts", "nutpie")
+
+
+READING = """\
+What was assumed or converted while reading is printed, and stands in the notes of the result and in the report.
+Formats: delimited text (CSV and the like), LabVIEW .lvm, MATLAB .mat, universal files (.uff, .unv), NetCDF, NumPy
+.npz, SEP-005 as .json. A folder holds files of one of these, one specimen each."""
+
+
+def add_talk(parser: argparse.ArgumentParser, *, quiet: bool = True) -> None:
+    """Add the options of what is printed."""
+    group = parser.add_argument_group("printing")
+    if quiet:
+        group.add_argument("-q", "--quiet", action="store_true", help="print nothing but errors; the files say it all")
+    group.add_argument(
+        "--json", action="store_true", help="print the result as one JSON object, and nothing else, on standard output"
+    )
+
+
+def say_of(options: argparse.Namespace) -> Callable[[str], None]:
+    """Return what prints a line of the summary: `say`, or nothing where the options ask for silence or JSON."""
+    return _say_nothing if options.quiet or options.json else say
+
+
+@contextmanager
+def extraction_progress(options: argparse.Namespace) -> Iterator[tuple[ProgressBar, Callable[[str], None]]]:
+    """Yield a bar for the extraction of cycles, shown after 2 s, and what prints a line below it."""
+    say_line = say_of(options)
+    with ProgressBar(is_shown=not options.quiet, delay=2.0) as progress:
+
+        def say_below(text: str) -> None:
+            progress.clear()
+            say_line(text)
+
+        yield progress, say_below
+
+
+def print_result(options: argparse.Namespace, result: Any) -> None:
+    """Print a result as JSON where the options ask for it."""
+    if options.json:
+        from ..reporting.output_folder import plain
+
+        print(json.dumps(plain(result), allow_nan=False), flush=True)
+
+
+def _say_nothing(text: str) -> None:
+    """Print nothing."""
+
+
+def add_records(parser: argparse.ArgumentParser, *, tables: bool = True) -> None:
+    """Add the argument that names the records, and whether they are tables of backbones."""
+    parser.add_argument("records", type=Path, metavar="RECORDS", help="a file, or a folder of files, one per specimen")
+    if tables:
+        parser.add_argument(
+            "--backbones",
+            action="store_true",
+            help="RECORDS are measured backbone tables (such as backbones.csv from extract), not time histories",
+        )
+
+
+def add_model(parser: argparse.ArgumentParser, *, required: bool = True) -> argparse._ArgumentGroup:
+    """Add the group of options of the model, with the mass, and return it."""
+    group = parser.add_argument_group("model")
+    group.add_argument(
+        "--mass", type=options.number("--mass"), required=required, metavar="M", help="mass [kg], or inertia [kg m^2]"
+    )
+    return group
+
+
+def measurement_of(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the options of reading and conditioning as keyword arguments."""
+    names = ("band", "start", "levels", "columns", "quantity", "unit", "sampling_rate")
+    return {name: getattr(options, name) for name in names}
+
+
+def sampling_of(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the options of the sampler as keyword arguments."""
+    chosen = {name: getattr(options, name) for name in ("draws", "tune", "chains", "step")}
+    return {**chosen, "random_seed": options.seed}
+
+
+def add_measurement(parser: argparse.ArgumentParser, *, observables: bool = True) -> None:
+    """Add the options of reading and conditioning."""
+    reading = parser.add_argument_group("reading", READING)
+    reading.add_argument(
+        "--columns",
+        type=options.columns,
+        action="extend",
+        metavar="LIST",
+        help="channels to take: names as in the file, patterns such as 'acc*', or numbers from 1, with commas between; "
+        "time=NAME names the time channel; each of several channels becomes a specimen (default: the only one that "
+        "is a displacement, velocity or acceleration by name or unit)",
+    )
+    reading.add_argument(
+        "--quantity",
+        choices=QUANTITIES,
+        metavar="Q",
+        help="what the channel holds, or which to take: displacement, velocity or acceleration (default: as its name "
+        "or unit says)",
+    )
+    reading.add_argument(
+        "--unit",
+        metavar="U",
+        help="unit of the channel, such as mm, in/s, g or deg; replaces the file's (default: the file's, else SI)",
+    )
+    reading.add_argument(
+        "--sampling-rate",
+        type=options.number("--sampling-rate"),
+        metavar="HZ",
+        help="samples per second; replaces the file's times (default: the file's)",
+    )
+    group = parser.add_argument_group("measurement")
+    group.add_argument(
+        "--band", type=options.band, metavar="LO:HI", help="keep this frequency band [Hz]; for a second mode"
+    )
+    group.add_argument(
+        "--start", type=options.number("--start"), metavar="S", help="release at this time [s], instead of finding it"
+    )
+    group.add_argument(
+        "--levels",
+        type=options.levels,
+        metavar="N|A,B,C",
+        help="number of amplitude levels, or the amplitudes [m or rad] (default: 10, or fewer for short decays)",
+    )
+    if not observables:
+        return
+    group.add_argument(
+        "--observables",
+        type=options.observables,
+        metavar="LIST",
+        help=f"what to compare: {', '.join(OBSERVABLES)} (default: frequency,damping)",
+    )
+
+
+def search_of(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the options of the search for a missing effect as keyword arguments."""
+    names = ("max_effects", "tolerance", "held_out", "quick")
+    return {
+        "base": options.split(options.base),
+        "candidates": options.split(options.candidates) or None,
+        **{name: getattr(options, name) for name in names},
+    }
+
+
+def add_output(parser: argparse.ArgumentParser, *, required: bool) -> None:
+    """Add the options of the output folder."""
+    group = parser.add_argument_group("output")
+    words = "output folder" if required else "output folder (default: print the summary, write nothing)"
+    group.add_argument("--out", type=Path, required=required, metavar="DIR", help=words)
+    group.add_argument("--overwrite", action="store_true", help="use the output folder even if it is not empty")
+
+
+def add_sampling(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the sampler."""
+    sampler = parser.add_argument_group("sampling")
+    sampler.add_argument(
+        "--draws", type=options.count("--draws"), default=2000, metavar="N", help="per chain, kept (2000)"
+    )
+    sampler.add_argument(
+        "--tune", type=options.count("--tune", 0), default=1000, metavar="N", help="per chain, dropped (1000)"
+    )
+    sampler.add_argument(
+        "--chains", type=options.count("--chains"), default=4, metavar="N", help="number of chains (4)"
+    )
+    sampler.add_argument(
+        "--step",
+        choices=STEPS,
+        default="metropolis",
+        help="PyMC's step method: metropolis proposes jointly, elementwise one variable at a time (metropolis)",
+    )
+    sampler.add_argument(
+        "--seed", type=options.count("--seed", 0), default=None, metavar="N", help="repeats a run exactly"
+    )
+
+
+def say(text: str) -> None:
+    """Print a line of the summary at once; what names in files hold cannot steer the terminal."""
+    print(visible(text), flush=True)
+
+
+def visible(text: str) -> str:
+    """Return text with the characters escaped that no terminal shows, line ends excepted."""
+    return "".join(char if char.isprintable() or char == "\n" else ascii(char)[1:-1] for char in text)

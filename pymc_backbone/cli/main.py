@@ -1,0 +1,228 @@
+"""The command line: ``pymc-backbone extract | update | diagnose | cases | effects | demo``.
+
+What a user can get wrong ends with one sentence on standard error and exit code 2; Ctrl-C with 130. Everything heavy is
+imported when it is needed, so that help and most errors come at once.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+from .._common.checks import InputError
+from .._common.quiet import hush_libraries
+from . import (
+    cases as _cli_cases,
+)
+from . import (
+    common as _cli_common,
+)
+from . import (
+    completion as _cli_completion,
+)
+from . import (
+    diagnose as _cli_diagnose,
+)
+from . import (
+    update as _cli_update,
+)
+
+PROGRAM = "pymc-backbone"
+INTERRUPTED = "Interrupted; files already written are complete."
+TRACEBACK_VARIABLE = "PYMC_BACKBONE_TRACEBACK"
+
+DESCRIPTION = """\
+Nonlinear free-decay model updating from ring-down records.
+
+A structure is displaced or struck and left to ring down. Each cycle has an amplitude, a frequency, a damping; plotted
+against the amplitude they are its backbone curves. This program extracts the backbones of a batch of specimens from
+their records, and infers with PyMC which stiffness, damping and friction parameters explain them, with uncertainty.
+"""
+
+EPILOG = """\
+First steps:
+  pymc-backbone demo --out demo_output
+      infer the parameters of a batch that ships with the program, and compare them with the true ones
+  pymc-backbone extract my_records/ --out backbones
+      look at the backbones before any model
+  pymc-backbone effects
+      what a model can be made of
+  pymc-backbone update my_records/ --mass 1.2 --effect cubic_stiffness --out result
+      the updated model
+  pymc-backbone diagnose my_records/ --mass 1.2 --out diagnosis
+      what the model lacks: the missing effect, with its probability, and a report
+
+`pymc-backbone COMMAND --help` explains each command. Exit codes: 0 done; 2 something in the input or the options cannot
+be used, one sentence on standard error says what; 130 stopped with Ctrl-C.
+"""
+
+DEMO_DESCRIPTION = """\
+Update a model with the records that ship with the program: 24 simulated specimens of a hardening spring with viscous
+damping, noise and a 14-bit converter. Their true parameters are known, and printed beside the recovered ones.
+"""
+
+
+class _Interrupted(BaseException):
+    """Ctrl-C, as nothing but this module catches it."""
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose errors are one sentence and exit code 2."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        kwargs.setdefault("formatter_class", argparse.RawDescriptionHelpFormatter)
+        super().__init__(**{**kwargs, "allow_abbrev": False})
+
+    def error(self, message: str) -> NoReturn:
+        raise InputError(f"{message.rstrip('.')}; see `{self.prog} --help`.")
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Return the parser of the whole command line."""
+    parser = _Parser(prog=PROGRAM, description=DESCRIPTION, epilog=EPILOG)
+    parser.add_argument("--version", action="store_true", help="print the version and exit")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands", parser_class=_Parser)
+    _cli_update.add_extract(commands)
+    _cli_update.add_update(commands)
+    _cli_diagnose.add_diagnose(commands)
+    _cli_cases.add_cases(commands)
+    effects = commands.add_parser(
+        "effects",
+        help="list the physical effects, or explain one",
+        description="List the physical effects a model can be made of, or explain one: force, parameters, units.",
+    )
+    effects.add_argument("name", nargs="?", metavar="NAME", help="an effect, for example cubic_stiffness")
+    _cli_common.add_talk(effects, quiet=False)
+    effects.set_defaults(run=_effects)
+    demo = commands.add_parser(
+        "demo", help="update a model with records that ship with it", description=DEMO_DESCRIPTION
+    )
+    demo.add_argument(
+        "--out", type=Path, default=Path("demo_output"), metavar="DIR", help="output folder (demo_output)"
+    )
+    demo.add_argument("--overwrite", action="store_true", help="use the output folder even if it is not empty")
+    _cli_common.add_talk(demo)
+    demo.set_defaults(run=_demo)
+    _cli_completion.add_completion(commands, lambda: (PROGRAM, build_parser()))
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return the exit code."""
+    interrupt = _Interrupt()
+    try:
+        options = build_parser().parse_args(arguments)
+        if options.version:
+            print(f"{PROGRAM} {_version()}")
+        elif options.command is None:
+            build_parser().print_help()
+        else:
+            options.arguments = list(sys.argv[1:] if arguments is None else arguments)
+            options.run(options)
+        sys.stdout.flush()
+    except InputError as error:
+        return _stop(str(error), 2)
+    except (_Interrupted, KeyboardInterrupt):
+        return _stop(INTERRUPTED, 130)
+    except BrokenPipeError:  # the reader, for example `head`, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except Exception as error:
+        if interrupt.came:
+            return _stop(INTERRUPTED, 130)
+        if os.environ.get(TRACEBACK_VARIABLE):
+            raise
+        return _stop(
+            f"{type(error).__name__} where none was expected ({' '.join(str(error).split())[:300]}): this is a fault "
+            f"of the program; set {TRACEBACK_VARIABLE}=1 to see where.",
+            1,
+        )
+    finally:
+        interrupt.restore()
+    return 0
+
+
+class _Interrupt:
+    """Ctrl-C ends the run at once, wherever it comes.
+
+    PyMC takes a KeyboardInterrupt as the end of one chain and goes on with the next; compiled code that calls back
+    turns any exception into another one. So the signal raises an exception of its own, and is remembered.
+    """
+
+    def __init__(self) -> None:
+        self.came = False
+        try:
+            self.previous = signal.signal(signal.SIGINT, self._raise)
+        except ValueError:  # not the main thread: signals do not come here
+            self.previous = None
+
+    def _raise(self, *_: Any) -> NoReturn:
+        self.came = True
+        raise _Interrupted
+
+    def restore(self) -> None:
+        if self.previous is not None:
+            signal.signal(signal.SIGINT, self.previous)
+
+
+def _effects(options: argparse.Namespace) -> None:
+    from ..effects import LIBRARY, get_effect
+
+    if options.json:
+        chosen = LIBRARY.values() if options.name is None else [get_effect(options.name)]
+        _cli_common.print_result(options, {effect.name: _effect_entries(effect) for effect in chosen})
+        return
+    if options.name is not None:
+        print(_effect_text(get_effect(options.name)))
+        return
+    print("Every model has linear_stiffness and viscous_damping; --effect adds others. x is displacement, x' velocity.")
+    for name, effect in LIBRARY.items():
+        print(f"\n{name}\n{textwrap.fill(effect.summary, 112, initial_indent='  ', subsequent_indent='  ')}")
+        print(textwrap.fill(effect.text, 112, initial_indent="  force: ", subsequent_indent="         "))
+        print("  " + ", ".join(f"{parameter.name} [{parameter.unit}]" for parameter in effect.parameters))
+
+
+def _effect_entries(effect: Any) -> dict[str, Any]:
+    parameters = {p.name: {"unit": p.unit, "summary": p.summary} for p in effect.parameters}
+    return {"summary": effect.summary, "force": effect.text, "parameters": parameters}
+
+
+def _effect_text(effect: Any) -> str:
+    lines = [effect.name, "", textwrap.fill(effect.summary, 118), ""]
+    lines += [
+        textwrap.fill(effect.text, 112, initial_indent="  force: ", subsequent_indent="         "),
+        "",
+        "  parameters:",
+    ]
+    width = max(len(parameter.name) for parameter in effect.parameters)
+    units = max(len(parameter.unit) for parameter in effect.parameters) + 2
+    for parameter in effect.parameters:
+        lines.append(f"    {parameter.name:<{width}}  {f'[{parameter.unit}]':<{units}}  {parameter.summary}")
+    if effect.references:
+        lines += ["", "  references:", *(f"    {reference}" for reference in effect.references)]
+    return "\n".join(lines)
+
+
+def _demo(options: argparse.Namespace) -> None:
+    from ..workflows import demo
+
+    hush_libraries(options.quiet)
+    result = demo.run_demo(options.out, overwrite=options.overwrite, say=_cli_common.say_of(options))
+    _cli_common.print_result(options, result)
+
+
+def _stop(message: str, code: int) -> int:
+    print(f"{PROGRAM}: {_cli_common.visible(' '.join(message.split()))}", file=sys.stderr)
+    return code
+
+
+def _version() -> str:
+    from .. import __version__
+
+    return str(__version__)

@@ -1,0 +1,183 @@
+"""What ``diagnose --many`` adds: many structures, their own settings, where they run."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import shlex
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from .._common.checks import InputError, check_choice
+from .._common.quiet import hush_libraries
+from . import options
+from .common import measurement_of, print_result, sampling_of, say_of, search_of
+from .progress import ProgressBar
+
+MOST_NAMED = 3
+CONNECT = 10.0  # seconds to reach a scheduler
+# Columns of the file that --structures names, with the reader of the option they stand for.
+COLUMNS: dict[str, Callable[[str], Any]] = {
+    "mass": options.number("mass"),
+    "base": lambda text: options.split(text.split()),
+    "candidates": lambda text: options.split(text.split()),
+    "band": options.band,
+    "start": options.number("start"),
+    "levels": options.levels,
+    "tolerance": options.tolerance,
+    "columns": options.columns,
+    "quantity": str,
+    "unit": str,
+    "sampling_rate": options.number("sampling_rate"),
+}
+
+
+def add_many(parser: argparse.ArgumentParser) -> None:
+    """Add the options of many structures."""
+    group = parser.add_argument_group("many structures")
+    group.add_argument(
+        "--many",
+        action="store_true",
+        help="RECORDS is a folder that holds a folder of records for each structure: diagnose each, and compare them",
+    )
+    group.add_argument(
+        "--structures",
+        type=Path,
+        metavar="CSV",
+        help=f"settings of single structures: a column name (its folder), and any of {', '.join(COLUMNS)}, as the "
+        "options; what is empty is that of the command line",
+    )
+    group.add_argument(
+        "--workers",
+        type=options.count("--workers", 0),
+        metavar="N",
+        help="number of processes (default: one for each core; 0: none but this one)",
+    )
+    group.add_argument(
+        "--dask",
+        metavar="ADDRESS",
+        help="run on a Dask cluster, such as tcp://host:8786; its workers must see the folders under the same paths",
+    )
+    group.add_argument(
+        "--resume",
+        action="store_true",
+        help="keep what an earlier run into the output folder finished with the same settings and records",
+    )
+
+
+def refuse_without_many(options: argparse.Namespace) -> None:
+    """Raise if an option of many structures is given for one."""
+    for name in ("structures", "workers", "dask", "resume"):
+        if getattr(options, name):
+            raise InputError(f"--{name} is for many structures: add --many, or drop it.")
+
+
+def diagnose_many(options: argparse.Namespace) -> None:
+    """Run ``diagnose --many``."""
+    each = {} if options.structures is None else read_structures(options.structures)
+    if options.dask is not None and options.workers is not None:
+        raise InputError("--workers is for processes on this machine, and --dask says where else to run; drop one.")
+    hush_libraries(options.quiet)
+    from ..survey.workflow import diagnose_many
+
+    say = say_of(options)
+    with _executor(options.dask) as executor, ProgressBar(is_shown=not options.quiet) as progress:
+
+        def say_below(text: str) -> None:
+            progress.clear()
+            say(text)
+
+        survey = diagnose_many(
+            options.records,
+            mass=options.mass,
+            each=each,
+            executor=executor,
+            workers=options.workers,
+            output=options.out,
+            is_table=options.backbones or None,
+            **search_of(options),
+            **measurement_of(options),
+            **sampling_of(options),
+            resume=options.resume,
+            overwrite=options.overwrite,
+            command=shlex.join(["pymc-backbone", *options.arguments]),
+            progress=progress,
+            say=say_below,
+        )
+    say(f"\nThe summary is {options.out / 'summary.html'}, with a link to the report of each structure.")
+    print_result(options, {"program": "pymc-backbone", **survey.entries()})
+    if survey.interrupted:
+        raise KeyboardInterrupt
+    if survey.failed:
+        names = ", ".join(item.name for item in survey.failed[:MOST_NAMED])
+        rest = len(survey.failed) - MOST_NAMED
+        named = f"{names} and {rest} more" if rest > 0 else names
+        raise InputError(
+            f"{len(survey.failed)} of {survey.total} structures could not be diagnosed ({named}); the others are done, "
+            f"{options.out / 'summary.html'} says why."
+        )
+
+
+def read_structures(path: Path) -> dict[str, dict[str, Any]]:
+    """Return the settings of single structures from a CSV file with a column ``name``.
+
+    Raises
+    ------
+    InputError
+        With the line and the column at fault.
+    """
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            rows = list(csv.reader(stream, strict=True, skipinitialspace=True))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); check the path.") from None
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: is not a CSV file in UTF-8 ({error}).") from None
+    head = [cell.strip().lower().replace("-", "_") for cell in rows[0]] if rows else []
+    if "name" not in head:
+        raise InputError(f"{path}, line 1: expected a column 'name', the folder of each structure, and others.")
+    for column in head:
+        check_choice(f"{path}: column", column, ("name", *COLUMNS))
+        if head.count(column) > 1:
+            raise InputError(f"{path}, line 1: the column {column!r} stands there twice; keep one.")
+    found: dict[str, dict[str, Any]] = {}
+    for line, row in enumerate(rows[1:], start=2):
+        if not any(cell.strip() for cell in row):
+            continue
+        if len(row) != len(head):
+            raise InputError(f"{path}, line {line}: expected {len(head)} cells as in line 1, got {len(row)}.")
+        cells = dict(zip(head, (cell.strip() for cell in row), strict=True))
+        name = cells.pop("name")
+        if not name or name in found:
+            raise InputError(f"{path}, line {line}: the name {name!r} is {'twice there' if name else 'missing'}.")
+        found[name] = {column: _read(path, line, column, text) for column, text in cells.items() if text}
+    return found
+
+
+def _read(path: Path, line: int, column: str, text: str) -> Any:
+    try:
+        return COLUMNS[column](text)
+    except argparse.ArgumentTypeError as error:
+        raise InputError(f"{path}, line {line}, column {column}: {error}.") from None
+
+
+@contextmanager
+def _executor(address: str | None) -> Iterator[Executor | None]:
+    """Yield an executor on a Dask cluster, or None where no address is given."""
+    if address is None:
+        yield None
+        return
+    try:
+        from distributed import Client
+    except ImportError:
+        raise InputError("--dask needs Dask: install pymc-backbone[dask].") from None
+    try:
+        client = Client(address, timeout=CONNECT)
+    except (OSError, ValueError, TypeError) as error:
+        said = " ".join(str(error).split())[:200]
+        raise InputError(f"no Dask scheduler answers at {address} ({said}); check the address.") from None
+    with client:
+        yield client.get_executor()

@@ -1,0 +1,201 @@
+"""The commands ``extract`` and ``update``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from .._common.quiet import hush_libraries
+from . import options
+from .common import (
+    add_measurement,
+    add_model,
+    add_output,
+    add_records,
+    add_sampling,
+    add_talk,
+    extraction_progress,
+    measurement_of,
+    print_result,
+    sampling_of,
+)
+
+LIKELIHOODS = ("auto", "population", "specimen", "pooled")
+DENSITIES = ("product", "joint", "data_consistent")
+MARGINALS = ("best", "uniform", "normal", "kde", "gev")
+
+EXTRACT_DESCRIPTION = """\
+Turn ring-down records into backbones: amplitude, frequency, damping and offset per cycle, then their values with
+standard errors at a few amplitude levels that all specimens share.
+
+RECORDS is a file or a folder; each file is one specimen, with time (or a rate) and a channel of displacement, velocity
+or acceleration. The release is found, slow drift and a sensor's offset are removed, velocity and acceleration are
+integrated, cycles that sink into the noise are dropped; what was done is said in the notes.
+"""
+
+EXTRACT_EPILOG = """\
+The folder holds backbones.csv, backbones.nc, result.json and figures/. Examples:
+  pymc-backbone extract ring_downs/ --out backbones
+  pymc-backbone extract ring_downs/ --band 90:160 --levels 8 --out backbones
+  pymc-backbone extract run_7.mat --columns time=t,acc_z --unit g --out run_7
+  pymc-backbone extract run_7.csv --start 0.35 --levels 0.002,0.005,0.01 --observables frequency,offset --out run_7
+"""
+
+UPDATE_DESCRIPTION = """\
+Infer the parameters of an oscillator from ring-down records:
+
+    mass x'' + viscous_damping x' + linear_stiffness x + the effects named with --effect = 0
+
+Backbones are simulated with the same definition of a cycle as the measured ones and compared at the same amplitude
+levels. Every parameter has a uniform prior, scaled with the records unless --prior says otherwise.
+"""
+
+UPDATE_EPILOG = """\
+The folder holds result.json (everything in numbers and words), summary.csv, backbones.csv and .nc, posterior.nc (all
+draws, for ArviZ) and figures/. Read the findings first: they say if the chains agree, and if the data say anything
+about each parameter. Examples:
+  pymc-backbone update ring_downs/ --mass 1.2 --effect cubic_stiffness --out result
+  pymc-backbone update ring_downs/ --mass 1.2 --effect cubic_stiffness --effect coulomb_friction \\
+      --prior cubic_stiffness=0:1e7 --fix viscous_damping=0.8 --density joint --seed 4 --out result
+  pymc-backbone update ring_downs/ --mass 1.2 --step nuts --seed 4 --store draws --resume --out result
+  pymc-backbone update backbones.csv --backbones --mass 1.2 --effect quadratic_damping --step nutpie --out result
+"""
+
+
+def add_extract(commands: Any) -> None:
+    """Add the command ``extract``."""
+    parser = commands.add_parser(
+        "extract",
+        help="turn ring-down records into backbones",
+        description=EXTRACT_DESCRIPTION,
+        epilog=EXTRACT_EPILOG,
+    )
+    add_records(parser, tables=False)
+    add_measurement(parser)
+    add_output(parser, required=True)
+    add_talk(parser)
+    parser.set_defaults(run=_extract)
+
+
+def add_update(commands: Any) -> None:
+    """Add the command ``update``."""
+    parser = commands.add_parser(
+        "update",
+        help="infer the parameters of a model from records",
+        description=UPDATE_DESCRIPTION,
+        epilog=UPDATE_EPILOG,
+    )
+    add_records(parser)
+    add_measurement(parser)
+
+    model = add_model(parser)
+    model.add_argument(
+        "--effect",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="add a physical effect; may be repeated (`pymc-backbone effects` lists them)",
+    )
+    model.add_argument(
+        "--prior",
+        action="append",
+        default=[],
+        type=options.prior,
+        metavar="NAME=LOW:HIGH",
+        help="bounds of a parameter's uniform prior, in SI units; may be repeated (default: scaled with the records)",
+    )
+    model.add_argument(
+        "--fix",
+        action="append",
+        default=[],
+        type=options.fixed,
+        metavar="NAME=VALUE",
+        help="hold a parameter at a value; may be repeated",
+    )
+
+    likelihood = parser.add_argument_group("likelihood")
+    likelihood.add_argument(
+        "--likelihood",
+        choices=LIKELIHOODS,
+        default="auto",
+        help="population: the parameter distribution over the batch, against the density of its backbones; specimen: "
+        "each specimen its own parameters; pooled: one parameter set for all; auto: population from 8 specimens",
+    )
+    likelihood.add_argument(
+        "--density",
+        choices=DENSITIES,
+        default="product",
+        help="population density: independent at each level (product, as in arXiv:2410.11902; recovers too little "
+        "scatter), joint over the levels, or data_consistent: over what the priors predict (default: product)",
+    )
+    likelihood.add_argument(
+        "--marginal",
+        choices=MARGINALS,
+        default="best",
+        help="family of the density at each level (default: best by information criterion)",
+    )
+
+    add_sampling(parser)
+    kept = parser.add_argument_group("runs that survive")
+    kept.add_argument(
+        "--store",
+        type=Path,
+        metavar="DIR",
+        help="keep draws and the sampler's state on disk as they come; Ctrl-C then ends with what was drawn (not for "
+        "--step nutpie)",
+    )
+    kept.add_argument(
+        "--resume",
+        action="store_true",
+        help="continue the run in --store with the draws it would have had; begin one where there is none",
+    )
+    add_output(parser, required=False)
+    add_talk(parser)
+    parser.set_defaults(run=_update)
+
+
+def _extract(options: argparse.Namespace) -> None:
+    from ..workflows import update as run
+
+    with extraction_progress(options) as (progress, say):
+        result = run.extract(
+            options.records,
+            output=options.out,
+            overwrite=options.overwrite,
+            **measurement_of(options),
+            observables=options.observables,
+            progress=progress,
+            say=say,
+        )
+    print_result(options, result)
+
+
+def _update(options: argparse.Namespace) -> None:
+    from ..workflows import update as run
+
+    hush_libraries(options.quiet)
+    with extraction_progress(options) as (progress, say):
+        result = run.update(
+            options.records,
+            mass=options.mass,
+            effects=options.split(options.effect),
+            priors=options.once("--prior", options.prior),
+            fixed=options.once("--fix", options.fix),
+            is_table=options.backbones,
+            **measurement_of(options),
+            observables=options.observables,
+            likelihood=options.likelihood,
+            density=options.density,
+            marginal=options.marginal,
+            **sampling_of(options),
+            store=options.store,
+            resume=options.resume,
+            output=options.out,
+            overwrite=options.overwrite,
+            progress=progress,
+            say=say,
+        )
+    print_result(options, result)
+    if result.get("interrupted"):
+        raise KeyboardInterrupt

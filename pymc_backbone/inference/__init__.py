@@ -1,0 +1,1 @@
+"""PyMC models of the likelihoods, their starts, steps, sampling and diagnostics."""

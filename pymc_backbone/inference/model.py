@@ -1,0 +1,378 @@
+"""Backbone likelihoods inside a PyMC model, and whole models from an oscillator, backbones and bounds."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pymc as pm
+import pytensor
+import pytensor.tensor as pt
+import xarray as xr
+from numpy.typing import ArrayLike
+
+from .._common.checks import OBSERVABLES, FloatArray, InputError, check_choice
+from ..likelihood.data_consistent import fit_data_consistent
+from ..likelihood.density import Density
+from ..likelihood.density_fit import fit_density
+from ..likelihood.op import BackboneLogLikelihood, SimulatedBackbone, make_memory
+from ..likelihood.specimen_likelihood import observe_specimens
+from ..oscillator import Oscillator
+from ..simulation.response import OscillatorResponse, Response, make_response
+
+Source = Oscillator | Callable[[dict[str, float], FloatArray], ArrayLike]
+LIKELIHOODS = ("auto", "population", "specimen", "pooled")
+POPULATION_SIZE = 8  # from this many complete specimens on, "auto" fits a density over them
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """What one likelihood compares: parameters in, a backbone out, and the values it should have.
+
+    ``centre`` and ``spread`` (n, o, l) are the measured values and their standard errors per specimen, or mean and
+    standard deviation of the population (n = 1); NaN where there is none.
+    """
+
+    name: str
+    response: Response
+    theta: Any
+    centre: FloatArray
+    spread: FloatArray
+    density: Density | None
+    memory: Any
+
+
+_TARGETS: weakref.WeakKeyDictionary[pm.Model, list[Target]] = weakref.WeakKeyDictionary()
+
+
+def targets_of(model: pm.Model) -> list[Target]:
+    """Return the backbone likelihoods that were added to ``model``."""
+    return _TARGETS.get(model, [])
+
+
+def backbone_likelihood(
+    name: str,
+    source: Source,
+    data: Density | xr.Dataset,
+    parameters: Mapping[str, Any],
+    *,
+    observables: Sequence[str] | None = None,
+    release_amplitude: float | None = None,
+    virgin: bool = True,
+) -> Any:
+    """Add the likelihood of a simulated backbone to the current PyMC model.
+
+    With a `Density` the likelihood is that of the *population*: one parameter vector, judged by the density that was
+    fitted over the specimens (a potential). With a Dataset of backbones it is that of the *specimens*: Gaussian level
+    errors with the measured covariance, an observed variable with one log-likelihood per specimen. There, a parameter
+    may be a vector with one entry per specimen; scalars are shared by all of them.
+
+    Parameters
+    ----------
+    name : str
+        Name of the potential or the observed variable.
+    source : Oscillator or callable
+        The model. A function takes a dict of parameters and the levels (l,) and returns values (o, l); it has no
+        gradient, everything else is the same.
+    data : Density or xarray.Dataset
+        From `fit_density`, or from `backbones_at_levels` or `read_backbones`.
+    parameters : mapping of str to tensor or float
+        A PyMC variable, an expression of them, or a number, for every parameter.
+    observables : sequence of str, optional
+        For a Dataset: which to use; default: all it holds.
+    release_amplitude : float, optional
+        For an oscillator: run the whole decay from here [m or rad].
+    virgin : bool, default True
+        For an oscillator: whether hysteretic states start loaded from rest.
+
+    Returns
+    -------
+    TensorVariable
+        The log-likelihood (population) or the observed variable (specimens).
+
+    Raises
+    ------
+    InputError
+        Outside a model context, unknown or missing parameters, data without standard errors, lengths that differ.
+
+    Examples
+    --------
+    Population likelihood of a Duffing oscillator, given backbones of a batch::
+
+        density = fit_density(backbones)
+        with pm.Model() as model:
+            k = pm.Uniform("linear_stiffness", 5000.0, 8000.0)
+            c = pm.Uniform("viscous_damping", 0.1, 3.0)
+            k3 = pm.Uniform("cubic_stiffness", 5e6, 7e6)
+            backbone_likelihood("backbone", duffing, density,
+                                {"linear_stiffness": k, "viscous_damping": c, "cubic_stiffness": k3})
+            posterior = sample()
+    """
+    model = pm.modelcontext(None)
+    if isinstance(data, Density):
+        if observables is not None and tuple(observables) != data.observables:
+            raise InputError(
+                f"the density was fitted to {', '.join(data.observables)}, not to {', '.join(observables)}; "
+                "fit it to the observables you want."
+            )
+        levels, names = data.levels, data.observables
+    elif isinstance(data, xr.Dataset):
+        data = select_observables(data, observables)
+        levels, names = np.asarray(data["level"]), tuple(str(v) for v in data["observable"].values)
+    else:
+        raise InputError(f"`data` must be a Density or a Dataset of backbones, got {type(data).__name__}.")
+    response = make_response(
+        source,
+        levels,
+        names,
+        parameter_names=None if isinstance(source, Oscillator) else tuple(parameters),
+        release_amplitude=release_amplitude,
+        virgin=virgin,
+    )
+    n_specimens = 1 if isinstance(data, Density) else data.sizes["specimen"]
+    theta = _stack(response, parameters, n_specimens, isinstance(data, Density))
+    memory = None
+    if isinstance(data, Density):
+        memory = pytensor.shared(make_memory(len(response.parameter_names)), name=f"{name}_memory")
+        value = BackboneLogLikelihood(response)(theta, data.codes, data.table, memory)[0]
+        result = pm.Potential(name, value)
+        draws = data.sample(2000, random_seed=0)
+        centre, spread = draws.mean(axis=0)[None], draws.std(axis=0)[None]
+    else:
+        centre, spread = np.asarray(data["value"]), np.asarray(data["standard_error"])
+        result = observe_specimens(name, response, data, theta)
+    _TARGETS.setdefault(model, []).append(
+        Target(name, response, theta, centre, spread, data if isinstance(data, Density) else None, memory)
+    )
+    return result
+
+
+def simulated_backbone(
+    name: str,
+    source: Source,
+    levels: ArrayLike,
+    parameters: Mapping[str, Any],
+    *,
+    observables: Sequence[str] = ("frequency", "damping"),
+) -> Any:  # noqa: E501
+    """Add the simulated backbone at ``levels`` to the current PyMC model as a deterministic, for predictions.
+
+    Parameters
+    ----------
+    name : str
+        Name of the deterministic; its shape is (observable, level).
+    source : Oscillator or callable
+        The model, as in `backbone_likelihood`.
+    levels : array_like, shape (l,)
+        Amplitudes [m or rad].
+    parameters : mapping of str to tensor or float
+        Scalars, for every parameter.
+    observables : sequence of str
+        Any of frequency, damping, offset.
+
+    Returns
+    -------
+    TensorVariable
+        Values (o, l); NaN where a level cannot be simulated.
+    """
+    names = None if isinstance(source, Oscillator) else tuple(parameters)
+    response = make_response(source, levels, observables, parameter_names=names)
+    theta = _stack(response, parameters, 1, True)
+    return pm.Deterministic(name, SimulatedBackbone(response)(theta)[0])
+
+
+def build_model(
+    source: Source,
+    data: Density | xr.Dataset,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    *,
+    fixed: Mapping[str, float] | None = None,
+    likelihood: str = "auto",
+    density: str = "product",
+    marginal: str = "best",
+    observables: Sequence[str] | None = None,
+    blocked: bool = False,
+    release_amplitude: float | None = None,
+    virgin: bool = True,
+) -> pm.Model:
+    """Build a PyMC model with Uniform priors and the likelihood of measured backbones.
+
+    Parameters
+    ----------
+    source : Oscillator or callable
+        The model, as in `backbone_likelihood`.
+    data : Density or xarray.Dataset
+        A fitted density, or backbones at levels.
+    bounds : mapping of str to (low, high), optional
+        Bounds of the Uniform priors. For an oscillator, parameters without one get the effect's default, scaled with
+        the data; a function needs one for every parameter.
+    fixed : mapping of str to float, optional
+        Parameters that are known.
+    likelihood : {"auto", "population", "specimen", "pooled"}
+        One vector judged by a density over the population; one vector per specimen; one vector for all specimens.
+        ``auto`` is "population" from eight complete specimens on, else "specimen" ("pooled" for a single one).
+    density : {"product", "joint", "data_consistent"}
+        For the population: as in `fit_density`, or `fit_data_consistent` with these priors.
+    marginal : str
+        As in `fit_density`, for the population.
+    observables : sequence of str, optional
+        Which to use; default: all that the data hold.
+    blocked : bool, default False
+        Whether all parameters form one vector ``parameters``, which Metropolis then moves as a block.
+    release_amplitude, virgin
+        As in `backbone_likelihood`.
+
+    Returns
+    -------
+    pymc.Model
+        Coordinates ``specimen`` (specimen likelihood) and ``parameter`` (blocked).
+
+    Raises
+    ------
+    InputError
+        Unknown names, bounds that are not an interval or leave the physical range, data that cannot be used.
+    """
+    check_choice("likelihood", likelihood, LIKELIHOODS)
+    fixed = dict(fixed or {})
+    data, kind = _choose(data, likelihood, observables)
+    intervals = prior_intervals(source, data, dict(bounds or {}), fixed)
+    if not intervals:
+        raise InputError("every parameter is fixed; leave at least one to infer.")
+    if kind == "population" and isinstance(data, xr.Dataset):
+        if density == "data_consistent":
+            data = fit_data_consistent(
+                source, data, intervals, fixed=fixed, release_amplitude=release_amplitude, virgin=virgin
+            )
+        else:
+            data = fit_density(data, kind=density, marginal=marginal)
+    names = [*intervals, *fixed] if not isinstance(source, Oscillator) else list(source.parameter_names)
+    coords: dict[str, Any] = {}
+    if isinstance(data, xr.Dataset):
+        coords["specimen"] = [str(v) for v in data["specimen"].values]
+    if blocked:
+        coords["parameter"] = list(intervals)
+    low = np.array([interval[0] for interval in intervals.values()])
+    high = np.array([interval[1] for interval in intervals.values()])
+    with pm.Model(coords=coords) as model:
+        values: dict[str, Any] = dict(fixed)
+        if blocked:
+            dims = ("specimen", "parameter") if kind == "specimen" else ("parameter",)
+            block = pm.Uniform("parameters", low, high, dims=dims)
+            for index, name in enumerate(intervals):
+                values[name] = pm.Deterministic(name, block[..., index], dims=dims[:-1] or None)
+        else:
+            for name, (lower, upper) in intervals.items():
+                values[name] = pm.Uniform(name, lower, upper, dims="specimen" if kind == "specimen" else None)
+        backbone_likelihood(
+            "backbone",
+            source,
+            data,
+            {name: values[name] for name in names},
+            release_amplitude=release_amplitude,
+            virgin=virgin,
+        )
+    return model
+
+
+def _choose(
+    data: Density | xr.Dataset, likelihood: str, observables: Sequence[str] | None
+) -> tuple[Density | xr.Dataset, str]:
+    """Return the data that the likelihood is made from, and its kind."""
+    if isinstance(data, Density):
+        if likelihood not in ("auto", "population"):
+            raise InputError(f"a density is a likelihood of the population, not {likelihood!r}; pass the backbones.")
+        return data, "population"
+    if not isinstance(data, xr.Dataset):
+        raise InputError(f"`data` must be a Density or a Dataset of backbones, got {type(data).__name__}.")
+    data = select_observables(data, observables)
+    if likelihood == "auto":
+        complete = int(np.isfinite(np.asarray(data["value"])).all(axis=(1, 2)).sum())
+        likelihood = "population" if complete >= POPULATION_SIZE else "specimen"
+    if likelihood == "population":
+        return data, likelihood
+    return data, "pooled" if data.sizes["specimen"] == 1 else likelihood
+
+
+def select_observables(data: xr.Dataset, observables: Sequence[str] | None) -> xr.Dataset:
+    """Return the wanted observables in the canonical order."""
+    held = [str(v) for v in data["observable"].values]
+    wanted = held if observables is None else list(observables)
+    for name in wanted:
+        check_choice("observables", name, held)
+    return data.sel(observable=[name for name in OBSERVABLES if name in wanted])
+
+
+def prior_intervals(
+    source: Source,
+    data: Density | xr.Dataset,
+    bounds: dict[str, tuple[float, float]],
+    fixed: dict[str, float],
+) -> dict[str, tuple[float, float]]:
+    """Return checked prior bounds of every parameter that is not fixed."""
+    if isinstance(source, Oscillator):
+        known = list(source.parameter_names)
+        for label, given in (("bounds", bounds), ("fixed", fixed)):
+            for name in given:
+                check_choice(label, name, known)
+        limits = {parameter.name: (parameter.minimum, parameter.maximum) for parameter in source.parameters}
+        defaults = source.default_bounds(*_scales(data))
+        result = {name: bounds.get(name, defaults[name]) for name in known if name not in fixed}
+    else:
+        limits = {}
+        result = {name: interval for name, interval in bounds.items() if name not in fixed}
+    for name, interval in result.items():
+        try:
+            low, high = (float(value) for value in interval)
+        except (TypeError, ValueError):
+            raise InputError(f"`bounds` of {name!r} must be two numbers (low, high), got {interval!r}.") from None
+        if not (np.isfinite(low) and np.isfinite(high) and low < high):
+            raise InputError(f"`bounds` of {name!r} must be finite with low < high, got ({low:g}, {high:g}).")
+        minimum, maximum = limits.get(name, (-np.inf, np.inf))
+        if low < minimum or high > maximum:
+            raise InputError(
+                f"`bounds` of {name!r} must lie between {minimum:g} and {maximum:g}, got ({low:g}, {high:g})."
+            )
+        result[name] = (low, high)
+    return result
+
+
+def _scales(data: Density | xr.Dataset) -> tuple[float, float]:
+    """Return amplitude and angular frequency of the data, which default bounds are scaled with."""
+    observables = data.observables if isinstance(data, Density) else [str(v) for v in data["observable"].values]
+    levels = data.levels if isinstance(data, Density) else np.asarray(data["level"])
+    if "frequency" not in observables:
+        raise InputError("default bounds need the observable `frequency`; give `bounds` for every parameter.")
+    if isinstance(data, Density):
+        values = data.sample(500, random_seed=0)[:, 0]
+    else:
+        values = np.asarray(data["value"].sel(observable="frequency"))
+    return float(levels[-1]), 2.0 * np.pi * float(np.nanmedian(values))
+
+
+def _stack(response: Response, parameters: Mapping[str, Any], n_specimens: int, is_population: bool) -> Any:
+    """Return the parameters as one vector (p,), or as a matrix (n, p) where any differs between specimens."""
+    for name in parameters:
+        check_choice("parameters", name, response.parameter_names)
+    missing = [name for name in response.parameter_names if name not in parameters]
+    if missing:
+        raise InputError(f"`parameters` must hold every parameter of the model; {', '.join(missing)} missing.")
+    tensors = [pt.as_tensor_variable(parameters[name], dtype="float64") for name in response.parameter_names]
+    for name, tensor in zip(response.parameter_names, tensors, strict=True):
+        if tensor.ndim > 1 or (is_population and tensor.ndim > 0):
+            kind = "a number" if is_population else "a number, or a vector with one entry per specimen"
+            raise InputError(f"parameter {name!r} must be {kind}, got {tensor.ndim} dimension(s).")
+        if tensor.ndim == 1 and tensor.type.shape[0] not in (None, n_specimens):
+            raise InputError(
+                f"parameter {name!r} must have one entry per specimen ({n_specimens}), got {tensor.type.shape[0]}."
+            )
+    if all(tensor.ndim == 0 for tensor in tensors):
+        return pt.stack(tensors)
+    return pt.stack([pt.broadcast_to(tensor, (n_specimens,)) for tensor in tensors], axis=-1)
+
+
+def is_differentiable(model: pm.Model) -> bool:
+    """Return whether every backbone likelihood of ``model`` has a gradient."""
+    return all(isinstance(target.response, OscillatorResponse) for target in targets_of(model))

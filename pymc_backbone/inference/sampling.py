@@ -1,0 +1,272 @@
+"""Sampling with safe starts, an explicit step, and the failures counted."""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+import time
+import warnings
+from contextlib import nullcontext
+from typing import Any
+
+import numpy as np
+import pymc as pm
+import pytensor
+import xarray as xr
+
+from .._common.checks import InputError, check_choice
+from ..likelihood import native
+from .model import is_differentiable, targets_of
+from .proposal import make_metropolis
+from .starts import StartFinder
+from .store.run_folder import DrawStore
+
+STEPS = ("metropolis", "elementwise", "demetropolisz", "slice", "nuts", "nutpie")
+_COUNTS = {
+    "evaluations": native.EVALUATIONS,
+    "failures": native.FAILURES,
+    "simulations": native.SIMULATIONS,
+    "gradients": native.GRADIENTS,
+}
+_LOG_EVERY = 15.0  # seconds between lines where there is no terminal
+logger = logging.getLogger("pymc_backbone")
+
+
+def sample(
+    model: pm.Model | None = None,
+    *,
+    draws: int = 2000,
+    tune: int = 1000,
+    chains: int = 4,
+    step: str | Any = "metropolis",
+    random_seed: int | None = None,
+    cores: int = 1,
+    progressbar: bool | None = None,
+    store: str | os.PathLike[str] | None = None,
+    resume: bool = False,
+    **kwargs: Any,
+) -> xr.DataTree:
+    """Sample the posterior of a model that holds backbone likelihoods.
+
+    Starts are drawn from the prior, finite and dispersed, or the run ends before it begins, with a sentence that
+    names the observable and the level at fault.
+
+    Parameters
+    ----------
+    model : pymc.Model, optional
+        Default: the model of the current context.
+    draws, tune, chains : int
+        Per chain; ``tune`` draws are discarded.
+    step : {"metropolis", "elementwise", "demetropolisz", "slice", "nuts", "nutpie"} or a PyMC step object
+        ``metropolis`` is PyMC's Metropolis with joint proposals in the shape of the posterior, d of them a draw for d
+        parameters (PyMC's own where no shape is found); ``elementwise`` is `pymc.Metropolis` as it comes, one variable
+        at a time; ``nuts`` and ``nutpie`` need the gradient that oscillators have and functions have not.
+    random_seed : int, optional
+        Seed of starts and draws.
+    cores : int, default 1
+        Processes. A cheap likelihood gains nothing from several; a slow function does.
+    progressbar : bool, optional
+        Default: where there is a terminal; elsewhere a line is logged every 15 seconds.
+    store : path-like, optional
+        Folder that keeps draws and the sampler's state on disk as they come; empty or new. For all steps by name but
+        ``nutpie``, in one process. A Ctrl-C then ends the run after the draw it comes in, with what was drawn.
+    resume : bool, default False
+        Continue the run in ``store``, with the draws that it would have had without the interruption; begin one where
+        there is none. ``draws`` may be more than before.
+    **kwargs
+        Passed on to `pymc.sample`, or to `nutpie.sample` with step ``nutpie``.
+
+    Returns
+    -------
+    xarray.DataTree
+        Groups ``posterior``, ``sample_stats``, ...; ``attrs`` holds ``step``, ``seconds`` and, of the population
+        likelihoods in this process while it sampled (with ``store``: of the run): ``evaluations`` asked for,
+        ``simulations`` made for a value alone (fewer: the present point is remembered), ``gradients`` made with a
+        value, and ``failures``; and ``interrupted``, a sentence, where Ctrl-C ended a stored run.
+
+    Raises
+    ------
+    InputError
+        No finite start, an unknown step, or a step that needs a gradient the model has not; a store that is in use,
+        cannot be written, or holds something else than this run.
+    """
+    model = pm.modelcontext(model)
+    if isinstance(step, str):
+        check_choice("step", step, STEPS)
+        if step in ("nuts", "nutpie") and not is_differentiable(model):
+            raise InputError(f"step {step!r} needs a gradient, and a backbone function has none; use 'metropolis'.")
+    for label, value, least in (("draws", draws, 1), ("tune", tune, 0), ("chains", chains, 1), ("cores", cores, 1)):
+        if int(value) != value or value < least:
+            raise InputError(f"`{label}` must be a whole number of at least {least}, got {value}.")
+    arguments = (model, draws, tune, chains, step, cores, progressbar, kwargs)
+    if store is None:
+        if resume:
+            raise InputError("`resume` continues a run that was stored; name its folder with `store`.")
+        with _exact():
+            return _run(random_seed, None, *arguments)
+    if step == "nutpie":
+        raise InputError("step 'nutpie' keeps its state to itself and cannot be stored; use step 'nuts'.")
+    if not isinstance(step, str):
+        raise InputError(f"a step of your own cannot be stored; use one of {', '.join(STEPS[:-1])}.")
+    if cores != 1:
+        raise InputError(f"a run that is stored draws its chains one after another: `cores` must be 1, got {cores}.")
+    with _exact(), DrawStore(store, resume) as kept:
+        return _run(kept.seed(random_seed), kept, *arguments)
+
+
+def _exact() -> Any:
+    """Return a context in which PyTensor compiles sums in the order they are written in.
+
+    With fast mathematics the order depends on what was compiled in this process and what was read from disk: the same
+    seed would not give the same digits in a resumed run, or in another process.
+    """
+    return pytensor.config.change_flags(numba__fastmath=False)
+
+
+def _run(
+    random_seed: int | None,
+    kept: DrawStore | None,
+    model: pm.Model,
+    draws: int,
+    tune: int,
+    chains: int,
+    step: str | Any,
+    cores: int,
+    progressbar: bool | None,
+    kwargs: dict[str, Any],
+) -> xr.DataTree:
+    """Find starts, sample, and note what it took; in the order that gives a stored run the draws of any other."""
+    begin = time.perf_counter()
+    seeds = np.random.SeedSequence(random_seed).generate_state(2)
+    finder = StartFinder(model, int(seeds[0]))
+    if kept is None:
+        starts = finder.find(chains)
+    else:
+        settings = {"draws": draws, "tune": tune, "chains": chains, "step": step, "random_seed": random_seed}
+        starts = kept.starts(model, finder, settings)
+    before = _counts(model)
+    shown = sys.stderr.isatty() if progressbar is None else progressbar
+    recorder = None
+    if step == "nutpie":
+        result = _sample_nutpie(model, draws, tune, chains, int(seeds[1]), starts, shown, cores, kwargs)
+    else:
+        stepper = make_metropolis(model, finder) if step == "metropolis" else _make_step(step, model)
+        recorder = None if kept is None else kept.record(stepper, lambda: _counts(model))
+        if not shown and progressbar is None:
+            repeated = 0 if recorder is None else recorder.kept
+            kwargs.setdefault("callback", _Reporter(chains * (draws + tune), repeated))
+        before = _counts(model)
+        with model, warnings.catch_warnings(), nullcontext() if recorder is None else recorder.ending_early():
+            # PyMC warns that several processes under fork may deadlock; one process is the default here.
+            warnings.filterwarnings("ignore", message="We recommend running at least 4 chains", category=UserWarning)
+            result = pm.sample(
+                draws=draws,
+                tune=tune,
+                chains=chains,
+                cores=cores,
+                step=stepper,
+                nuts_sampler="pymc",
+                initvals=starts,
+                random_seed=int(seeds[1]),
+                progressbar=shown,
+                compute_convergence_checks=False,
+                **kwargs,
+            )
+    after = _counts(model)
+    earlier = [] if kept is None else kept.stored
+    result.attrs.update(
+        {
+            name: int(after[name] - before[name] + sum(chain.counts.get(name, 0.0) for chain in earlier))
+            for name in before
+        },
+        step=step if isinstance(step, str) else type(step).__name__,
+        seconds=time.perf_counter() - begin + sum(chain.seconds for chain in earlier),
+    )
+    if recorder is not None and recorder.is_stopping:
+        sizes = result["posterior"].sizes
+        result.attrs["interrupted"] = (
+            f"Stopped with Ctrl-C after {recorder.kept} of {chains * (tune + draws)} draws, tuning included; this is "
+            f"{sizes['chain']} of {chains} chains with {sizes['draw']} of {draws} draws. Resume to have the rest."
+        )
+    return result
+
+
+def _make_step(step: str | Any, model: pm.Model) -> Any:
+    makers = {"elementwise": pm.Metropolis, "demetropolisz": pm.DEMetropolisZ, "slice": pm.Slice, "nuts": pm.NUTS}
+    with model:
+        return makers[step]() if isinstance(step, str) else step
+
+
+def _counts(model: pm.Model) -> dict[str, float]:
+    """Return what the population likelihoods counted so far, in this process."""
+    memories = [target.memory.get_value(borrow=True) for target in targets_of(model) if target.memory is not None]
+    return {name: sum(float(memory[entry]) for memory in memories) for name, entry in _COUNTS.items()}
+
+
+def _sample_nutpie(
+    model: pm.Model,
+    draws: int,
+    tune: int,
+    chains: int,
+    seed: int,
+    starts: list[dict[str, Any]],
+    shown: bool,
+    cores: int,
+    kwargs: dict[str, Any],
+) -> xr.DataTree:
+    """Run nutpie from the first start; it takes one start and disperses the chains itself."""
+    import nutpie
+
+    compiled = nutpie.compile_pymc_model(model, initial_points=starts[0], jitter_rvs=set())
+    copies = _copies_of_memories(model, compiled)
+    begin = time.perf_counter()
+    # Backbones determine combinations of parameters: a mass matrix that follows their correlation halves the cost.
+    kwargs.setdefault("adaptation", "low_rank")
+    result: xr.DataTree = nutpie.sample(
+        compiled,
+        draws=draws,
+        tune=tune,
+        chains=chains,
+        cores=cores,
+        seed=seed,
+        progress_bar=shown,
+        save_warmup=False,
+        **kwargs,
+    )
+    result["posterior"].attrs.setdefault("sampling_time", time.perf_counter() - begin)  # as PyMC notes it
+    for memory, copy in copies:
+        memory.set_value(copy)
+    return result
+
+
+def _copies_of_memories(model: pm.Model, compiled: Any) -> list[tuple[Any, Any]]:
+    """Return the memory of each population likelihood with the copy that nutpie made of it and counts in.
+
+    nutpie keeps its copies under random keys, so a copy is known by what it holds.
+    """
+    copies = list(compiled.shared_data.values())
+    pairs = []
+    for target in targets_of(model):
+        if target.memory is not None:
+            value = target.memory.get_value(borrow=True)
+            pairs += [(target.memory, copy) for copy in copies if np.array_equal(copy, value, equal_nan=True)][:1]
+    return pairs
+
+
+class _Reporter:
+    """Logs how far a run is, now and then, where no progress bar can be shown."""
+
+    def __init__(self, total: int, repeated: int = 0) -> None:
+        self.total, self.repeated = total, repeated  # draws of an earlier run, which take no time
+        self.done = 0
+        self.begin = self.last = time.monotonic()
+
+    def __call__(self, **event: Any) -> None:
+        """Count one draw of one chain; accept whatever PyMC passes."""
+        self.done += 1
+        now = time.monotonic()
+        if now - self.last >= _LOG_EVERY:
+            self.last = now
+            left = (now - self.begin) * (self.total - self.done) / max(1, self.done - self.repeated)
+            logger.info("%d of %d draws, about %.0f s left", self.done, self.total, left)

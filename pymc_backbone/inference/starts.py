@@ -1,0 +1,333 @@
+"""Finite, dispersed starting points: a chain that starts where the log-density is -inf never moves."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pymc as pm
+from numpy.typing import NDArray
+from pymc.distributions.transforms import Interval
+from scipy.optimize import least_squares
+
+from .._common.checks import OBSERVABLE_UNITS, FloatArray, InputError
+from ..simulation.decay import Status, simulate_backbone
+from ..simulation.response import OscillatorResponse
+from .model import Target, targets_of
+
+PRIOR_DRAWS = 128
+SEARCHES = 24
+MAXIMUM_DIMENSIONS = 40  # beyond, the shape takes too long, and a joint random walk hardly moves
+_DISPERSION = 3.0  # standard deviations
+_CORRECTIONS = 2
+_FORLORN = 30.0  # a mode this much lower in log-density holds nothing of the posterior
+_PRIOR_PRECISION = 3.0 / np.pi**2  # of a Uniform prior on PyMC's unconstrained (logistic) scale, near its middle
+_AT_BOUND = 25.0  # unconstrained value that lies 1e-11 of the interval beside its bound
+_FAILED = 30.0  # standardised distance that stands for a failed simulation in a search
+_RULE_DRAWS = 64
+
+StartRule = Callable[[np.random.Generator], dict[str, FloatArray]]
+_RULES: weakref.WeakKeyDictionary[pm.Model, StartRule] = weakref.WeakKeyDictionary()
+
+
+def set_starts(model: pm.Model, rule: StartRule) -> None:
+    """Let ``model`` start where ``rule`` draws: unconstrained values of its variables, by the names of these."""
+    _RULES[model] = rule
+
+
+class StartFinder:
+    """Finds starting points of a PyMC model that holds backbone likelihoods.
+
+    Draws from the prior come first; least squares brings them to the measured values, and from there they are
+    dispersed by several standard deviations of the posterior's own shape. So chains start apart, also in separate
+    modes, but not where the log-density is -inf or the posterior out of reach.
+
+    Parameters
+    ----------
+    model : pymc.Model
+        The model.
+    random_seed : int or numpy.random.Generator
+        Seed of everything random here.
+    """
+
+    def __init__(self, model: pm.Model, random_seed: Any) -> None:
+        self.model = model
+        self.generator = np.random.default_rng(random_seed)
+        self.log_density = model.compile_logp()
+        self.targets = targets_of(model)
+        values = model.value_vars
+        free = model.replace_rvs_by_values(model.free_RVs)
+        self.to_natural = model.compile_fn(free, inputs=values, on_unused_input="ignore")
+        thetas = model.replace_rvs_by_values([target.theta for target in self.targets]) if self.targets else []
+        self.thetas = model.compile_fn(thetas, inputs=values, on_unused_input="ignore") if thetas else None
+        self.bounded = {
+            model.rvs_to_values[rv].name: isinstance(model.rvs_to_transforms[rv], Interval) for rv in model.free_RVs
+        }
+        self.best: dict[str, FloatArray] = {}
+        self.shape: FloatArray | None = None
+        self.prior_sd = np.ones(0)
+        self.draw_point = pm.initial_point.make_initial_point_fn(model=model, default_strategy="prior")
+
+    def find(self, chains: int) -> list[dict[str, FloatArray]]:
+        """Return one start per chain: values of the free variables, on their natural scale.
+
+        Raises
+        ------
+        InputError
+            Where no point with a finite log-density exists within the prior, as far as the search can tell; the
+            sentence names the observable and the level at fault.
+        """
+        if self.model in _RULES:
+            return self._find_by_rule(chains, _RULES[self.model])
+        draws = [self.draw_point(int(seed)) for seed in self.generator.integers(2**31, size=PRIOR_DRAWS)]
+        spread = np.std([self._flatten(point)[0] for point in draws], axis=0)
+        self.prior_sd = np.where(np.isfinite(spread) & (spread > 0.0), spread, 1.0)
+        heights = np.array([self.height(point) for point in draws])
+        order = np.argsort(-heights)
+        if not self.targets:
+            finite = [draws[i] for i in order if np.isfinite(heights[i])]
+            if not finite:
+                raise InputError(self._explain(draws))
+            return [self._natural(finite[i % len(finite)]) for i in range(chains)]
+        found: list[tuple[float, dict[str, FloatArray]]] = []
+        for i in order[:SEARCHES]:
+            # A draw from the prior may lie many thousand standard deviations off: each chain starts where least
+            # squares ends from a draw of its own, so that separate modes are found, and disperses from there.
+            solved = self._search(draws[i])
+            reached = max(((self.height(point), point) for point in (solved, draws[i])), key=lambda pair: pair[0])
+            if np.isfinite(reached[0]):
+                found.append(reached)
+            highest = max((height for height, _ in found), default=-np.inf)
+            if sum(height > highest - _FORLORN for height, _ in found) >= chains:
+                break
+        if not found:
+            raise InputError(self._explain(draws))
+        highest, self.best = max(found, key=lambda pair: pair[0])
+        good = [point for height, point in found if height > highest - _FORLORN]
+        self.shape = self._find_shape()
+        return [self._natural(self._disperse(good[i % len(good)])) for i in range(chains)]
+
+    def _find_by_rule(self, chains: int, rule: StartRule) -> list[dict[str, FloatArray]]:
+        """Return starts that the model's own rule draws, those with a finite log-density."""
+        found = []
+        for _ in range(_RULE_DRAWS * chains):
+            point = rule(self.generator)
+            if np.isfinite(self.height(point)):
+                found.append(self._natural(point))
+            if len(found) == chains:
+                return found
+        raise InputError(
+            "no start near the fits of the specimens can be simulated at all levels; drop the outermost levels."
+        )
+
+    def _disperse(self, centre: dict[str, FloatArray]) -> dict[str, FloatArray]:
+        """Return a point some standard deviations away from ``centre``, nearer where it would lie out of reach.
+
+        Out of reach is what lies lower in log-density than so many standard deviations of a normal posterior do: on
+        the unconstrained scale a flat prior has no end, and its far edge can be a place that no walk comes back from.
+        """
+        vector, unpack = self._flatten(centre)
+        lowest = self.height(centre) - 0.5 * _DISPERSION**2 * (vector.size + 2.0 * np.sqrt(2.0 * vector.size))
+        factor = np.eye(vector.size) if self.shape is None else np.linalg.cholesky(self.shape)
+        for _ in range(20):
+            width = _DISPERSION
+            offset = factor @ self.generator.standard_normal(vector.size)
+            while width > 0.02:
+                point = unpack(vector + width * offset)
+                if self.height(point) > lowest:
+                    return point
+                width *= 0.6
+        return centre
+
+    def _flatten(
+        self, point: dict[str, FloatArray]
+    ) -> tuple[FloatArray, Callable[[FloatArray], dict[str, FloatArray]]]:
+        """Return the unconstrained values as one vector, and the function that undoes it."""
+        names = [variable.name for variable in self.model.value_vars]
+        shapes = [np.shape(point[name]) for name in names]
+        cuts = np.cumsum([int(np.prod(shape)) for shape in shapes])[:-1]
+
+        def unpack(vector: FloatArray) -> dict[str, FloatArray]:
+            pieces = np.split(vector, cuts)
+            return {name: piece.reshape(shape) for name, piece, shape in zip(names, pieces, shapes, strict=True)}
+
+        return np.concatenate([np.ravel(point[name]) for name in names]).astype(np.float64), unpack
+
+    def _bounded(self, point: dict[str, FloatArray]) -> NDArray[np.bool_]:
+        """Return which of the flattened values have a Uniform prior's scale."""
+        parts = [np.full(np.size(point[v.name]), self.bounded[v.name]) for v in self.model.value_vars]
+        return np.concatenate(parts)
+
+    def _find_shape(self) -> FloatArray | None:
+        """Return the covariance of the unconstrained variables near the best point, or None where there is none.
+
+        Gauss-Newton on the standardised distances to the measured values gives a first shape; second differences of
+        the log-density, a fair step wide in that shape, correct it where the density is smooth there.
+        """
+        centre, unpack = self._flatten(self.best)
+        size = centre.size
+        if size > MAXIMUM_DIMENSIONS:
+            return None
+        # an unbounded variable has its own unit: the prior's spread is the length to step and to weigh by
+        bounded = self._bounded(self.best)
+        length = np.where(bounded, 1.0, self.prior_sd)
+        steps = 1e-4 * np.diag(length)
+        jacobian = np.column_stack(
+            [(self.distances(unpack(centre + h)) - self.distances(unpack(centre - h))) / 2e-4 for h in steps]
+        )
+        # where the best point lies near a bound, the slope of the log-density there bends with the scale: by as much as
+        # the prior's own slope, with which it is in balance
+        slope = np.where(bounded, np.tanh(0.5 * centre) ** 2, 0.0)
+        precision = np.diag(np.where(bounded, _PRIOR_PRECISION, 1.0) * (1.0 - slope) + slope)
+        shape: FloatArray = np.linalg.inv(jacobian.T @ jacobian + precision) * np.outer(length, length)
+        for _ in range(_CORRECTIONS):
+            corrected = self._correct_shape(centre, unpack, 0.5 * (shape + shape.T))
+            if corrected is None:
+                break
+            shape = corrected
+        return 0.5 * (shape + shape.T)
+
+    def _correct_shape(
+        self, centre: FloatArray, unpack: Callable[[FloatArray], dict[str, FloatArray]], shape: FloatArray
+    ) -> FloatArray | None:
+        """Return ``shape`` corrected by second differences of the log-density; None if hard edges are within reach."""
+        size = centre.size
+        factor = np.linalg.cholesky(shape)
+
+        def height(offset: FloatArray) -> float:
+            return self.height(unpack(centre + factor @ offset))
+
+        width, middle = 0.5, height(np.zeros(size))
+        unit = width * np.eye(size)
+        along = np.array([[height(sign * unit[j]) for sign in (1.0, -1.0)] for j in range(size)])
+        if not (np.isfinite(along).all() and np.isfinite(middle)):
+            return None
+        curvature = np.diag(2.0 * middle - along.sum(axis=1)) / width**2
+        for i in range(size):
+            for j in range(i):
+                both = height(unit[i] + unit[j]) + height(-unit[i] - unit[j])
+                mixed = (along[i].sum() + along[j].sum() - 2.0 * middle - both) / (2.0 * width**2)
+                curvature[i, j] = curvature[j, i] = mixed
+        if not np.isfinite(curvature).all():
+            return None
+        values, vectors = np.linalg.eigh(curvature)
+        # What looks flat or sharp beyond a factor of thirty is an artefact of a rough density.
+        correction = vectors @ np.diag(1.0 / np.clip(values, 1.0 / 30.0, 30.0)) @ vectors.T
+        result: FloatArray = factor @ correction @ factor.T
+        return result
+
+    def height(self, point: dict[str, FloatArray]) -> float:
+        """Return the log-density at a point of unconstrained values; -inf where it is not finite."""
+        value = float(self.log_density(point))
+        return value if np.isfinite(value) else -np.inf
+
+    def _natural(self, point: dict[str, FloatArray]) -> dict[str, FloatArray]:
+        # a value that rounds to its bound has no place on the unconstrained scale: a chain from there never moves
+        inside = {
+            name: np.clip(value, -_AT_BOUND, _AT_BOUND) if self.bounded[name] else value
+            for name, value in self._inputs(point).items()
+        }
+        values = self.to_natural(inside)
+        return {variable.name: np.asarray(v) for variable, v in zip(self.model.free_RVs, values, strict=True)}
+
+    def _inputs(self, point: dict[str, FloatArray]) -> dict[str, FloatArray]:
+        return {variable.name: point[variable.name] for variable in self.model.value_vars}
+
+    def distances(self, point: dict[str, FloatArray]) -> FloatArray:
+        """Return standardised distances between simulated and measured values, over all targets."""
+        assert self.thetas is not None
+        parts = []
+        for target, theta in zip(self.targets, self.thetas(self._inputs(point)), strict=True):
+            simulated = _simulate(target, np.asarray(theta))
+            if target.density is not None and target.density.kind != "product":
+                whole = np.where(np.isnan(simulated), target.centre, simulated)
+                missing = np.where(np.isnan(simulated), _FAILED, 0.0)
+                parts += [target.density.standardise(whole).ravel(), missing.ravel()]
+                continue
+            distance = (simulated - target.centre) / np.where(target.spread > 0.0, target.spread, 1.0)
+            distance = np.where(np.isnan(simulated), _FAILED, distance)
+            parts.append(np.where(np.isfinite(target.centre), distance, 0.0).ravel())
+        residuals: FloatArray = np.clip(np.concatenate(parts), -1e6, 1e6)
+        return residuals
+
+    def _search(self, point: dict[str, FloatArray]) -> dict[str, FloatArray]:
+        """Return the point nearest to the measured values that least squares finds from ``point``.
+
+        The Uniform priors count, with their density on the unconstrained scale: where the nearest point lies at a
+        bound, it would otherwise run away to where nothing changes any more.
+        """
+        start, unpack = self._flatten(point)
+        bounded = self._bounded(point)
+
+        def residuals(vector: Any) -> Any:
+            inside = vector[bounded]
+            # 4 log cosh(u / 2) is twice the loss in log-density of a Uniform prior, up to a constant
+            prior = np.sign(inside) * 2.0 * np.sqrt(np.logaddexp(0.5 * inside, -0.5 * inside) - np.log(2.0))
+            return np.concatenate([self.distances(unpack(vector)), prior])
+
+        solution: Any = least_squares(residuals, start, method="trf", x_scale="jac", max_nfev=60)
+        return unpack(solution.x)
+
+    def _explain(self, draws: list[dict[str, FloatArray]]) -> str:
+        """Say in one sentence which observable and level no prior point reaches."""
+        if not self.targets or self.thetas is None:
+            return "no point drawn from the prior has a finite log-density; check priors and likelihood."
+        for index, target in enumerate(self.targets):
+            thetas = [np.asarray(self.thetas(self._inputs(point))[index]) for point in draws]
+            simulated = np.array([_simulate(target, theta) for theta in thetas])
+            failed = np.isnan(simulated).any(axis=2).mean(axis=(0, 1))
+            if failed.max() > 0.98:
+                return _explain_failure(target, thetas, int(np.argmax(failed)))
+            worst: tuple[float, str] = (0.0, "")
+            for o, observable in enumerate(target.response.observables):
+                for k, level in enumerate(target.response.levels):
+                    values = simulated[:, :, o, k]
+                    low, high = np.nanmin(values), np.nanmax(values)
+                    wanted_low, wanted_high = _range(target, o, k)
+                    gap = max(wanted_low - high, low - wanted_high) / max(wanted_high - wanted_low, 1e-300)
+                    if gap > worst[0]:
+                        unit = "" if OBSERVABLE_UNITS[observable] == "1" else f" {OBSERVABLE_UNITS[observable]}"
+                        worst = (gap, (
+                            f"no prior point reaches the measured {observable} at amplitude {level:.4g}: measured "
+                            f"{wanted_low:.5g} to {wanted_high:.5g}{unit}, simulated {low:.5g} to {high:.5g}{unit}; "
+                            "widen the priors, check mass and units, or add the effect that is missing."
+                        ))  # fmt: skip
+            if worst[1]:
+                return worst[1]
+        return (
+            "no prior point reaches all levels together although each level is reached by some; the model cannot "
+            "follow the measured backbones: add an effect, widen the priors, or use a density without hard edges "
+            "(marginal='normal')."
+        )
+
+
+def _simulate(target: Target, theta: FloatArray) -> FloatArray:
+    """Return simulated values (n, o, l), NaN where a specimen's simulation failed."""
+    rows = [target.response.evaluate(np.ascontiguousarray(row), False)[0] for row in theta.reshape(-1, theta.shape[-1])]
+    return np.array(rows)
+
+
+def _range(target: Target, o: int, k: int) -> tuple[float, float]:
+    """Return the range of measured values at one observable and level."""
+    if target.density is not None:
+        draws = target.density.sample(2000, random_seed=0)[:, o, k]
+        return float(draws.min()), float(draws.max())
+    centre, spread = target.centre[:, o, k], target.spread[:, o, k]
+    return float(np.nanmin(centre - 4.0 * spread)), float(np.nanmax(centre + 4.0 * spread))
+
+
+def _explain_failure(target: Target, thetas: list[FloatArray], k: int) -> str:
+    """Say why nearly no prior point can be simulated at level ``k``."""
+    level = target.response.levels[k]
+    reason = "the function returned no finite values"
+    if isinstance(target.response, OscillatorResponse):
+        codes = [
+            int(simulate_backbone(target.response.oscillator, np.atleast_2d(theta)[0], [level]).status[0])
+            for theta in thetas
+        ]
+        failures = [code for code in codes if code]
+        if failures:
+            reason = Status(max(set(failures), key=failures.count)).meaning
+    return f"nearly no prior point can be simulated at amplitude {level:.4g}: {reason}."

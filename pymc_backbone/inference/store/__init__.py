@@ -1,0 +1,1 @@
+"""A run of the sampler on disk, that a later one continues draw for draw."""

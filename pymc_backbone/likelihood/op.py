@@ -1,0 +1,299 @@
+"""PyTensor Ops: the log-likelihood of a simulated backbone, and the simulated backbone itself.
+
+Both have two outputs, the value and its derivative with respect to the parameters, so that a gradient reuses the
+simulation that gave the value. Where nobody asks for the derivative, a rewrite puts the variant without it, which
+costs less and remembers the last three parameter vectors: PyMC's Metropolis evaluates the present point again with
+every proposal.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+import numba
+import numpy as np
+import pytensor.tensor as pt
+from pytensor.gradient import disconnected_type
+from pytensor.graph.basic import Apply, Variable
+from pytensor.graph.op import Op
+from pytensor.graph.rewriting.basic import node_rewriter
+from pytensor.link.numba.dispatch.basic import generate_fallback_impl, register_funcify_and_cache_key
+from pytensor.tensor.blockwise import Blockwise
+from pytensor.tensor.rewriting.basic import register_specialize
+from pytensor.tensor.variable import TensorConstant
+
+from .._common.checks import FloatArray, IntArray
+from ..simulation.response import OscillatorResponse, Response, simulator_of
+from . import native
+from .density_kernel import log_density
+
+MEMORY_HEAD = native.FIRST_SLOT
+
+
+class _BackboneOp(Op):
+    """What both Ops share: the response, whether the derivative is computed, equality by both."""
+
+    __props__ = ("response", "with_gradient")
+
+    def __init__(self, response: Response, with_gradient: bool | None = None) -> None:
+        self.response = response
+        self.with_gradient = response.has_gradient if with_gradient is None else with_gradient
+        if isinstance(response, OscillatorResponse):
+            native.define_symbols()
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        # A fresh process has to know the native functions before it loads compiled code that calls them.
+        self.__dict__.update(state)
+        if isinstance(self.response, OscillatorResponse):
+            native.define_symbols()
+
+    def require_gradient(self) -> None:
+        """Raise where what is simulated is a function without a gradient."""
+        if not self.response.has_gradient:
+            raise NotImplementedError(
+                "a backbone function has no gradient: sample with a step that needs none, for example pm.Metropolis()."
+            )
+
+    def without_gradient(self) -> _BackboneOp:
+        """Return the variant that computes the value only."""
+        return type(self)(self.response, with_gradient=False)
+
+
+class BackboneLogLikelihood(_BackboneOp):
+    """Log density of a simulated backbone.
+
+    Inputs are the parameter vector ``theta`` (p,), the plain data of a density (``codes``, ``table``; see
+    `Density`) and ``memory``, scratch that counts evaluations, simulations and failures and remembers the
+    last three values (`make_memory`; may be empty). Outputs are the log density, -inf where a level cannot be simulated
+    or lies outside the density's support, never NaN, and its gradient (p,), zero there.
+
+    Parameters
+    ----------
+    response : OscillatorResponse or CallableResponse
+        What is simulated.
+    with_gradient : bool, optional
+        Whether the second output is computed; default: whether the response can.
+
+    Notes
+    -----
+    ``memory`` is written in place. It changes how fast the value is found, never which value, so the Op is pure in
+    every respect that PyTensor's rewrites rely on.
+    """
+
+    gufunc_signature = "(p),(c),(t),(m)->(),(g)"
+
+    def make_node(self, theta: Any, codes: Any, table: Any, memory: Any) -> Apply:
+        """Check the inputs and make the node."""
+        inputs = [
+            pt.as_tensor_variable(theta, dtype="float64"),
+            pt.as_tensor_variable(codes, dtype="int64"),
+            pt.as_tensor_variable(table, dtype="float64"),
+            pt.as_tensor_variable(memory, dtype="float64"),
+        ]
+        for name, variable in zip(("theta", "codes", "table", "memory"), inputs, strict=True):
+            if variable.ndim != 1:
+                raise TypeError(f"`{name}` must be a vector, got {variable.ndim} dimensions.")
+        if isinstance(inputs[3], TensorConstant) and inputs[3].data.size:
+            # Compiled code holds constants in read-only memory, and `memory` is written.
+            raise TypeError("`memory` must be a shared variable, or an empty constant for none.")
+        return Apply(self, inputs, [pt.dscalar(), pt.dvector()])
+
+    def infer_shape(self, node: Apply, input_shapes: list[Any]) -> list[Any]:
+        """Return the shapes of value and gradient."""
+        return [(), (input_shapes[0][0] if self.with_gradient else 0,)]
+
+    def perform(self, node: Apply, inputs: Sequence[Any], output_storage: Any) -> None:
+        """Evaluate in Python: the reference for the compiled path, and the path of functions."""
+        theta, codes, table, memory = inputs
+        gradient = np.zeros(theta.size if self.with_gradient else 0)
+        value = self._evaluate(np.ascontiguousarray(theta, dtype=np.float64), codes, table, memory, gradient)
+        output_storage[0][0] = np.asarray(value)
+        output_storage[1][0] = gradient
+
+    def _evaluate(
+        self, theta: FloatArray, codes: Any, table: FloatArray, memory: FloatArray, gradient: FloatArray
+    ) -> float:
+        if not self.with_gradient:
+            found = native.remembered(memory, theta)
+            if found >= 0:
+                return float(memory[found])
+        else:
+            native.count_gradient(memory)
+        values, jacobian, completed = self.response.evaluate(theta, self.with_gradient)
+        value = -np.inf
+        if completed:
+            slope = np.empty(values.size)
+            value = log_density(codes, table, np.ascontiguousarray(values).ravel(), slope)
+            if self.with_gradient:
+                total = np.tensordot(slope.reshape(values.shape), jacobian, axes=2)
+                gradient[:] = np.where(np.isfinite(total), total, 0.0)
+        elif memory.size > native.FAILURES:
+            memory[native.FAILURES] += 1.0
+        if not self.with_gradient:
+            native.remember(memory, theta, value)
+        return value
+
+    def connection_pattern(self, node: Apply) -> list[list[bool]]:
+        """Only the parameters carry a derivative, and only to the value."""
+        return [[True, False], [False, False], [False, False], [False, False]]
+
+    def pullback(
+        self, inputs: Sequence[Variable], outputs: Sequence[Variable], cotangents: Sequence[Variable]
+    ) -> list[Variable]:  # noqa: E501
+        """Return the cotangent of the parameters: the node's own second output, times that of the value."""
+        self.require_gradient()
+        gradient = outputs[1] if self.with_gradient else BackboneLogLikelihood(self.response)(*inputs)[1]
+        return [cotangents[0] * gradient, disconnected_type(), disconnected_type(), disconnected_type()]
+
+
+class SimulatedBackbone(_BackboneOp):
+    """The simulated backbone: parameters (p,) in, values (o, l) and their derivatives (o, l, p) out.
+
+    Values are NaN where a level cannot be simulated, the derivatives zero there.
+
+    Parameters
+    ----------
+    response : OscillatorResponse or CallableResponse
+        What is simulated.
+    with_gradient : bool, optional
+        Whether the second output is computed; default: whether the response can.
+    """
+
+    gufunc_signature = "(p)->(o,l),(u,w,q)"
+
+    def make_node(self, theta: Any) -> Apply:
+        """Check the input and make the node."""
+        theta = pt.as_tensor_variable(theta, dtype="float64")
+        if theta.ndim != 1:
+            raise TypeError(f"`theta` must be a vector, got {theta.ndim} dimensions.")
+        shape = (len(self.response.observables), len(self.response.levels))
+        return Apply(self, [theta], [pt.tensor("backbone", shape=shape, dtype="float64"), pt.dtensor3()])
+
+    def infer_shape(self, node: Apply, input_shapes: list[Any]) -> list[Any]:
+        """Return the shapes of values and derivatives."""
+        shape = (len(self.response.observables), len(self.response.levels))
+        return [shape, (*shape, input_shapes[0][0]) if self.with_gradient else (0, 0, 0)]
+
+    def perform(self, node: Apply, inputs: Sequence[Any], output_storage: Any) -> None:
+        """Evaluate in Python."""
+        theta = np.ascontiguousarray(inputs[0], dtype=np.float64)
+        values, jacobian, completed = self.response.evaluate(theta, self.with_gradient)
+        output_storage[0][0] = values
+        output_storage[1][0] = np.nan_to_num(jacobian, nan=0.0, posinf=0.0, neginf=0.0)
+
+    def connection_pattern(self, node: Apply) -> list[list[bool]]:
+        """Only the values carry a derivative."""
+        return [[True, False]]
+
+    def pullback(
+        self, inputs: Sequence[Variable], outputs: Sequence[Variable], cotangents: Sequence[Variable]
+    ) -> list[Variable]:  # noqa: E501
+        """Return the cotangent of the parameters through the node's own second output."""
+        self.require_gradient()
+        jacobian = outputs[1] if self.with_gradient else SimulatedBackbone(self.response)(*inputs)[1]
+        return [pt.tensordot(cotangents[0], jacobian, axes=[[0, 1], [0, 1]])]
+
+
+@register_specialize
+@node_rewriter([BackboneLogLikelihood, SimulatedBackbone, Blockwise])
+def drop_unused_gradient(fgraph: Any, node: Apply) -> dict[Variable, Variable] | None:
+    """Replace an Op by its variant without gradient where nobody uses the gradient.
+
+    Registered late (specialize): PyMC canonicalizes a log-density before it differentiates it, and must still find
+    the gradient there.
+    """
+    core = node.op.core_op if isinstance(node.op, Blockwise) else node.op
+    if not isinstance(core, _BackboneOp) or not core.with_gradient or fgraph.clients[node.outputs[1]]:
+        return None
+    plain = core.without_gradient()
+    operator = Blockwise(plain, signature=node.op.signature) if isinstance(node.op, Blockwise) else plain
+    return {node.outputs[0]: operator(*node.inputs, return_list=True)[0]}
+
+
+def make_memory(n_parameters: int) -> FloatArray:
+    """Return fresh scratch for `BackboneLogLikelihood`: counts at zero, nothing remembered."""
+    memory = np.zeros(MEMORY_HEAD + native.SLOTS * (native.BEFORE_PARAMETERS + n_parameters))
+    slots = memory[MEMORY_HEAD:].reshape(native.SLOTS, -1)
+    slots[:, native.BEFORE_PARAMETERS :] = np.nan  # equal to no parameter vector
+    return memory
+
+
+@register_funcify_and_cache_key(BackboneLogLikelihood)
+def _funcify_log_likelihood(op: BackboneLogLikelihood, node: Apply, **kwargs: Any) -> tuple[Any, str | None]:
+    if not isinstance(op.response, OscillatorResponse):
+        return _fallback(op, node), None
+    response = op.response
+    description = _describe(response)
+    integers, floats, user = description.integers, description.floats, description.user
+    call, wanted = native.call_log_likelihood, int(op.with_gradient)
+
+    @numba.njit
+    def log_likelihood(
+        theta: FloatArray, codes: IntArray, table: FloatArray, memory: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        point = np.ascontiguousarray(theta)
+        density_codes = np.ascontiguousarray(codes)
+        density = np.ascontiguousarray(table)
+        gradient = np.zeros(point.size * wanted)
+        value = call(
+            user, integers.ctypes, floats.ctypes, point.ctypes, point.size, density_codes.ctypes, codes.size,
+            density.ctypes, density.size, memory.ctypes, memory.size, gradient.ctypes, wanted,
+        )  # fmt: skip
+        return np.asarray(value), gradient
+
+    return log_likelihood, _cache_key("log_likelihood-2", op, user)
+
+
+@register_funcify_and_cache_key(SimulatedBackbone)
+def _funcify_backbone(op: SimulatedBackbone, node: Apply, **kwargs: Any) -> tuple[Any, str | None]:
+    if not isinstance(op.response, OscillatorResponse):
+        return _fallback(op, node), None
+    response = op.response
+    description = _describe(response)
+    integers, floats, user = description.integers, description.floats, description.user
+    call, wanted = native.call_backbone, int(op.with_gradient)
+    rows, levels = np.array(response.rows), len(response.levels)
+
+    @numba.njit
+    def backbone(theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        point = np.ascontiguousarray(theta)
+        n = point.size
+        values = np.empty((3, levels))
+        jacobian = np.empty((3 * wanted, levels * wanted, n * wanted))
+        status = np.zeros(levels, np.int64)
+        call(
+            user, integers.ctypes, floats.ctypes, point.ctypes, n, values.ctypes, jacobian.ctypes, status.ctypes, wanted
+        )
+        chosen = np.empty((rows.size, levels))
+        slopes = np.zeros((rows.size * wanted, levels * wanted, n * wanted))
+        for i in range(rows.size):
+            for k in range(levels):
+                chosen[i, k] = values[rows[i], k]
+                if wanted and status[k] == 0:
+                    for j in range(n):
+                        slopes[i, k, j] = jacobian[rows[i], k, j]
+        return chosen, slopes
+
+    return backbone, _cache_key("backbone-2", op, user)
+
+
+def _describe(response: OscillatorResponse) -> native.Description:
+    return native.Description(
+        simulator_of(response.oscillator), np.array(response.levels), response.rows, response.release_amplitude,
+        response.virgin,
+    )  # fmt: skip
+
+
+def _cache_key(version: str, op: _BackboneOp, user: int) -> str | None:
+    """Return the key under which compiled code is kept; None where it holds the address of a user's force."""
+    assert isinstance(op.response, OscillatorResponse)
+    return None if user else f"pymc_backbone-{version}-{op.with_gradient}-{op.response.key}"
+
+
+def _fallback(op: Op, node: Apply) -> Any:
+    """Return numba's object-mode call of ``perform``: what a Python function needs, so no warning is due."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Numba will use object mode", category=UserWarning)
+        return generate_fallback_impl(op, node)

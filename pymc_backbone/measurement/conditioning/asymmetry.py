@@ -1,0 +1,133 @@
+"""The mid-line that integration loses: restored from the mean velocity where possible, else a word of warning."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+from scipy.signal import fftconvolve
+
+from ..._common.checks import FloatArray
+from .tracking import Track
+
+_EVIDENCE = 12.0
+SIGNIFICANT = 5.0
+_MINIMUM_POINTS = 8
+_RATIOS = (1.5, 7.0)
+"""Mid-line over second harmonic, sign reversed: 3 for a quadratic stiffness, 4.5 for a bilinear one."""
+
+
+@dataclass(frozen=True)
+class MidLine:
+    """Mid-line ``linear A + square A^2`` of a displacement of amplitude A.
+
+    Attributes
+    ----------
+    linear, square : float
+        Coefficients.
+    error : float
+        Standard error of the mid-line over amplitude at the first cycle.
+    """
+
+    linear: float
+    square: float
+    error: float
+
+    def at(self, amplitude: FloatArray) -> FloatArray:
+        """Return the mid-line at amplitudes of the displacement."""
+        return self.linear * amplitude + self.square * amplitude**2
+
+
+def displacement_amplitude(path: Track, integrations: int) -> Track:
+    """Return the track with the smoothed amplitude of the displacement in place of that of what was measured."""
+    u = np.linspace(-1.0, 1.0, path.time.size)
+    degree = int(np.clip(path.cycles / 4.0, 2, 8))
+    weights = np.maximum(path.amplitude / path.amplitude.max(), 1e-3)
+    rate = np.gradient(path.phase, path.time)
+    values = np.log(np.maximum(path.amplitude, 1e-12 * path.amplitude.max())) - integrations * np.log(rate)
+    curve = np.polynomial.chebyshev.chebfit(u, values, degree, w=weights)
+    smooth = np.polynomial.chebyshev.chebval(u, curve)
+    return replace(path, amplitude=np.exp(np.clip(smooth, values.min() - 1.0, values.max() + 1.0)))
+
+
+def restore_mid_line(path: Track, harmonic: float) -> MidLine | None:
+    """Return the mid-line that the mean of a velocity over each cycle implies, where it is significant.
+
+    Parameters
+    ----------
+    path : Track
+        Track of a velocity.
+    harmonic : float
+        Second harmonic of the displacement over its fundamental at the first cycle, from `second_harmonic`; 0 where
+        it is insignificant.
+
+    Returns
+    -------
+    MidLine or None
+        None where it is insignificant or does not fit the second harmonic.
+
+    Notes
+    -----
+    The mean of the velocity over a cycle is the rate of change of the mid-line plus the sensor's offset. An
+    autonomous structure's mid-line is a function of amplitude, here ``a A`` (bilinear), ``b A^2`` (quadratic) or
+    both, so the means are regressed on the rates of change of A and A^2. Each coefficient must stand out five
+    standard errors. The same force that shifts the mid-line makes the second harmonic, a third of the shift for a
+    quadratic stiffness and 1 / 4.5 of it for a bilinear one: a mid-line far from that is drift of the sensor. (An
+    acceleration shows the second derivative only, which drowns: its mid-line is not restored.)
+    """
+    stop = max(path.time.size - path.per_cycle, 1)
+    picked = slice(None, stop, path.per_cycle)
+    amplitude = displacement_amplitude(path, 1).amplitude
+    rates = {power: np.gradient(amplitude**power, path.time)[picked] for power in (1, 2)}
+    mean = path.mean[picked]
+    if mean.size < _MINIMUM_POINTS or harmonic == 0.0:
+        return None
+    best: MidLine | None = None
+    best_score = mean.size * np.log(max(float(np.var(mean)), np.finfo(float).tiny)) - _EVIDENCE
+    for powers in ((2,), (1,), (1, 2)):
+        basis = np.column_stack([np.ones(mean.size), *(rates[power] for power in powers)])
+        scale = np.linalg.norm(basis, axis=0)
+        solution = np.linalg.lstsq(basis / scale, mean, rcond=None)[0] / scale
+        residual = mean - basis @ solution
+        variance = max(float(residual @ residual) / (mean.size - basis.shape[1]), np.finfo(float).tiny)
+        covariance = np.linalg.pinv((basis / scale).T @ (basis / scale)) / np.outer(scale, scale) * variance
+        score = mean.size * np.log(variance) + len(powers) * np.log(mean.size)
+        strength = np.abs(solution[1:]) / np.sqrt(np.diag(covariance)[1:])
+        gradient = np.array([float(amplitude[0]) ** (power - 1) for power in powers])
+        ratio = -float(gradient @ solution[1:]) / harmonic
+        if score < best_score and strength.min() > SIGNIFICANT and _RATIOS[0] < ratio < _RATIOS[1]:
+            best_score = score
+            coefficients = dict(zip(powers, solution[1:], strict=True))
+            error = float(np.sqrt(gradient @ covariance[1:, 1:] @ gradient))
+            best = MidLine(float(coefficients.get(1, 0.0)), float(coefficients.get(2, 0.0)), error)
+    return best
+
+
+def second_harmonic(values: FloatArray, sampling_rate: float, path: Track, integrations: int) -> tuple[float, float]:
+    """Return the second harmonic of the displacement over its fundamental at the first cycle, and its standard error.
+
+    Positive where it adds to the positive peaks. Only what keeps its phase to the fundamental and grows with the
+    square of amplitude counts.
+    """
+    per_cycle = path.per_cycle
+    step = 2.0 * np.pi / per_cycle
+    first, last = np.ceil(path.phase[0] / step), np.floor(path.phase[-1] / step)
+    grid = step * np.arange(first, last + 1.0)
+    if grid.size < 4 * per_cycle:
+        return 0.0, 1.0
+    stamps = np.arange(values.size) / sampling_rate
+    samples = make_interp_spline(stamps, values, k=5)(np.clip(path.time_at(grid), 0.0, stamps[-1]))
+    box = np.ones(per_cycle) / per_cycle
+    z = 2.0 * fftconvolve(samples * np.exp(-2j * grid), np.convolve(box, box), mode="valid")
+    amplitude = np.interp(grid[per_cycle - 1 : per_cycle - 1 + z.size], path.phase, path.amplitude)
+    z, amplitude = z[::per_cycle], amplitude[::per_cycle]
+    if z.size < 3:
+        return 0.0, 1.0
+    # a velocity's phase is a quarter of a turn ahead: x = A cos(phi) has v ~ -sin(phi) = cos(phi + 90 degrees)
+    turned = z / (2j) ** integrations * 1j ** (2 * integrations)
+    weight = amplitude**2
+    coefficient = complex(turned @ weight) / float(weight @ weight)
+    residual = np.abs(turned - coefficient * weight) ** 2
+    error = np.sqrt(float(residual @ weight**2) / (z.size - 1.0) * z.size) / float(weight @ weight)
+    return coefficient.real * float(path.amplitude[0]), float(error) * float(path.amplitude[0])

@@ -1,0 +1,130 @@
+"""The zero of a displacement record, told from physical offsets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..._common.checks import FloatArray
+from .tracking import Track
+
+_SIGNIFICANT = 4.0
+_FLOOR = 1e-4
+_RATIO, _RATIO_ERROR = 3.3, 1.0
+"""Mid-line over second harmonic, sign reversed: 2.3 for x^4, 3 for x^2, 4.5 for a bilinear stiffness."""
+_STOPPING = 2.0
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """The sensor's zero.
+
+    Attributes
+    ----------
+    value, error : float
+        Reading at the equilibrium, and its standard error.
+    rest : float
+        Where dry friction stopped the motion, relative to ``value``; NaN where it did not.
+    """
+
+    value: float
+    error: float
+    rest: float
+
+
+def find_baseline(
+    values: FloatArray, sampling_rate: float, path: Track, end: float, noise: float, harmonic: tuple[float, float]
+) -> Baseline:
+    """Find the reading at equilibrium: the limit of the mid-line at vanishing amplitude.
+
+    Parameters
+    ----------
+    values : (n,) array
+        Displacement; time counts from its first sample.
+    sampling_rate : float
+        Samples per second.
+    path : Track
+        Its track up to the end of motion.
+    end : float
+        End of motion [s].
+    noise : float
+        Standard deviation of the noise.
+    harmonic : (float, float)
+        Second harmonic over fundamental at the first cycle, and its standard error.
+
+    Notes
+    -----
+    The mid-line of a cycle differs from the equilibrium by c A^2 for a quadratic stiffness and by c A for a
+    bilinear one, and not at all for dry friction, whose half cycles lie on opposite sides. So the mid-line is
+    extrapolated to zero amplitude with 1, A, A^2, averaged over which of them the record supports (Bayesian
+    information criterion). A record that hardly decays says little about that; but the force that shifts the
+    mid-line also makes a second harmonic, and about a third of the shift, which is used as one more observation.
+
+    A quiet tail after a decay that faded away shows the zero itself. A tail after a motion that stopped within a
+    few cycles (dry friction: amplitude falls by four times the friction's displacement per cycle, and the rest is
+    within one of it) shows where the structure stuck: it is reported as ``rest`` and says nothing about the zero.
+    """
+    value, error = _extrapolated(path, sampling_rate, noise, harmonic)
+    cycle = 1.0 / path.frequency
+    tail = values[int(np.ceil((end + 1.5 * cycle) * sampling_rate)) :]
+    if tail.size < max(cycle * sampling_rate, 16.0):
+        return Baseline(value, error, np.nan)
+    level = float(tail.mean())
+    # twice the error of white noise, for it is not white
+    tail_error = float(
+        np.hypot(2.0 * max(noise, float(tail.std())) / np.sqrt(tail.size), 0.1 * _FLOOR * path.amplitude[0])
+    )
+    rest = level - value
+    last = path.amplitude[-min(3 * path.per_cycle, path.amplitude.size) :]
+    fall = float(last[0] - last[-1]) * path.per_cycle / max(last.size - 1, 1)
+    has_stopped = fall > _STOPPING * abs(rest)
+    if has_stopped and abs(rest) > _SIGNIFICANT * np.hypot(error, tail_error):
+        return Baseline(value, error, rest)
+    if has_stopped:
+        weights = 1.0 / np.array([error, tail_error]) ** 2
+        mean = float(np.average([value, level], weights=weights))
+        # friction may have stopped it anywhere within the uncertainty
+        return Baseline(mean, float(np.hypot(1.0 / np.sqrt(weights.sum()), rest)), np.nan)
+    return Baseline(level, tail_error, np.nan)
+
+
+def _extrapolated(
+    path: Track, sampling_rate: float, noise: float, harmonic: tuple[float, float]
+) -> tuple[float, float]:
+    """Return the mid-line at zero amplitude and its standard error."""
+    middle, amplitude, overlap = _cycle_means(path)
+    highest = float(amplitude.max())
+    relative = amplitude / highest
+    sigma = noise * np.sqrt(2.0 * path.frequency / (3.0 * sampling_rate))
+    sigma = max(float(sigma), 1e-6 * highest)
+    shift = -_RATIO * harmonic[0] * highest
+    shift_error = float(np.hypot(_RATIO_ERROR * harmonic[0], _RATIO * harmonic[1])) * highest + sigma
+    scores, values, variances = [], [], []
+    for powers in ((), (2,), (1,), (1, 2)):
+        shape = np.column_stack([np.ones(relative.size), *(relative**power for power in powers)])
+        # the last row: the mid-line at full amplitude as the second harmonic has it
+        rows = np.vstack([shape / sigma, np.append(0.0, np.ones(len(powers))) / shift_error])
+        right = np.append(middle / sigma, shift / shift_error)
+        solution = np.linalg.lstsq(rows, right, rcond=None)[0]
+        chi_square = float(np.sum((right - rows @ solution) ** 2))
+        freedom = max(right.size - shape.shape[1], 1)
+        scores.append(chi_square + shape.shape[1] * np.log(right.size))
+        values.append(float(solution[0]))
+        variances.append(float(np.linalg.pinv(rows.T @ rows)[0, 0]) * max(1.0, chi_square / freedom) * overlap)
+    weights = np.exp(-0.5 * (np.array(scores) - min(scores)))
+    weights /= weights.sum()
+    mean = float(weights @ values)
+    variance = float(weights @ (np.array(variances) + (np.array(values) - mean) ** 2))
+    return mean, float(np.hypot(np.sqrt(variance), _FLOOR * highest))
+
+
+def _cycle_means(path: Track) -> tuple[FloatArray, FloatArray, float]:
+    """Return mid-line and amplitude about once per cycle, and by what factor they are fewer than independent."""
+    n, per_cycle = path.time.size, path.per_cycle
+    # the last cycle may hold the stop; the first reaches into the extrapolated beginning
+    stop = max(n - per_cycle, min(n, per_cycle))
+    start = per_cycle if stop > 7 * per_cycle else 0
+    stride = per_cycle if stop - start >= 6 * per_cycle else max(per_cycle // 4, 1)
+    picked = np.arange(stop - 1, start - 1, -stride)
+    return path.mean[picked], path.amplitude[picked], max(1.0, 1.5 * per_cycle / stride)

@@ -1,0 +1,391 @@
+"""From a measured record to the displacement of one free decay, with its noise and with notes on what was done."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._common.checks import FloatArray, InputError, check_finite_array
+from ..reading.records import MINIMUM_SAMPLES, QUANTITIES, Record
+from ..reading.tables import printable
+from .asymmetry import SIGNIFICANT, MidLine, displacement_amplitude, restore_mid_line, second_harmonic
+from .baseline import Baseline, find_baseline
+from .conditioned import ConditionedRecord
+from .filters import BandPass, check_band, design_band_pass, integrate, integration_response
+from .noise import NoiseSpectrum, amplitude_floor, noise_in_band, noise_of, noise_spectrum, quantum, quiet_spectrum
+from .plausibility import check_clipping, check_cycles, check_decays, check_moves, check_per_cycle
+from .release import end_of_drive, end_of_motion, end_of_rest, leading_rest, regrowth
+from .second_mode import SecondMode, find_second_mode
+from .time_grid import to_uniform
+from .tracking import Track, dominant_frequency, track
+
+__all__ = ["ConditionedRecord", "condition"]
+
+_TOLERATED_BIAS = 0.05
+"""Relative error of damping from a lost mid-line above which a warning is due."""
+
+
+def condition(
+    record: Record,
+    *,
+    band: tuple[float, float] | None = None,
+    start: float | None = None,
+    stop: float | None = None,
+) -> ConditionedRecord:
+    """Turn a measured record into the displacement of its free decay.
+
+    Parameters
+    ----------
+    record : Record
+        Displacement, velocity or acceleration.
+    band : (float, float), optional
+        Low and high edge [Hz] of a zero-phase band-pass around the mode, for records with more than one mode.
+    start, stop : float, optional
+        Part of the record to use [s, on its own clock]; ``start`` replaces the search for the release.
+
+    Returns
+    -------
+    ConditionedRecord
+        Displacement from the release to the end of motion, noise, and notes.
+
+    Raises
+    ------
+    InputError
+        When the record cannot be used: constant, clipped, no oscillation, fewer than 8 samples per
+        cycle, fewer than 4 cycles, no decay, gaps, or a band that does not fit. The sentence names
+        the file and the remedy.
+
+    Notes
+    -----
+    *Release.* After a hold, an impact or the end of forcing the record begins a quarter of a cycle before the first
+    turning point that lies at least 0.3 cycles after the release. The held position itself is dropped: it is a
+    plateau, not a turning point, and the hand is in it; so is the first quarter of a cycle after an impact, with
+    the hammer.
+
+    *Zero.* For displacement nothing is high-passed, because the mid-line is physics. The reading subtracted is the
+    limit of the mid-line at vanishing amplitude, confirmed by a quiet tail where there is one. See
+    `ConditionedRecord.rest_offset`.
+
+    *Velocity and acceleration* are integrated over time (quintic spline) after the release, and the drift is
+    removed without touching the harmonics; no cycle is lost, but the mid-line is. For an asymmetric structure that
+    matters: a mid-line proportional to the k-th power of amplitude changes the logarithmic decrement of the
+    package's definition by the factor 1 + k times mid-line over amplitude. The mean of a velocity over each cycle
+    is the rate of change of the mid-line: where that is significant, the mid-line is restored from it. Otherwise a
+    second harmonic raises a warning.
+
+    *Band.* A linear-phase filter; only samples that depend on no sample before the release are kept. Harmonics
+    outside the band are lost, and with them their share of the turning points (0.9 % for a third harmonic of a
+    Duffing oscillator with 30 % cubic stiffness).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> time = np.arange(2000) / 200.0
+    >>> values = 2.0 + np.exp(-0.3 * time) * np.cos(2 * np.pi * 5.0 * time)
+    >>> decay = condition(Record("beam", time, values))
+    >>> round(decay.frequency, 3), round(decay.baseline, 4)
+    (5.0, 2.0)
+    """
+    return _Conditioning(record, band, start, stop).run()
+
+
+class _Conditioning:
+    """The steps of `condition`, in order, with what they share."""
+
+    def __init__(self, record: Record, band: Any, start: float | None, stop: float | None) -> None:
+        if not isinstance(record, Record):
+            raise InputError(f"`record` must be a Record, got {type(record).__name__}; see `read_records`.")
+        self.record = record
+        self.name = printable(record.source)
+        self.notes: list[str] = list(record.notes)
+        self.integrations = QUANTITIES.index(record.quantity)
+        keep = self._chosen(start, stop)
+        time, values = record.time[keep], record.values[keep]
+        check_moves(values, self.name)
+        self.step = quantum(values)
+        # a sensor may read ten thousand times the motion: no filter stops that much
+        self.reading = float(np.median(values))
+        values = values - self.reading
+        self.samples = to_uniform(time, values, self.name)
+        self.notes += self.samples.notes
+        self.rate = self.samples.sampling_rate
+        self.band = None if band is None else check_band(band, self.rate, self.name)
+        self.frequency = self._dominant(time, values)
+        self.begin = self.samples.start
+        self.search = start is None
+
+    def run(self) -> ConditionedRecord:
+        """Condition the record."""
+        measured, is_cut = self._released(self.samples.values)
+        band_pass = None
+        if self.band is not None:
+            band_pass = design_band_pass(self.band, self.frequency, self.rate, self.name)
+            whole, measured = measured, self._filtered(measured, band_pass)
+        else:
+            whole = measured
+        what = "after the release" if band_pass is None else "left by the band-pass"
+        path = check_cycles(track(measured, self.rate, self.frequency), self.name, what)
+        spectrum, path, end = self._motion(measured, path, band_pass)
+        check_decays(displacement_amplitude(path, self.integrations), self.name)
+        baseline = self._baseline(measured, path, end, spectrum, band_pass)
+        second = self._second_mode(measured, path)
+        first, last = self._range(path, is_cut and band_pass is None, end, measured.size)
+        displacement = self._displacement(measured[first:last], path.shifted(first / self.rate))
+        mid_line = None
+        time = np.arange(first, last) / self.rate
+        amplitude = displacement_amplitude(path, self.integrations)
+        if self.integrations or band_pass:
+            lag = 0.0 if band_pass is None else band_pass.half / self.rate
+            mid_line = self._mid_line(whole, path.shifted(-lag), second, is_filtered=band_pass is not None)
+        if mid_line is not None:
+            displacement += mid_line.at(amplitude.amplitude_at(time))
+        self._note_band_pass(band_pass, path)
+        noise = noise_of(spectrum, self._response(band_pass, path.frequency), path.frequency, self.rate)
+        is_absolute = not (self.integrations or band_pass)
+        return ConditionedRecord(
+            specimen=self.record.specimen,
+            time=_frozen(self.begin + time),
+            displacement=_frozen(displacement - baseline.value),
+            sampling_rate=self.rate,
+            noise=noise.standard_deviation,
+            noise_autocovariance=_frozen(noise.autocovariance),
+            baseline=baseline.value + self.reading if is_absolute else 0.0,
+            baseline_error=baseline.error,
+            rest_offset=baseline.rest,
+            offset_is_measured=is_absolute or mid_line is not None,
+            frequency=path.frequency,
+            amplitude=float(amplitude.amplitude_at(time[:1])[0]),
+            unit=self.record.unit.partition("/")[0],
+            quantity=self.record.quantity,
+            band=self.band,
+            lost_cycles=0.0 if band_pass is None else band_pass.half * path.frequency / self.rate,
+            end_of_motion=min(self.begin + end, self.begin + float(time[-1])),
+            second_mode_frequency=second.frequency if second else np.nan,
+            second_mode_share=second.share if second else np.nan,
+            source=self.record.source,
+            notes=tuple(self.notes),
+        )
+
+    def _chosen(self, start: float | None, stop: float | None) -> NDArray[np.bool_]:
+        """Return which samples lie between ``start`` and ``stop``."""
+        time = self.record.time
+        keep = np.ones(time.size, dtype=bool)
+        # the limits may be stamps of a grid that is known to a millionth of a sample only
+        slack = 1e-3 * float(np.median(np.diff(time)))
+        if start is not None:
+            keep &= time >= float(check_finite_array("start", start, ndim=0)) - slack
+        if stop is not None:
+            keep &= time <= float(check_finite_array("stop", stop, ndim=0)) + slack
+        if np.count_nonzero(keep) < MINIMUM_SAMPLES:
+            raise InputError(
+                f"{self.name}: {np.count_nonzero(keep)} samples lie between `start` and `stop`, expected at least "
+                f"{MINIMUM_SAMPLES} of the record from {time[0]:.6g} to {time[-1]:.6g} s; choose other limits."
+            )
+        return keep
+
+    def _dominant(self, time: FloatArray, values: FloatArray) -> float:
+        """Return the frequency of the dominant mode (within the band), after the checks that need it."""
+        uniform = self.samples.values
+        lead = leading_rest(uniform)
+        free = uniform[lead:] if uniform.size - lead >= MINIMUM_SAMPLES else uniform
+        frequency = dominant_frequency(free, self.rate, self.band)
+        if frequency is None and self.band is not None:
+            other = dominant_frequency(free, self.rate)
+            hint = f"the dominant motion is at {other:.4g} Hz" if other else "nothing oscillates outside it either"
+            raise InputError(
+                f"{self.name}: nothing oscillates between {self.band[0]:g} and {self.band[1]:g} Hz; {hint}, "
+                "choose the band around a mode."
+            )
+        if frequency is None:
+            raise InputError(f"{self.name}: no oscillation stands out of the record; check the column, or give a band.")
+        check_per_cycle(self.rate, frequency, self.name)
+        check_clipping(values, self.reading, time, frequency, self.step, self.name)
+        return frequency
+
+    def _released(self, values: FloatArray) -> tuple[FloatArray, bool]:
+        """Return the values from the release on, and whether anything before it was cut."""
+        if not self.search:
+            return values, False
+        # at rest nothing moves, whatever the mode: judged by the record's own dominant motion
+        lead = leading_rest(values)
+        whole = dominant_frequency(values[lead:], self.rate) if values.size - lead >= MINIMUM_SAMPLES else None
+        index = end_of_rest(values, self.rate, whole or self.frequency)
+        if index is not None:
+            return self._without(values, index, "at rest"), True
+        if (
+            self.band is None
+            and (index := end_of_drive(values, self.rate, self.frequency, self.integrations)) is not None
+        ):
+            return self._without(values, index, "driven"), True
+        return values, False
+
+    def _without(self, values: FloatArray, index: int, state: str) -> FloatArray:
+        """Return the values from an index on and note what is dropped."""
+        self.notes.append(f"the first {index / self.rate:.4g} s, {state} before the free decay, were dropped")
+        self.begin += index / self.rate
+        return values[index:]
+
+    def _filtered(self, values: FloatArray, band_pass: BandPass) -> FloatArray:
+        """Return the band-passed record without its ends, and without forcing at its start."""
+        if values.size - 2 * band_pass.half < MINIMUM_SAMPLES:
+            raise InputError(
+                f"{self.name}: the band-pass ({band_pass.low:g}, {band_pass.high:g}) Hz needs {band_pass.taps.size} of "
+                f"the {values.size} samples; widen the band or record longer."
+            )
+        result = band_pass.apply(values)
+        self.begin += band_pass.half / self.rate
+        index = end_of_drive(result, self.rate, self.frequency, self.integrations) if self.search else None
+        return result if index is None else self._without(result, index, "driven")
+
+    def _motion(
+        self, values: FloatArray, path: Track, band_pass: BandPass | None
+    ) -> tuple[NoiseSpectrum, Track, float]:
+        """Return the noise, the track up to the end of motion, and that time, each found with the help of the other."""
+        spectrum = self._spectrum(values, path, band_pass)
+        end = end_of_motion(path, amplitude_floor(spectrum, path.frequency, self.rate))
+        cycle = 1.0 / path.frequency
+        # not the last cycle: it may hold the stop
+        moving = path.until(end - cycle)
+        if moving.cycles > 3.0 and moving.cycles < 0.9 * path.cycles:
+            spectrum = self._spectrum(values, moving, band_pass)
+            end = end_of_motion(path, amplitude_floor(spectrum, path.frequency, self.rate))
+        # a tail without motion shows the noise itself; less noise may move the end, hence again
+        for _ in range(3 if band_pass is None else 0):
+            tail = values[int(np.ceil((end + 2.0 * cycle) * self.rate)) :]
+            quiet = quiet_spectrum(tail, self.rate, path.frequency, self.step)
+            if quiet is None or quiet.total > 0.9 * spectrum.total:
+                break
+            spectrum = quiet
+            end = end_of_motion(path, amplitude_floor(spectrum, path.frequency, self.rate))
+        path = check_cycles(path.until(end), self.name, "stand above the noise")
+        grown = regrowth(path, self.integrations, amplitude_floor(spectrum, path.frequency, self.rate) / 3.0)
+        if grown is not None:
+            end, low, high = grown
+            self.notes.append(
+                f"warning: the amplitude grows again from {low:.3g} to {high:.3g} after {self.begin + end:.5g} "
+                f"s (second "
+                "impact or beating modes): only the part before is used; choose another part with start and stop, "
+                "or a mode with a band"
+            )
+            path = check_cycles(path.until(end), self.name, "before the amplitude grows again")
+        self.samples.check_gaps(path.frequency, self.begin + end, self.name)
+        return spectrum, path, end
+
+    def _spectrum(self, values: FloatArray, path: Track, band_pass: BandPass | None) -> NoiseSpectrum:
+        """Return the spectrum of the noise of the measured quantity."""
+        if band_pass is None:
+            return noise_spectrum(values, self.rate, path, self.step)
+        return noise_in_band(values, self.rate, path, lambda f: np.abs(band_pass.gain(f)), self.step)
+
+    def _baseline(
+        self, values: FloatArray, path: Track, end: float, spectrum: NoiseSpectrum, band_pass: BandPass | None
+    ) -> Baseline:
+        """Return the sensor's zero; integration or a filter has removed it already."""
+        if self.integrations or band_pass is not None:
+            return Baseline(0.0, 0.0, np.nan)
+        harmonic = second_harmonic(values, self.rate, path, 0)
+        baseline = find_baseline(values, self.rate, path, end, spectrum.total, harmonic)
+        unit = self.record.unit
+        self.notes.append(f"baseline {baseline.value + self.reading:.6g} +- {baseline.error:.2g} {unit} was subtracted")
+        if np.isfinite(baseline.rest):
+            self.notes.append(
+                f"the motion came to rest {baseline.rest:.3g} {unit} off the mid-line of its last cycles (dry "
+                f"friction, or "
+                "the sensor's zero drifts): the mid-line was taken as zero"
+            )
+        return baseline
+
+    def _second_mode(self, values: FloatArray, path: Track) -> SecondMode | None:
+        """Return a second mode, with a warning that names it."""
+        second = find_second_mode(values, self.rate, path)
+        if second is not None:
+            low, high = second.suggested_band(path.frequency)
+            self.notes.append(
+                f"warning: a second mode at {second.frequency:.4g} Hz has {second.share:.0%} of the spectral "
+                f"peak of the "
+                f"mode at {path.frequency:.4g} Hz; pass one of them, for example with --band {low:.3g}:{high:.3g}"
+            )
+        return second
+
+    def _range(self, path: Track, is_cut: bool, end: float, size: int) -> tuple[int, int]:
+        """Return the samples from a quarter of a cycle before the first turning point to the end of motion."""
+        cycle = 1.0 / path.frequency
+        first = 0
+        if is_cut:
+            shift = 0.5 * np.pi if self.record.quantity == "velocity" else 0.0
+            phase = float(path.phase_at(np.array([0.3 * cycle]))[0]) - shift
+            turning = float(path.time_at(np.array([np.pi * np.ceil(phase / np.pi) + shift]))[0])
+            first = max(0, int(np.floor((turning - 0.25 * cycle) * self.rate)))
+        last = min(size, int(np.ceil((end + cycle) * self.rate)) + 1)
+        if size - last > cycle * self.rate:
+            self.notes.append(f"the last {(size - last) / self.rate:.4g} s, after the end of motion, were dropped")
+        return first, last
+
+    def _displacement(self, values: FloatArray, path: Track) -> FloatArray:
+        """Integrate as often as the measured quantity asks for."""
+        result = np.array(values)
+        for _ in range(self.integrations):
+            result = integrate(result, self.rate, path)
+        if self.integrations:
+            times = "once" if self.integrations == 1 else "twice"
+            self.notes.append(f"{self.record.quantity} was integrated {times}; no cycle was lost")
+        return result
+
+    def _mid_line(
+        self, values: FloatArray, path: Track, second: SecondMode | None, *, is_filtered: bool
+    ) -> MidLine | None:
+        """Return the mid-line where it can be restored; else say that it is lost, and warn where that matters."""
+        if is_filtered:
+            second = find_second_mode(values, self.rate, path)
+        is_mode = second is not None and abs(second.frequency / path.frequency - 2.0) < 0.1
+        share, error = (0.0, 1.0) if is_mode else second_harmonic(values, self.rate, path, self.integrations)
+        share = share if abs(share) > SIGNIFICANT * error else 0.0
+        found = restore_mid_line(path, share) if self.integrations == 1 and not is_filtered else None
+        bias = 6.0 * abs(share)
+        if found is not None:
+            amplitude = displacement_amplitude(path, self.integrations).amplitude[:1]
+            offset = float(found.at(amplitude)[0] / amplitude[0])
+            self.notes.append(
+                f"the mid-line, {offset:+.3f} +- {found.error:.3f} of the first amplitude, was restored from the mean "
+                "velocity of each cycle"
+            )
+        elif bias < _TOLERATED_BIAS:
+            self.notes.append("the mid-line was removed by filtering: the offset of this specimen is not measured")
+        else:
+            self.notes.append(
+                f"warning: a second harmonic of {abs(share):.1%} shows an asymmetric structure, but filtering "
+                f"removed its "
+                f"mid-line: offset is not measured and damping may be off by some {bias:.0%}; measure displacement, "
+                "unfiltered"
+            )
+        return found
+
+    def _note_band_pass(self, band_pass: BandPass | None, path: Track) -> None:
+        """Say what the band-pass did."""
+        if band_pass is None:
+            return
+        lost = band_pass.half * path.frequency / self.rate
+        amplitude_bias, damping_bias = band_pass.bias(path)
+        self.notes.append(
+            f"band-passed {band_pass.low:g} to {band_pass.high:g} Hz without phase shift: {lost:.1f} cycles "
+            f"were lost at "
+            f"each end, amplitude is biased by {amplitude_bias:+.0e} and damping by {damping_bias:+.0e} of themselves; "
+            "harmonics outside the band are gone"
+        )
+
+    def _response(self, band_pass: BandPass | None, frequency: float) -> Callable[[FloatArray], FloatArray]:
+        """Return the amplitude response from the measured quantity to the displacement."""
+
+        def response(grid: FloatArray) -> FloatArray:
+            kept = (integration_response(grid / frequency) / (2.0 * np.pi * grid)) ** self.integrations
+            return kept if band_pass is None else kept * np.abs(band_pass.gain(grid))
+
+        return response
+
+
+def _frozen(values: FloatArray) -> FloatArray:
+    values.setflags(write=False)
+    return values

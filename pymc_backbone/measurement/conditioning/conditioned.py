@@ -1,0 +1,79 @@
+"""The record that conditioning hands to everything after it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from ..._common.checks import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class ConditionedRecord:
+    """The displacement of one free decay on a uniform time grid.
+
+    Attributes
+    ----------
+    specimen : str
+        Name of the specimen.
+    time : (n,) array
+        Seconds on the record's own clock, uniform; from the release to the end of motion.
+    displacement : (n,) array
+        Displacement from equilibrium [``unit``].
+    sampling_rate : float
+        Samples per second [Hz].
+    noise : float
+        Standard deviation [``unit``] of the white noise that disturbs turning points as much as the actual noise does.
+    noise_autocovariance : (m,) array
+        Autocovariance [``unit`` squared] of the actual noise at lags 0, 1, ... samples, zero beyond the last; m >= 2.
+    baseline, baseline_error : float
+        Sensor reading at equilibrium that was subtracted, and its standard error [``unit``]; zero where a filter
+        removed it.
+    rest_offset : float
+        Where the motion came to rest (dry friction) relative to equilibrium; NaN where the record does not show one.
+    offset_is_measured : bool
+        Whether the mid-line of the displacement is that of the structure. Integration and band-pass remove it; for
+        velocity it is restored where it is significant.
+    frequency : float
+        Mean frequency of the dominant mode [Hz].
+    amplitude : float
+        Amplitude of the fundamental at the first sample, extrapolated where the track begins later.
+    unit : str
+        ``"m"`` or ``"rad"``.
+    quantity : str
+        What was measured.
+    band : (float, float) or None
+        Band that was passed [Hz].
+    lost_cycles : float
+        Cycles lost at each end to the band-pass.
+    end_of_motion : float
+        Time [s] at which the amplitude drowns in the noise or the motion stops; the record's last time where it
+        does neither.
+    second_mode_frequency, second_mode_share : float
+        Highest peak of another mode [Hz] and its height over that of the dominant one; NaN where there is none.
+    source : str
+        File, for messages.
+    notes : tuple of str
+        What was assumed and done, one sentence each; warnings begin with ``warning:``.
+    """
+
+    specimen: str
+    time: FloatArray
+    displacement: FloatArray
+    sampling_rate: float
+    noise: float
+    noise_autocovariance: FloatArray
+    baseline: float
+    baseline_error: float
+    rest_offset: float
+    offset_is_measured: bool
+    frequency: float
+    amplitude: float
+    unit: str
+    quantity: str
+    band: tuple[float, float] | None
+    lost_cycles: float
+    end_of_motion: float
+    second_mode_frequency: float
+    second_mode_share: float
+    source: str
+    notes: tuple[str, ...] = field(default=())

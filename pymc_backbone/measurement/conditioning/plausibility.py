@@ -1,0 +1,97 @@
+"""Reasons to refuse a record before anything is computed from it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..._common.checks import FloatArray, InputError
+from .tracking import Track
+
+MINIMUM_PER_CYCLE = 8.0
+MINIMUM_CYCLES = 4.0
+MINIMUM_FALL = 0.02
+_CLIPPED_PEAKS = 3
+_FINE = 1e-5
+_SMALLEST = 1e-30
+
+
+def check_moves(values: FloatArray, name: str) -> None:
+    """Raise when a record is constant, or so large or small that its unit cannot be right."""
+    span, largest = float(np.ptp(values / 2.0)), float(np.max(np.abs(values)))
+    if not span > 1e-12 * largest:
+        raise InputError(f"{name}: all samples are {values[0]:.6g}, expected a decay; check the column and the sensor.")
+    if not _SMALLEST < span < 1.0 / _SMALLEST:
+        raise InputError(
+            f"{name}: the samples span {2.0 * span:.3g}, which is no measurement in SI units; check the unit."
+        )
+
+
+def check_per_cycle(sampling_rate: float, frequency: float, name: str) -> None:
+    """Raise when a cycle has too few samples."""
+    per_cycle = sampling_rate / frequency
+    if per_cycle < MINIMUM_PER_CYCLE:
+        raise InputError(
+            f"{name}: {per_cycle:.2g} samples per cycle of the {frequency:.3g} Hz motion, expected at least "
+            f"{MINIMUM_PER_CYCLE:g}; sample faster than {MINIMUM_PER_CYCLE * frequency:.3g} Hz, or choose a "
+            f"lower mode with a band."
+        )
+
+
+def check_clipping(
+    values: FloatArray, reading: float, time: FloatArray, frequency: float, step: float, name: str
+) -> None:
+    """Raise when the tops of several peaks are cut off at the same value.
+
+    Samples at the extreme value that follow each other are natural on a coarse converter: a cosine of
+    amplitude A stays within one step of its top for a while. Clipped tops last longer than that. The sensor showed
+    ``values + reading``.
+    """
+    sampling_rate = (time.size - 1) / float(time[-1] - time[0])
+    middle, amplitude = 0.5 * float(values.max() + values.min()), 0.5 * float(np.ptp(values))
+    for extreme in (float(values.max()), float(values.min())):
+        at = np.abs(values - extreme) <= 1e-9 * amplitude
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], at, [False]]).astype(int)))
+        first, length = edges[::2], edges[1::2] - edges[::2]
+        # the fall of a true cosine from the middle to the end of the run
+        fall = amplitude * (1.0 - np.cos(np.minimum(np.pi * frequency * (length - 1) / sampling_rate, np.pi)))
+        cut = (length >= 2) & (fall > 3.0 * step) & (fall > 1e-3 * amplitude)
+        if step < _FINE * amplitude and cut.any():
+            # on a fine scale no two peaks are equal by chance, as far as single samples
+            cut |= length >= 1
+        # a model held at rest is one long run, not a peak
+        cut &= length < 0.6 * sampling_rate / frequency
+        if np.count_nonzero(cut) >= _CLIPPED_PEAKS:
+            last = min(int(np.flatnonzero(at)[-1]) + 1, time.size - 1)
+            side = "upper" if extreme > middle else "lower"
+            raise InputError(
+                f"{name}: {np.count_nonzero(cut)} peaks are clipped at {extreme + reading:.6g} ({side} limit of "
+                f"the sensor or converter), "
+                f"first at {time[first[cut][0]]:.6g} s; widen the range, or use what follows with "
+                f"start={time[last]:.6g}."
+            )
+
+
+def check_cycles(path: Track | None, name: str, what: str) -> Track:
+    """Return the track, or raise when there are too few cycles."""
+    # two outer cycles of a record are beyond the track
+    cycles = 0.0 if path is None else path.cycles + 2.0
+    if path is None or cycles < MINIMUM_CYCLES or not path.amplitude.max() > 0.0:
+        found = "fewer than 4" if path is None else f"{cycles:.1f}"
+        raise InputError(
+            f"{name}: {found} cycles {what}, expected at least {MINIMUM_CYCLES:g}; record longer, release from "
+            f"a larger "
+            "amplitude or reduce the noise."
+        )
+    return path
+
+
+def check_decays(path: Track, name: str) -> None:
+    """Raise when the amplitude does not fall."""
+    n = min(path.per_cycle, path.time.size // 2)
+    first, last = float(np.median(path.amplitude[:n])), float(np.median(path.amplitude[-n:]))
+    if last > (1.0 - MINIMUM_FALL) * first:
+        raise InputError(
+            f"{name}: the amplitude goes from {first:.3g} to {last:.3g} over {path.cycles:.0f} cycles, expected "
+            f"a decay; "
+            "record the free decay after the release, longer if it is lightly damped."
+        )

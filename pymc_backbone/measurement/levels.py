@@ -1,0 +1,253 @@
+"""Backbones at levels: one xarray Dataset for measured and simulated curves alike."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike
+
+from .._common.checks import (
+    OBSERVABLE_UNITS,
+    OBSERVABLES,
+    FloatArray,
+    InputError,
+    check_finite_array,
+    check_levels,
+    check_observables,
+)
+from .cycles import QUANTITIES, Cycles
+from .smoothing import smooth
+
+if TYPE_CHECKING:
+    from ..oscillator import Oscillator
+
+DEFAULT_LEVELS = 10
+"""Levels chosen by default, fewer when a decay has fewer than two cycles per level."""
+
+UNDERSMOOTHING = {"frequency": 30.0, "damping": 4.0, "offset": 4.0}
+"""Freedom to bend beyond what the likelihood asks for. Frequencies are so precise that the bias of a curve as smooth as
+is likeliest shows there first; a third more standard error removes a third of it."""
+
+
+def default_levels(cycles: Sequence[Cycles], n_levels: int | None = None) -> FloatArray:
+    """Choose log-spaced levels inside the amplitudes that (nearly) all specimens reach.
+
+    The range is the one all specimens share, their first cycles aside: the release disturbs them, and their
+    first peak is known from one side only. When it spans less than a factor 1.25 and there are more than three
+    specimens, up to half of them are left out at either end (their values at those levels are NaN). It is inset
+    by 2 % of its logarithm, because standard errors are largest at the outermost cycles.
+
+    Parameters
+    ----------
+    cycles : sequence of Cycles
+        One per specimen.
+    n_levels : int, optional
+        By default 10, or half the cycles of the shortest decay inside the range if that is less, at least 3.
+
+    Returns
+    -------
+    (l,) array
+        Increasing amplitudes [m or rad].
+
+    Raises
+    ------
+    InputError
+        When the specimens have no common amplitudes.
+    """
+    tops = np.array([np.partition(item.smoothed_amplitude, -2)[-2] for item in cycles])
+    bottoms = np.array([item.smoothed_amplitude.min() for item in cycles])
+    for share in (0.0, 0.1, 0.2, 0.35, 0.5) if len(cycles) > 3 else (0.0,):
+        low = float(np.quantile(bottoms, 1.0 - share))
+        high = float(np.quantile(tops, share))
+        if high > 1.25 * low:
+            break
+    else:
+        raise InputError(
+            f"`cycles` must share a range of amplitudes, but most begin below {high:g} or end above {low:g}; "
+            "give `levels`, or analyse the specimens in groups."
+        )
+    if n_levels is None:
+        inside = [int(np.sum((c.smoothed_amplitude >= low) & (c.smoothed_amplitude <= high))) for c in cycles]
+        n_levels = int(np.clip(min(count for count in inside if count) // 2, 3, DEFAULT_LEVELS))
+    inset = 0.02 * np.log(high / low)
+    return np.exp(np.linspace(np.log(low) + inset, np.log(high) - inset, n_levels))
+
+
+def backbones_at_levels(
+    cycles: Cycles | Iterable[Cycles],
+    levels: ArrayLike | None = None,
+    observables: str | Iterable[str] = ("frequency", "damping"),
+    *,
+    amplitude_unit: str = "m",
+) -> xr.Dataset:
+    """Estimate the backbone of every specimen at amplitude levels, with standard errors.
+
+    Each observable is smoothed over the cycles by generalised least squares with the covariance of cycles that share
+    samples, as a function of
+    smoothed amplitude. The smoothness is averaged over, not chosen (`_smoothing.smooth`), so that the standard errors
+    contain the doubt about the
+    curve between and beyond its noise; so is the abscissa (logarithm of amplitude, amplitude). The error of the
+    amplitude itself is added.
+
+    Parameters
+    ----------
+    cycles : Cycles or iterable of Cycles
+        One per specimen.
+    levels : (l,) array, optional
+        Increasing amplitudes [m or rad]; by default `default_levels`.
+    observables : str or iterable of str, default ("frequency", "damping")
+        Any of ``frequency`` [Hz], ``damping`` [-], ``offset`` [-].
+    amplitude_unit : str, default "m"
+        Recorded in the attributes.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``value`` and ``standard_error`` (specimen, observable, level), ``covariance`` (specimen, observable, level,
+        level_other).
+        NaN at levels outside a specimen's own cycles: nothing is extrapolated.
+
+    Raises
+    ------
+    InputError
+        For levels that no specimen reaches, unknown observables, or specimen names given twice.
+    """
+    items = [cycles] if isinstance(cycles, Cycles) else list(cycles)
+    if not items:
+        raise InputError("`cycles` must hold at least one specimen; extract the cycles of a record first.")
+    names = [item.specimen for item in items]
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise InputError(f"`cycles` must have distinct specimen names, got {twice!r} twice; rename one.")
+    chosen = check_observables(observables)
+    at = default_levels(items) if levels is None else check_levels(levels)
+    shape = (len(items), len(chosen), at.size)
+    value, covariance = np.full(shape, np.nan), np.full((*shape, at.size), np.nan)
+    notes: list[str] = [note for item in items for note in item.notes]
+    for i, item in enumerate(items):
+        # the outermost cycles carry half a per cent of slack, so that a level chosen at an end is not lost to rounding
+        amplitude = item.smoothed_amplitude
+        reached = np.flatnonzero((at >= amplitude.min() * (1 - 1e-9)) & (at <= amplitude.max() * (1 + 1e-9)))
+        if reached.size < at.size:
+            notes.append(f"{item.specimen}: {at.size - reached.size} of {at.size} levels not reached, left empty")
+        if not reached.size:
+            continue
+        for j, observable in enumerate(chosen):
+            estimate, spread = _level_values(item, observable, at[reached])
+            value[i, j, reached] = estimate
+            covariance[i, j, reached[:, None], reached] = spread
+    if np.all(np.isnan(value)):
+        low, high = min(c.smoothed_amplitude.min() for c in items), max(c.smoothed_amplitude.max() for c in items)
+        raise InputError(
+            f"`levels` must lie inside the measured amplitudes {low:g} to {high:g}, got {at[0]:g} to {at[-1]:g}."
+        )
+    return _dataset(names, chosen, at, value, covariance, amplitude_unit, notes)
+
+
+def _level_values(item: Cycles, observable: str, levels: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the level values of one observable and their covariance."""
+    amplitude = item.smoothed_amplitude
+    step = 1e-4
+    beside = np.where(levels * (1.0 + step) <= amplitude.max(), levels * (1.0 + step), levels * (1.0 - step))
+    wanted = np.concatenate([levels, beside])
+    curve = smooth(
+        [np.log(amplitude), amplitude],
+        getattr(item, observable),
+        item.bands[QUANTITIES.index(observable)],
+        [np.log(wanted), wanted],
+        orders=(2, 3),
+        kinks=True,
+        undersmoothing=UNDERSMOOTHING[observable],
+    )
+    n = levels.size
+    slope = (curve.value[n:] - curve.value[:n]) / np.log(beside / levels)
+    # the level is an amplitude, and the amplitude of the cycles is itself estimated
+    order = np.argsort(amplitude)
+    right = np.clip(np.searchsorted(amplitude[order], levels), 1, amplitude.size - 1)
+    left = right - 1
+    gap = amplitude[order][right] - amplitude[order][left]
+    share = np.clip((levels - amplitude[order][left]) / np.where(gap > 0.0, gap, 1.0), 0.0, 1.0)
+    weights = np.zeros((n, amplitude.size))
+    weights[np.arange(n), order[left]] = 1.0 - share
+    weights[np.arange(n), order[right]] += share
+    blur = (slope / levels)[:, None] * (weights @ item.smoothed_amplitude_design)
+    # errors shared through the template vary smoothly with amplitude: smoothing passes them on as they are
+    shared = weights @ item.shared[QUANTITIES.index(observable)]
+    covariance = curve.covariance[:n, :n] + blur @ item.smoothed_amplitude_spread @ blur.T + shared @ shared.T
+    return curve.value[:n], covariance
+
+
+def simulated_backbones(
+    oscillator: Oscillator,
+    parameters: ArrayLike,
+    levels: ArrayLike,
+    observables: str | Iterable[str] = ("frequency", "damping"),
+    *,
+    release_amplitude: float | None = None,
+    amplitude_unit: str = "m",
+) -> xr.Dataset:
+    """Simulate the backbones of many parameter vectors at levels, in the same Dataset as measured ones.
+
+    Parameters
+    ----------
+    oscillator : Oscillator
+        The model.
+    parameters : (n, p) or (p,) array
+        One row per specimen, in the order of ``oscillator.parameter_names``.
+    levels : (l,) array
+        Increasing amplitudes [m or rad].
+    observables : str or iterable of str, default ("frequency", "damping")
+        Any of ``frequency``, ``damping``, ``offset``.
+    release_amplitude : float, optional
+        Where the decay starts; matters for effects with memory.
+    amplitude_unit : str, default "m"
+        Recorded in the attributes.
+
+    Returns
+    -------
+    xarray.Dataset
+        As `backbones_at_levels`, standard errors and covariance zero; NaN where the simulation has no cycle at a level.
+    """
+    from ..simulation.decay import simulate_backbone
+
+    chosen = check_observables(observables)
+    at = check_levels(levels)
+    table = check_finite_array("parameters", np.atleast_2d(np.asarray(parameters, dtype=np.float64)), ndim=2)
+    rows = [OBSERVABLES.index(name) for name in chosen]
+    value = np.empty((table.shape[0], len(chosen), at.size))
+    for i, row in enumerate(table):
+        value[i] = simulate_backbone(oscillator, row, at, release_amplitude=release_amplitude).values[rows]
+    covariance = np.zeros((*value.shape, at.size)) + np.where(np.isnan(value), np.nan, 0.0)[..., None]
+    names = [f"simulated_{i + 1}" for i in range(table.shape[0])]
+    return _dataset(names, chosen, at, value, covariance, amplitude_unit, ["simulated"])
+
+
+def _dataset(
+    names: list[str],
+    observables: tuple[str, ...],
+    levels: FloatArray,
+    value: FloatArray,
+    covariance: FloatArray,
+    amplitude_unit: str,
+    notes: list[str],
+) -> xr.Dataset:
+    error = np.sqrt(np.diagonal(covariance, axis1=2, axis2=3))
+    dims: tuple[Any, ...] = ("specimen", "observable", "level")
+    return xr.Dataset(
+        {
+            "value": (dims, value),
+            "standard_error": (dims, error),
+            "covariance": ((*dims, "level_other"), covariance),
+        },
+        coords={
+            "specimen": names,
+            "observable": list(observables),
+            "level": levels,
+            "level_other": levels,
+            "unit": ("observable", [OBSERVABLE_UNITS[name] for name in observables]),
+        },
+        attrs={"amplitude_unit": amplitude_unit, "notes": notes},
+    )

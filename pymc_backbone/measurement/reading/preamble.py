@@ -1,0 +1,93 @@
+"""What data loggers write above a table: where its header line is, and the sampling rate they state."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from .headers import RATE_WORDS, STEP_WORDS, is_time, key_of, mentions_time, quantity_of_name
+from .units import dimension_of, parse_unit, split_header
+
+LONGEST = 500
+"""Lines above a table that are searched for its header."""
+_CONFIRMED_BY = 3
+_SPLITTERS = (";", "\t", ",", None)
+_NUMBER = re.compile(r"[-+]?(?:[0-9]+[0-9.,]*|[.,][0-9]+)(?:[eE][-+]?[0-9]+)?")
+_STATED = re.compile(
+    r"\s*[#\"']*\s*([^\d=:;,\t\"']+?)[\s\"']*[=:;,\t ]\s*[\"']?([-+0-9.,eE]+)\s*[\"']?\s*(k?Hz|[mun]?s)?\b"
+)
+
+
+def find_header(lines: Sequence[str]) -> int:
+    """Return the index of the header line among the lines of a file without blank ones.
+
+    It is the first line, unless that is not as wide as the first block of numbers and a line between them is, and
+    names time, a quantity or a unit.
+    """
+    for index in range(1, min(len(lines) - _CONFIRMED_BY, LONGEST) + 1):
+        for splitter in _SPLITTERS:
+            width = _width(lines[index], splitter)
+            if width and all(_width(line, splitter) == width for line in lines[index : index + _CONFIRMED_BY]):
+                above = [
+                    k
+                    for k in range(index)
+                    if _names_channels(_cells(lines[k], splitter) if width > 1 else [lines[k]], width)
+                ]
+                if above and above[-1] != 0:
+                    return above[-1]
+                return 0
+    return 0
+
+
+def stated_rate(lines: Sequence[str]) -> tuple[float, str] | None:
+    """Return the sampling rate [Hz] that lines above a table state, and the line.
+
+    Examples
+    --------
+    >>> stated_rate(["Operator: N. N.", "Sampling rate [Hz]: 2048"])
+    (2048.0, 'Sampling rate [Hz]: 2048')
+    """
+    for line in lines:
+        found = _STATED.match(re.sub(r"[\[(](k?Hz|[mun]?s)[\])]", " ", line, count=1))
+        if found is None:
+            continue
+        unit = found.group(3) or (re.findall(r"[\[(](k?Hz|[mun]?s)[\])]", line) or [None])[0]
+        key = key_of(found.group(1))
+        try:
+            value = float(found.group(2).replace(",", "."))
+        except ValueError:
+            continue
+        if not 0.0 < value < float("inf"):
+            continue
+        if key in RATE_WORDS:
+            frequency = parse_unit(unit or "Hz", "frequency")
+            if frequency is not None:
+                return value * frequency.factor, line.strip()
+        elif key in STEP_WORDS | {"wfincrement", "deltax"}:
+            step = parse_unit(unit or "s", "time")
+            if step is not None:
+                return 1.0 / (value * step.factor), line.strip()
+    return None
+
+
+def _cells(line: str, splitter: str | None) -> list[str]:
+    cells = [cell.strip().strip("\"'") for cell in line.split(splitter)]
+    return cells[:-1] if len(cells) > 1 and not cells[-1] else cells
+
+
+def _width(line: str, splitter: str | None) -> int:
+    """Return how many cells a line of numbers has, 0 for any other line."""
+    cells = _cells(line, splitter)
+    if len(cells) < 2 and splitter is not None:
+        return 0
+    return len(cells) if all(_NUMBER.fullmatch(cell) for cell in cells) else 0
+
+
+def _names_channels(cells: Sequence[str], width: int) -> bool:
+    if len(cells) != width or any(_NUMBER.fullmatch(cell) for cell in cells):
+        return False
+    for cell in cells:
+        name, unit = split_header(cell)
+        if is_time(name) or mentions_time(name) or quantity_of_name(name) or (unit and dimension_of(unit)):
+            return True
+    return False

@@ -1,0 +1,344 @@
+"""Measured free-decay records: reading files of many formats into SI units, checking them, and writing them back."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..._common.checks import FloatArray, InputError, check_choice, check_finite_array
+from .columns import (
+    SI_UNITS,
+    Reading,
+    Source,
+    checked_time,
+    fail_without_time,
+    find_specimens,
+    find_time,
+    find_values,
+    reading_of,
+    scaled,
+    unit_of_time,
+    unit_of_values,
+)
+from .formats import list_recordings, read_recording
+from .formats.channel import Recording
+from .formats.sep005 import channels_of_sep005
+from .headers import QUANTITIES
+from .measured_backbones import read_backbones
+from .tables import Column, Table, list_tables, natural_key, printable, read_table, shorten
+from .units import split_header
+
+__all__ = ["QUANTITIES", "Record", "read_backbones", "read_records", "write_records"]
+
+MINIMUM_SAMPLES = 32
+"""Four cycles of eight samples: with less there is no decay to speak of."""
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """One measured free decay in SI units.
+
+    Parameters
+    ----------
+    specimen : str
+        Name of the specimen, kept as text.
+    time : (n,) array
+        Time stamps [s], strictly increasing.
+    values : (n,) array
+        Samples of ``quantity`` in ``unit``, finite.
+    quantity : {"displacement", "velocity", "acceleration"}
+        What was measured.
+    unit : str
+        SI unit of ``values``: ``"m"`` or ``"rad"``, the same over ``s`` or over ``s^2``.
+    source : str
+        Where it came from, for messages; by default the specimen's name.
+    notes : tuple of str
+        Sentences about what was assumed or converted.
+
+    Raises
+    ------
+    InputError
+        When the lengths differ, a value is not finite, time does not increase, there are fewer than
+        32 samples, or the quantity or its unit is unknown.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> time = np.arange(200) / 100.0
+    >>> record = Record("beam", time, 1e-3 * np.exp(-time) * np.cos(20.0 * time))
+    >>> record.quantity, record.unit, record.time.size
+    ('displacement', 'm', 200)
+    """
+
+    specimen: str
+    time: FloatArray
+    values: FloatArray
+    quantity: str = "displacement"
+    unit: str = ""
+    source: str = ""
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        specimen = str(self.specimen).strip().encode("utf-8", "backslashreplace").decode("utf-8")
+        if not specimen or re.search("[\x00-\x1f\x7f]", specimen):
+            raise InputError(f"`specimen` must be one line of text, got {shorten(ascii(self.specimen))}; rename it.")
+        quantity = check_choice("quantity", self.quantity, QUANTITIES)
+        units = SI_UNITS[quantity]
+        unit = check_choice("unit", self.unit or units[0], units)
+        source = self.source or specimen
+        name = printable(source)
+        try:
+            time = check_finite_array("time", self.time)
+            values = check_finite_array("values", self.values)
+        except InputError as error:
+            raise InputError(f"{name}: {error} Cut the record there or fill the gap.") from None
+        if time.size != values.size:
+            raise InputError(f"{name}: `values` must be as long as `time` ({time.size}), got {values.size}.")
+        if time.size < MINIMUM_SAMPLES:
+            raise InputError(
+                f"{name}: a record needs at least {MINIMUM_SAMPLES} samples, got {time.size}; record longer or faster."
+            )
+        drop = np.flatnonzero(np.diff(time) <= 0.0)
+        if drop.size:
+            at = int(drop[0]) + 1
+            raise InputError(
+                f"{name}: `time` must increase, got time[{at}] = {time[at]:.9g} after {time[at - 1]:.9g}; "
+                "sort the samples and drop repeats."
+            )
+        time.setflags(write=False)
+        values.setflags(write=False)
+        for field, value in (("time", time), ("values", values), ("unit", unit), ("source", source)):
+            object.__setattr__(self, field, value)
+        object.__setattr__(self, "specimen", specimen)
+        object.__setattr__(self, "notes", tuple(self.notes))
+
+
+def read_records(
+    path: str | os.PathLike[str] | Mapping[str, Any] | Sequence[Mapping[str, Any]],
+    *,
+    columns: str | Sequence[str] | None = None,
+    quantity: str | None = None,
+    unit: str | None = None,
+    sampling_rate: float | None = None,
+) -> list[Record]:
+    """Read measured free decays from files, convert them to SI units and check them.
+
+    Parameters
+    ----------
+    path : str or path, or SEP-005 dictionaries
+        A file, or a folder of files of one kind (one specimen each, named after the file): CSV and other delimited
+        text, LabVIEW (``.lvm``), MATLAB (``.mat``, version 5 and 7.3), universal files (data set 58), NetCDF, NumPy
+        (``.npz``), SEP-005 as JSON. Or, from Python, one SEP-005 dictionary or a list of them.
+    columns : str or sequence of str, optional
+        The channels to take: names as the file has them, without regard to case; patterns such as ``"acc*"``; or
+        numbers counted from 1. ``"time=NAME"`` names the time channel. Each of several channels becomes a record.
+    quantity : {"displacement", "velocity", "acceleration"}, optional
+        Which channel to take where a file has several, or what ``columns`` hold.
+    unit : str, optional
+        Unit of the channels, for files that do not state it or state it wrongly.
+    sampling_rate : float, optional
+        Samples per second [Hz]; replaces the time channel, which may then be missing.
+
+    Returns
+    -------
+    list of Record
+        Naturally sorted by specimen (``run_2`` before ``run_10``).
+
+    Raises
+    ------
+    InputError
+        When anything cannot be used: the sentence names the file, the place in it, what was expected, and what to do.
+
+    Notes
+    -----
+    The format is told by the first bytes of a file. What is read of each, and what is refused: ``docs/formats.md``.
+
+    A text file has one header line, then one line per sample; blank lines, lines starting with ``#`` and what a logger
+    writes above the header are skipped. The separator is the first of semicolon, tab and comma that the header holds,
+    else white space; decimal commas and separators of thousands are told apart by the whole file. Columns are ``time``
+    [s] and one of ``displacement``, ``velocity``, ``acceleration``; a unit may follow in brackets (``time [ms]``,
+    ``Acc (g)``, ``angle [deg]``) and SI is assumed, and noted, where none does. A further column ``specimen`` divides a
+    file.
+    """
+    reading = reading_of(columns, quantity, unit, sampling_rate)
+    records: dict[str, Record] = {}
+    for record in _all_records(path, reading):
+        if record.specimen in records:
+            raise InputError(
+                f"{printable(record.source)}: specimen {shorten(record.specimen)!r} is also in "
+                f"{printable(records[record.specimen].source)}; rename one of them."
+            )
+        records[record.specimen] = record
+    return [records[name] for name in sorted(records, key=natural_key)]
+
+
+def _all_records(path: Any, reading: Reading) -> Iterator[Record]:
+    """Yield the records of all files, or of SEP-005 dictionaries."""
+    if isinstance(path, Mapping | list | tuple):
+        where = "SEP-005"
+        channels = channels_of_sep005(path, where)
+        stem = channels[0].name if len(channels) == 1 else ""
+        yield from _records_of_channels(Recording(Path(where), tuple(channels)), stem, reading)
+        return
+    for file in list_tables(path, list_recordings):
+        recording = read_recording(file)
+        if recording is None:
+            yield from _records_of_table(read_table(file), reading)
+        else:
+            yield from _records_of_channels(recording, file.stem, reading)
+
+
+def _records_of_table(table: Table, reading: Reading) -> Iterator[Record]:
+    """Yield the records of one table."""
+    specimens = find_specimens(table)
+    picked = find_values(table, reading)
+    units = [unit_of_values(table, column, quantity, reading.unit) for column, quantity in picked]
+    notes = table.notes
+    stamps, time_column, rate = None, None, reading.rate
+    if rate is not None:
+        notes += (f"time was counted at the given {rate:g} samples per second",)
+    else:
+        time_column = find_time(table, reading.time)
+        if time_column is not None:
+            time_unit = unit_of_time(table, time_column)
+            notes += () if time_unit.factor == 1.0 else (f"time was converted from {time_unit.written} to s",)
+            stamps = scaled(table.numbers(time_column), time_unit.factor)
+        elif table.rate is not None:
+            rate, line = table.rate
+            notes += (f"time was counted at {rate:g} samples per second, by the line {shorten(printable(line))!r}",)
+        else:
+            fail_without_time(table)
+    for (column, quantity), (unit, unit_notes) in zip(picked, units, strict=True):
+        values = scaled(table.numbers(column), unit.factor)
+        for specimen, rows in specimens.items():
+            if len(rows) < MINIMUM_SAMPLES:
+                whose = f" of specimen {shorten(specimen)!r}" if len(specimens) > 1 else ""
+                table.fail(f"a record needs at least {MINIMUM_SAMPLES} samples, got {len(rows)}{whose}; record longer.")
+            time = np.arange(len(rows)) / rate if rate is not None else checked_time(table, time_column, stamps, rows)
+            _check_finite(table, column, time, values[rows])
+            source = table.name if len(specimens) == 1 else f"{table.name} (specimen {shorten(printable(specimen))})"
+            whole = specimen if len(picked) == 1 else f"{specimen} {_label(column)}"
+            yield Record(whole, time, values[rows], quantity, unit.si, source, notes + unit_notes)
+
+
+def _records_of_channels(recording: Recording, stem: str, reading: Reading) -> Iterator[Record]:
+    """Yield the records of the channels of a file; one record is named by ``stem``, several by their channels too."""
+    picked = find_values(recording, reading)
+    for column, quantity in picked:
+        channel = recording.channels[column.index]
+        if channel.refusal:
+            recording.refuse(channel)
+        unit, notes = unit_of_values(recording, column, quantity, reading.unit)
+        notes = recording.notes + notes
+        time_notes: tuple[str, ...] = ()
+        if reading.rate is not None:
+            time = np.arange(channel.values.size) / reading.rate
+            notes += (f"time was counted at the given {reading.rate:g} samples per second",)
+        else:
+            found, time_notes = recording.time_of(column.index, reading)
+            time = fail_without_time(recording) if found is None else found
+        values = scaled(channel.values, unit.factor)
+        if np.isfinite(channel.values).all():  # else the record says which sample is not
+            _check_finite(recording, column, values)
+        source = recording.name if len(picked) == 1 else f"{recording.name} ({shorten(column.header)})"
+        whole = stem if stem and len(picked) == 1 else f"{stem} {_label(column)}".strip()
+        yield Record(whole, time, values, quantity, unit.si, source, notes + time_notes)
+
+
+def _check_finite(source: Source, column: Column, *arrays: FloatArray) -> None:
+    if not all(np.isfinite(array).all() for array in arrays):
+        source.fail("numbers overflow on conversion to SI units; check the unit in the header.", None, column)
+
+
+def _label(column: Column) -> str:
+    """Return the name of a channel as a part of a specimen's name."""
+    return " ".join(printable(split_header(column.header)[0] or column.header).split())
+
+
+def write_records(records: Iterable[Record], path: str | os.PathLike[str], *, overwrite: bool = False) -> list[Path]:
+    """Write records as a folder of CSV files in SI units that `read_records` reads back.
+
+    Parameters
+    ----------
+    records : iterable of Record
+        One file is written for each.
+    path : str or path
+        Folder; created where it does not exist.
+    overwrite : bool, default False
+        Whether files of the same names may be replaced.
+
+    Returns
+    -------
+    list of Path
+        The files, in the order of ``records``.
+
+    Raises
+    ------
+    InputError
+        When the folder already holds other CSV files, a file exists and ``overwrite`` is False, two
+        specimens have the same name, or the folder cannot be written.
+
+    Notes
+    -----
+    A specimen's name is never used as a path: characters that are unsafe in file names become ``_``,
+    and the file then carries the true name in a column ``specimen``.
+    """
+    given: Sequence[Record] = list(records)
+    names = [record.specimen for record in given]
+    if len(set(names)) != len(names):
+        repeated = next(name for name in names if names.count(name) > 1)
+        raise InputError(f"`records` hold specimen {shorten(printable(repeated))!r} twice; rename one of them.")
+    folder = Path(os.fspath(path))
+    files = [folder / f"{stem}.csv" for stem in _file_stems(names)]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        present = {entry.name.lower() for entry in folder.iterdir() if entry.suffix.lower() == ".csv"}
+        ours = {file.name.lower() for file in files}
+        foreign, taken = sorted(present - ours), sorted(present & ours)
+        if foreign:
+            raise InputError(
+                f"{printable(str(folder))}: holds other CSV files ({', '.join(map(printable, foreign[:3]))}); "
+                "choose an empty folder."
+            )
+        if taken and not overwrite:
+            raise InputError(
+                f"{printable(str(folder))}: already holds {printable(taken[0])}; "
+                "choose another folder or set overwrite=True."
+            )
+        for record, file in zip(given, files, strict=True):
+            file.write_text(_as_csv(record, file.stem), encoding="utf-8", newline="\n")
+    except OSError as error:
+        raise InputError(f"{printable(str(folder))}: cannot be written ({error.strerror}); choose another.") from None
+    return files
+
+
+def _file_stems(names: Sequence[str]) -> list[str]:
+    """Return a distinct, safe file stem for each name."""
+    stems: list[str] = []
+    used: set[str] = set()
+    for name in names:
+        stem = re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip("._ -")[:80] or "specimen"
+        if re.fullmatch(r"(?i)con|prn|aux|nul|com[0-9]|lpt[0-9]", stem):
+            stem += "_"
+        unique, number = stem, 2
+        while unique.lower() in used:
+            unique, number = f"{stem}_{number}", number + 1
+        used.add(unique.lower())
+        stems.append(unique)
+    return stems
+
+
+def _as_csv(record: Record, stem: str) -> str:
+    """Return a record as the text of a CSV file; numbers are written so that they read back unchanged."""
+    named = record.specimen != stem
+    quoted = '"' + record.specimen.replace('"', '""') + '"'
+    tail = f",{quoted}\n" if named else "\n"
+    header = f"time [s],{record.quantity} [{record.unit}]" + (",specimen\n" if named else "\n")
+    pairs = zip(record.time.tolist(), record.values.tolist(), strict=True)
+    return header + "".join(f"{time!r},{value!r}{tail}" for time, value in pairs)

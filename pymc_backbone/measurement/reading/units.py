@@ -1,0 +1,127 @@
+"""Units found in the headers of measured files, and their factors to SI."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from dataclasses import dataclass
+
+from ..._common.checks import InputError
+
+_DEGREE = math.pi / 180.0
+_STANDARD_GRAVITY = 9.80665
+_TWO_PI = 2.0 * math.pi
+
+_LENGTHS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "nm": 1e-9, "in": 0.0254, "ft": 0.3048}
+_ANGLES = {"rad": 1.0, "mrad": 1e-3, "deg": _DEGREE}
+
+#: dimension -> unit as written (normalised) -> (factor to SI, SI unit)
+UNITS: dict[str, dict[str, tuple[float, str]]] = {
+    "time": {"s": (1.0, "s"), "ms": (1e-3, "s"), "us": (1e-6, "s"), "ns": (1e-9, "s"), "min": (60.0, "s")},
+    "displacement": {
+        **{unit: (factor, "m") for unit, factor in _LENGTHS.items()},
+        **{unit: (factor, "rad") for unit, factor in _ANGLES.items()},
+    },
+    "velocity": {
+        **{f"{unit}/s": (factor, "m/s") for unit, factor in _LENGTHS.items()},
+        **{f"{unit}/s": (factor, "rad/s") for unit, factor in _ANGLES.items()},
+    },
+    "acceleration": {
+        **{f"{unit}/s^2": (factor, "m/s^2") for unit, factor in _LENGTHS.items()},
+        **{f"{unit}/s^2": (factor, "rad/s^2") for unit, factor in _ANGLES.items()},
+        "g": (_STANDARD_GRAVITY, "m/s^2"),
+        "mg": (1e-3 * _STANDARD_GRAVITY, "m/s^2"),
+    },
+    "frequency": {"Hz": (1.0, "Hz"), "kHz": (1e3, "Hz"), "rad/s": (1.0 / _TWO_PI, "Hz")},
+    "ratio": {"1": (1.0, "1"), "-": (1.0, "1"), "%": (1e-2, "1")},
+}
+
+_SPELLINGS = {
+    "minutes": "min", "minute": "min", "meter": "m", "metre": "m", "meters": "m", "metres": "m",
+    "micron": "um", "microns": "um", "inch": "in", "inches": "in", "feet": "ft",
+    "radian": "rad", "radians": "rad", "degree": "deg", "degrees": "deg", 
+    "gn": "g", "hz": "Hz", "khz": "kHz", "percent": "%", "": "1",
+}  # fmt: skip
+
+_SYMBOLS = str.maketrans({"µ": "u", "μ": "u", "²": "^2", "⁻": "-", "¹": "1", "·": "*", "°": "deg"})
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit as written in a file: ``SI value = factor * value`` in unit ``si``."""
+
+    written: str
+    factor: float
+    si: str
+
+
+def _normalise(text: str) -> str:
+    """Return a unit in the spelling of `UNITS` as far as spelling rules go."""
+    unit = re.sub(r"\s+", "", text).translate(_SYMBOLS).replace("**", "^")
+    unit = re.sub(r"sec(?:ond)?s?(?![a-z])", "s", unit)
+    unit = unit.replace("-^2", "-2")
+    unit = re.sub(r"[*.]?s\^?-1$", "/s", unit)
+    unit = re.sub(r"[*.]?s\^?-2$|/\(s\^?2\)$|/\(s\*s\)$|/s/s$|/s\^?2$", "/s^2", unit)
+    head, slash, tail = unit.partition("/")
+    return _SPELLINGS.get(head, _SPELLINGS.get(head.lower(), head)) + slash + tail
+
+
+def parse_unit(text: str, dimension: str) -> Unit | None:
+    """Return the unit ``text`` of ``dimension``, or None if it is not one of its known units.
+
+    Case matters only where it distinguishes units: an unknown spelling is tried once more in lower case.
+    """
+    known = UNITS[dimension]
+    unit = _normalise(text)
+    for candidate in (unit, unit.lower()):
+        if candidate in known:
+            factor, si = known[candidate]
+            return Unit(text.strip(), factor, si)
+    return None
+
+
+def require_unit(text: str, dimension: str, where: str) -> Unit:
+    """Return the unit ``text`` of ``dimension``, or raise `InputError` naming the known ones."""
+    unit = parse_unit(text, dimension)
+    if unit is not None:
+        return unit
+    known = list(UNITS[dimension])
+    near = difflib.get_close_matches(_normalise(text), known, n=1)
+    hint = f" Did you mean {near[0]!r}?" if near else ""
+    raise InputError(
+        f"{where}: {text.strip()!r} is not a known unit of {dimension}, expected one of {', '.join(known)}; "
+        f"convert the column or correct its header.{hint}"
+    )
+
+
+def dimension_of(text: str) -> str | None:
+    """Return which of displacement, velocity, acceleration a unit belongs to, or None."""
+    matches = [name for name in ("displacement", "velocity", "acceleration") if text.strip() and parse_unit(text, name)]
+    return matches[0] if len(matches) == 1 else None
+
+
+def split_header(cell: str) -> tuple[str, str | None]:
+    """Split a column header into its name and the unit it states.
+
+    ``time [ms]``, ``Acc (g)``, ``velocity / m/s`` and ``disp_mm`` are understood; the unit is None
+    when none is stated.
+
+    Examples
+    --------
+    >>> split_header("displacement [mm]")
+    ('displacement', 'mm')
+    >>> split_header("Time")
+    ('Time', None)
+    """
+    text = cell.strip().strip("\"'").strip()
+    bracket = re.fullmatch(r"(.*?)\s*[\[({<]\s*([^\[\](){}<>]*(?:\([^()]*\))?)\s*[\])}>]", text)
+    if bracket:
+        return bracket.group(1).strip(), bracket.group(2).strip() or None
+    slash = re.fullmatch(r"([^/]+?)\s*/\s*(\S+)", text) or re.fullmatch(r"(.+?)\s+in\s+(\S+)", text)
+    if slash and any(parse_unit(slash.group(2), dimension) for dimension in UNITS):
+        return slash.group(1).strip(), slash.group(2)
+    suffix = re.fullmatch(r"(.+?)[_\s,]([^_\s]+)", text)
+    if suffix and any(parse_unit(suffix.group(2), d) for d in UNITS if d != "ratio"):
+        return suffix.group(1).strip(), suffix.group(2)
+    return text, None

@@ -1,0 +1,1 @@
+"""The source paper's systems with their published numbers, and the studies of them."""

@@ -1,0 +1,1 @@
+"""What is shown of results: words, figures, reports, scripts and the output folder."""

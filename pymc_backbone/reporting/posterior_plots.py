@@ -1,0 +1,432 @@
+"""Figures: records, backbones, densities, chains, posteriors, and measured against simulated backbones.
+
+Every function returns a `matplotlib.figure.Figure` and shows nothing: save it with ``figure.savefig``, or let a
+notebook display it. Amplitudes are drawn on the horizontal axis, the observable on the vertical one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from .._common.checks import FloatArray, InputError
+from ..inference.diagnostics import Bounds
+from ..likelihood.density import Density
+from .style import (
+    FEW,
+    MEASURED,
+    QUIET,
+    SIMULATED,
+    TRUE,
+    amplitude_axis,
+    counted,
+    drawable,
+    engineering,
+    evenly,
+    label_axes,
+    layout,
+    legend_below,
+    observable_label,
+    panels,
+    parameter_axis,
+    sequence,
+    smooth,
+    span,
+)
+
+MOST_PANELS = 24
+MOST_PARAMETERS = 12
+_FEWEST_TO_THIN = 100.0  # effective draws
+
+
+def plot_records(records: Sequence[Any], *, most: int = MOST_PANELS) -> Figure:
+    """Draw each record in a panel of its own, all on the same axes.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        With ``specimen``, ``time`` [s], ``values``, ``quantity`` and ``unit``.
+    most : int, optional
+        Largest number of panels; of more records, evenly spaced ones are drawn and the title says so.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    if not len(records):
+        raise InputError("`records` must hold at least one record, got none.")
+    chosen = [records[i] for i in evenly(len(records), most)]
+    columns = min(4, len(chosen))
+    rows = -(-len(chosen) // columns)
+    figure = Figure(figsize=(2.7 * columns + 0.8, 1.25 * rows + 1.1), layout=layout())
+    axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    scale, prefix = engineering(max(float(np.nanmax(np.abs(record.values))) for record in chosen), chosen[0].unit)
+    for axis, record in zip(axes.flat, chosen, strict=False):
+        axis.plot(record.time, np.asarray(record.values) * scale, color=MEASURED, linewidth=0.6)
+        axis.set_title(drawable(record.specimen), fontsize=8, pad=2)
+        axis.tick_params(labelsize=8)
+    for axis in axes.flat[len(chosen) :]:
+        axis.set_visible(False)
+    count = (
+        f"{len(chosen)} of {len(records)} records" if len(chosen) < len(records) else counted(len(records), "record")
+    )
+    figure.suptitle(f"{count}: {chosen[0].quantity}", fontsize=11)
+    figure.supxlabel("Time [s]", fontsize=10)
+    figure.supylabel(f"{chosen[0].quantity.capitalize()} [{prefix}{chosen[0].unit}]", fontsize=10)
+    return figure
+
+
+def plot_backbones(backbones: xr.Dataset) -> Figure:
+    """Draw the measured backbones: a line for each specimen, with error bars of one standard error at the levels.
+
+    Parameters
+    ----------
+    backbones : xarray.Dataset
+        As `backbones_at_levels` returns it: ``value`` and ``standard_error`` over specimen, observable and level.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        One panel for each observable.
+    """
+    levels, scale, amplitude_label = amplitude_axis(backbones)
+    names = [str(name) for name in backbones["observable"].values]
+    figure, axes = panels(1, len(names), width=4.6, height=3.9)
+    specimens = backbones.sizes["specimen"]
+    colours = sequence(specimens)
+    for axis, name in zip(axes[0], names, strict=True):
+        value = np.asarray(backbones["value"].sel(observable=name))
+        error = np.asarray(backbones["standard_error"].sel(observable=name))
+        for i in range(specimens):
+            axis.errorbar(
+                levels * scale,
+                value[i],
+                yerr=error[i],
+                color=colours[i],
+                linewidth=0.9,
+                marker="o",
+                markersize=2.5,
+                elinewidth=0.8,
+                capsize=1.5,
+                alpha=0.9,
+            )
+        label_axes(axis, amplitude_label, name)
+    figure.suptitle(f"Backbones of {counted(specimens, 'specimen')}, with one standard error", fontsize=11)
+    return figure
+
+
+def plot_predictive(measured: xr.Dataset, simulated: xr.Dataset, *, probability: float = 0.95) -> Figure:
+    """Draw measured backbones over the band that the posterior predicts.
+
+    Parameters
+    ----------
+    measured : xarray.Dataset
+        Measured backbones, with standard errors.
+    simulated : xarray.Dataset
+        Backbones simulated from posterior draws, at the same levels; a draw takes the place of a specimen.
+    probability : float, optional
+        Mass of the band, between equal tails; 0.95 by default.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        A column for each observable: above, the backbones; below, the spread at the lowest, middle and highest level.
+        Error bars span 95 %.
+    """
+    levels, scale, amplitude_label = amplitude_axis(measured)
+    names = [str(name) for name in measured["observable"].values]
+    if not np.allclose(levels, np.asarray(simulated["level"])):
+        raise InputError("`simulated` must be at the levels of `measured`; simulate it at measured['level'].")
+    three = sorted({0, levels.size // 2, levels.size - 1})
+    figure, axes = panels(2, len(names), width=4.6, height=3.4)
+    tails = [50.0 * (1.0 - probability), 50.0, 50.0 * (1.0 + probability)]
+    for column, name in enumerate(names):
+        value = np.asarray(measured["value"].sel(observable=name))
+        error = np.asarray(measured["standard_error"].sel(observable=name))
+        drawn = np.asarray(simulated["value"].sel(observable=name))
+        low, middle, high = np.nanpercentile(drawn, tails, axis=0)
+        axis = axes[0, column]
+        axis.fill_between(levels * scale, low, high, color=SIMULATED, alpha=0.22, linewidth=0)
+        axis.plot(levels * scale, middle, color=SIMULATED, linewidth=1.6)
+        if len(value) > FEW:
+            axis.plot(levels * scale, value.T, color=MEASURED, linewidth=0.6, alpha=0.55)
+        else:
+            for one, spread in zip(value, error, strict=True):
+                axis.errorbar(
+                    levels * scale, one, yerr=1.96 * spread, color=MEASURED, fmt="o-", markersize=2.5, linewidth=0.7
+                )
+        label_axes(axis, amplitude_label, name)
+
+        axis = axes[1, column]
+        for row, k in enumerate(three):
+            axis.bar(row, high[k] - low[k], width=0.5, bottom=low[k], color=SIMULATED, alpha=0.22)
+            axis.plot([row - 0.25, row + 0.25], [middle[k], middle[k]], color=SIMULATED, linewidth=1.6)
+            here = np.flatnonzero(np.isfinite(value[:, k]))
+            shift = np.linspace(-0.16, 0.16, here.size) if here.size > 1 else np.zeros(here.size)
+            axis.errorbar(
+                row + shift,
+                value[here, k],
+                yerr=1.96 * error[here, k],
+                color=MEASURED,
+                fmt="o",
+                markersize=2.5,
+                linewidth=0.7,
+                zorder=2,
+            )
+        axis.set_xticks(range(len(three)), [f"{levels[k] * scale:.3g}" for k in three])
+        axis.set_xlim(-0.5, len(three) - 0.5)
+        label_axes(axis, amplitude_label, name)
+    axes[0, 0].plot([], [], color=MEASURED, linewidth=1.0, label="measured")
+    axes[0, 0].plot([], [], color=SIMULATED, linewidth=6, alpha=0.4, label=f"posterior predictive, {probability:.0%}")
+    legend_below(axes[0, 0], 2)
+    figure.suptitle("Measured against simulated backbones", fontsize=11)
+    return figure
+
+
+def plot_densities(
+    backbones: xr.Dataset,
+    density: Density | None = None,
+    *,
+    simulated: xr.Dataset | None = None,
+    most: int = 6,
+) -> Figure:
+    """Draw, for each observable and level, the measured values and the density fitted to them.
+
+    Parameters
+    ----------
+    backbones : xarray.Dataset
+        Measured backbones.
+    density : Density, optional
+        What `fit_density` fitted to them; its marginals are drawn.
+    simulated : xarray.Dataset, optional
+        Backbones simulated from posterior draws at the same levels: drawn as a second histogram.
+    most : int, optional
+        Largest number of levels drawn; of more, evenly spaced ones, with the lowest and the highest.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        A row for each observable, a column for each level.
+    """
+    levels, scale, amplitude_label = amplitude_axis(backbones)
+    unit = amplitude_label.partition("[")[2].rstrip("]")
+    names = [str(name) for name in backbones["observable"].values]
+    chosen = evenly(levels.size, most)
+    figure, axes = panels(len(names), len(chosen), width=2.3, height=2.3)
+    for row, name in enumerate(names):
+        for column, k in enumerate(chosen):
+            axis = axes[row, column]
+            value = np.asarray(backbones["value"].sel(observable=name))[:, k]
+            value = value[np.isfinite(value)]
+            drawn = np.zeros(0)
+            if simulated is not None:
+                drawn = np.asarray(simulated["value"].sel(observable=name))[:, k]
+                drawn = drawn[np.isfinite(drawn)]
+            if value.size > 1:
+                bins = int(np.clip(np.sqrt(value.size) * 1.5, 4, 25))
+                axis.hist(value, bins=bins, density=True, color=MEASURED, alpha=0.35, label="measured")
+            if drawn.size > 1:
+                axis.plot(*smooth(drawn), color=SIMULATED, linewidth=1.4, label="posterior predictive")
+            if density is not None and name in density.observables:
+                x = np.linspace(*span(np.concatenate([value, drawn])), 400)
+                axis.plot(x, density.marginal(name, k)(x), color="black", linewidth=1.2, label="fitted density")
+            axis.plot(value, np.zeros_like(value), "|", color=MEASURED, markersize=9, clip_on=False)
+            axis.set_yticks([])
+            axis.xaxis.set_major_locator(MaxNLocator(3, min_n_ticks=2))
+            axis.tick_params(labelsize=8)
+            axis.spines[["left", "top", "right"]].set_visible(False)
+            axis.set_xlabel(observable_label(name, short=True), fontsize=8)
+            if row == 0:
+                axis.set_title(f"at {levels[k] * scale:.3g} {unit}", fontsize=9)
+    legend_below(axes[0, 0], 3)
+    figure.suptitle("Distribution over the specimens at amplitude levels", fontsize=11)
+    return figure
+
+
+def plot_prior_posterior(
+    posterior: xr.DataTree,
+    bounds: Bounds,
+    *,
+    units: Mapping[str, str] | None = None,
+    true_values: Mapping[str, FloatArray] | None = None,
+    probability: float = 0.95,
+) -> Figure:
+    """Draw each parameter's posterior over its Uniform prior.
+
+    Parameters
+    ----------
+    posterior : xarray.DataTree
+        What `sample` returned.
+    bounds : mapping of str to (float, float)
+        Bounds of the Uniform priors; the parameters drawn, in this order.
+    units : mapping of str to str, optional
+        Units of the parameters.
+    true_values : mapping of str to array of float, optional
+        Known values, one for each specimen, drawn as a rug.
+    probability : float, optional
+        Mass of the highest-density interval drawn; 0.95 by default.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Two panels for each parameter: the whole prior, and the posterior close up.
+    """
+    from arviz_stats import hdi
+
+    names = [name for name in bounds if name in posterior["posterior"]]
+    figure, axes = panels(len(names), 2, width=4.0, height=2.2)
+    for row, name in enumerate(names):
+        draws = np.asarray(posterior["posterior"][name]).ravel()
+        scale, axis_label = parameter_axis(name, draws, units)
+        draws, low, high = draws * scale, bounds[name][0] * scale, bounds[name][1] * scale
+        interval = np.asarray(hdi(draws, prob=probability))
+        x, density = smooth(draws, low, high)
+        for column, axis in enumerate(axes[row]):
+            axis.fill_between(x, density, color=MEASURED, alpha=0.3, linewidth=0)
+            axis.plot(x, density, color=MEASURED, linewidth=1.3, label="posterior")
+            axis.axhline(0.0, color="black", linewidth=0.6)
+            axis.plot(
+                [low, low, high, high], [0, 1 / (high - low), 1 / (high - low), 0], color=QUIET, label="prior", zorder=3
+            )
+            # Interval and true values stand below the densities, where nothing covers them.
+            top = float(density.max())
+            label = f"{probability:.0%} HDI"
+            axis.plot(interval, [-0.05 * top] * 2, color="black", linewidth=3.0, solid_capstyle="butt", label=label)
+            if true_values is not None and name in true_values:
+                rug = np.asarray(true_values[name]) * scale
+                below = np.full_like(rug, -0.12 * top)
+                axis.plot(rug, below, "|", color=TRUE, markersize=8, label="true values of the specimens")
+            axis.set_yticks([])
+            axis.set_ylim(-0.18 * top, 1.05 * top)
+            axis.xaxis.set_major_locator(MaxNLocator(5))
+            axis.tick_params(labelsize=8)
+            axis.spines[["left", "top", "right"]].set_visible(False)
+            axis.set_xlabel(axis_label, fontsize=9)
+            if column == 1:
+                margin = 0.15 * (x[-1] - x[0])
+                axis.set_xlim(x[0] - margin, x[-1] + margin)
+    axes[0, 0].set_title("over the whole prior", fontsize=9)
+    axes[0, 1].set_title("close up", fontsize=9)
+    legend_below(axes[0, 0], 4)
+    figure.suptitle("Prior and posterior", fontsize=11)
+    return figure
+
+
+def plot_trace(
+    posterior: xr.DataTree, names: Sequence[str] | None = None, *, units: Mapping[str, str] | None = None
+) -> Figure:
+    """Draw each parameter's density and trace, chain by chain (ArviZ's ``plot_trace_dist``)."""
+    import arviz as az
+
+    draws, arguments = _for_arviz(posterior, names, units)
+    collection = az.plot_trace_dist(
+        draws,
+        compact=False,
+        figure_kwargs={"figsize": (9.0, 1.9 * _scalars(draws) + 0.8), "layout": layout()},
+        visuals={"trace": {"width": 0.4, "alpha": 0.7}, "dist": {"width": 1.0}},
+        **arguments,
+    )
+    figure = _finished(collection, "Densities and traces of the chains")
+    _stand_on_zero((axis for axis in figure.axes if axis.get_xlabel() != "Draw"), 5)
+    for axis in figure.axes:  # the label of a specimen's parameter has two lines, longer than a row is high
+        axis.yaxis.label.set_fontsize(7)
+    return figure
+
+
+def plot_rank(
+    posterior: xr.DataTree, names: Sequence[str] | None = None, *, units: Mapping[str, str] | None = None
+) -> Figure:
+    """Draw rank plots (ArviZ's ``plot_rank``): p below alpha marks chains that disagree.
+
+    The draws are thinned to independent ones first: the test takes correlated draws of one chain for disagreement.
+    Where they are worth fewer than 100 independent ones, thinning would leave nothing to see: they stay as they are.
+    """
+    import arviz as az
+
+    draws, arguments = _for_arviz(posterior, names, units)
+    count = _scalars(draws)
+    effective = min(float(values.min()) for values in az.ess(draws).data_vars.values())
+    is_thinned = effective >= _FEWEST_TO_THIN
+    size = (3.6 * min(count, 4) + 0.5, 2.6 * -(-count // 4) + 0.8)
+    collection = az.plot_rank(draws, figure_kwargs={"figsize": size, "layout": layout()}, thin=is_thinned, **arguments)
+    meaning = "p below \N{GREEK SMALL LETTER ALPHA}: they disagree"
+    if not is_thinned:
+        meaning = f"all draws, of which only {effective:.0f} are effective: too few to tell"
+    return _finished(collection, f"Ranks of the draws by chain (difference from uniform); {meaning}")
+
+
+def plot_pair(
+    posterior: xr.DataTree, names: Sequence[str] | None = None, *, units: Mapping[str, str] | None = None
+) -> Figure:
+    """Draw every pair of parameters against each other, thinned to 2000 draws (ArviZ's ``plot_pair``)."""
+    import arviz as az
+
+    draws, arguments = _for_arviz(posterior, names, units, most=2000)
+    count = _scalars(draws)
+    collection = az.plot_pair(
+        draws,
+        figure_kwargs={"figsize": (2.4 * count + 0.6, 2.3 * count + 0.6), "layout": layout()},
+        visuals={"scatter": {"alpha": 0.25, "size": 8, "width": 0}},
+        **arguments,
+    )
+    figure = _finished(collection, "Pairs of parameters")
+    _stand_on_zero((axis for axis in figure.axes if not axis.collections), 3)
+    for axis in figure.axes:
+        axis.xaxis.set_major_locator(MaxNLocator(3))
+    return figure
+
+
+def _stand_on_zero(densities: Iterable[Axes], ticks: int) -> None:
+    """Let densities begin at zero, or waves of a flat one fill the panel; and keep numbers from running together."""
+    for axis in densities:
+        axis.set_ylim(0.0, None)
+        axis.xaxis.set_major_locator(MaxNLocator(ticks))
+
+
+def _for_arviz(
+    posterior: xr.DataTree, names: Sequence[str] | None, units: Mapping[str, str] | None, most: int | None = None
+) -> tuple[xr.DataTree, dict[str, Any]]:
+    """Draws of the chosen parameters in readable units, and the arguments that all ArviZ plots share."""
+    from arviz_base.labels import MapLabeller
+
+    dataset = posterior["posterior"].to_dataset()
+    dataset = _first_scalars(dataset if names is None else dataset[list(names)])
+    if most is not None:
+        dataset = dataset.isel(draw=slice(None, None, max(1, dataset.sizes["chain"] * dataset.sizes["draw"] // most)))
+    for name, coordinate in dataset.coords.items():
+        if coordinate.dtype.kind in "OUT":  # names from files, which end up in titles
+            dataset = dataset.assign_coords({name: (coordinate.dims, [drawable(value) for value in coordinate.values])})
+    labels: dict[Hashable, Hashable] = {}
+    for name, variable in dataset.data_vars.items():
+        scale, labels[name] = parameter_axis(str(name), np.asarray(variable), units)
+        dataset[name] = variable * scale
+    arguments = {"labeller": MapLabeller(var_name_map=labels), "backend": "matplotlib"}
+    return xr.DataTree.from_dict({"posterior": dataset}), arguments
+
+
+def _first_scalars(dataset: xr.Dataset) -> xr.Dataset:
+    """Keep at most `MOST_PARAMETERS` scalars: of parameters over many specimens, those of the first specimens."""
+    per_variable = max(1, MOST_PARAMETERS // max(1, len(dataset.data_vars)))
+    other = [dim for dim in dataset.dims if dim not in ("chain", "draw")]
+    return dataset.isel({dim: slice(0, per_variable) for dim in other})
+
+
+def _scalars(draws: xr.DataTree) -> int:
+    dataset = draws["posterior"].to_dataset()
+    return int(sum(v.size for v in dataset.data_vars.values())) // (dataset.sizes["chain"] * dataset.sizes["draw"])
+
+
+def _finished(collection: Any, title: str) -> Figure:
+    """Take the figure out of an ArviZ PlotCollection, and off pyplot's list of open figures."""
+    from matplotlib import pyplot
+
+    figure: Figure = collection.viz["figure"].item()
+    pyplot.close(figure)
+    figure.suptitle(title, fontsize=11)
+    return figure

@@ -1,0 +1,206 @@
+"""The output folder of a study: `write_study`.
+
+========================  ====================================================================================
+file                      what it holds
+========================  ====================================================================================
+``report.html``           the whole study for a reader, figures included; needs no network
+``result.json``           everything in numbers and words; see `DIAGNOSIS_KEYS`
+``model.py``              the extended model as a PyMC script that reads ``backbones.nc`` beside it
+``backbones.csv``         measured backbones with standard errors: a row for each specimen and level
+``backbones.nc``          the same with the covariance over the levels (NetCDF)
+``posterior.nc``          all draws and the sampler's statistics, where something was sampled (NetCDF)
+``figures/*.png``         the figures of the report as files
+========================  ====================================================================================
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..discrepancy.study import Estimate, HeldOut, Study
+from .model_script import model_script
+from .output_folder import REPORT, SCRIPT, package_version, prepare_output, write_results
+from .report import report_html
+from .study_plots import study_figures
+
+DIAGNOSIS_KEYS = {
+    "program": "'pymc-backbone'",
+    "version": "of this package",
+    "command": "the command line that repeats the study",
+    "verdict": "adequate | found | ambiguous | unexplained",
+    "sentence": "the verdict in one sentence",
+    "base_effects": "names of the effects of the model that was questioned",
+    "missing_effects": "name and parameters (mean, sd, hdi_low, hdi_high, unit) of each; empty unless found",
+    "probability": "of the most probable set, which is the missing one where the verdict is found",
+    "candidates": "every set, in falling probability: effects, probability, reduced_chi_square, log_evidence (relative "
+    "to the base), status (best | possible | rejected | failed), reason, backbone_chi_square, parameters "
+    "(name: value, standard_error)",
+    "ambiguous_sets": "the sets that cannot be told apart; empty unless ambiguous",
+    "advice": "sentences on what measurement would tell more",
+    "reasons": "sentences that give the naming in physical words",
+    "below_tolerance": "effects that are detectable but smaller than the tolerance",
+    "where": "ranges in which base model and measurement differ: observable, amplitude_low, amplitude_high [m or rad], "
+    "gap (measured minus simulated, largest), unit, standard_errors, direction (above | below the model)",
+    "missing_p_value": "of the test of nothing being missing",
+    "gap": "reduced chi-square on held-out data: held_out_levels and held_out_specimens, each with before, after and, "
+    "for each left out, labels, before_each, after_each; shrink with its 95 % interval shrink_low, shrink_high",
+    "adequate_by": "statistics | tolerance | null",
+    "tolerance": "relative engineering tolerance by observable",
+    "detectable": "smallest effects that would have been seen: effect, parameter, value, unit, and the relative change "
+    "of frequency and damping",
+    "data_checks": "check, passed, message",
+    "parameters": "of the extended model (of the base where nothing was added), by effect and name: mean, sd, hdi_low, "
+    "hdi_high, unit",
+    "posterior_bounds": "name: low, high of the uniform priors of the sampled model",
+    "convergence": "r_hat (largest), ess_bulk (smallest), draws, chains; empty where nothing was sampled",
+    "findings": "sentences on what is wrong with the posterior; empty if nothing was found",
+    "equation_before": "of the base model, with the meaning and unit of each symbol",
+    "equation_after": "of the extended model; null where nothing was added",
+    "mass": "kg, or kg m^2 for a rotation",
+    "observables": "compared with the measurement: frequency [Hz], damping [1], offset [1]",
+    "levels": "amplitudes at which curves are compared, in 'amplitude_unit'",
+    "amplitude_unit": "m or rad",
+    "specimens": "names",
+    "settings": "every setting of the run, defaults filled in",
+    "notes": "what was assumed or done while reading and conditioning the records",
+    "seconds": "of computation",
+    "seed": "of everything random; the same seed and versions give the same study",
+    "files": "written by this run, relative to the folder",
+}
+"""Keys of ``result.json``; what is not a number (NaN) is null."""
+
+
+def write_study(
+    study: Study,
+    folder: str | os.PathLike[str],
+    *,
+    overwrite: bool = False,
+    command: str = "",
+    records: Sequence[Any] = (),
+) -> list[str]:
+    """Write a study to a folder: report, result, figures, backbones, posterior, script.
+
+    Parameters
+    ----------
+    study : Study
+        What `find_missing_effect` returned.
+    folder : path-like
+        Output folder; made if it is not there.
+    overwrite : bool, optional
+        Whether the folder may hold something already.
+    command : str, optional
+        The command line that repeats the study, for the report.
+    records : sequence of Record, optional
+        The measured records, drawn if given.
+
+    Returns
+    -------
+    list of str
+        Names of the files, relative to the folder.
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be used or a file cannot be written.
+    """
+    place = prepare_output(Path(folder), overwrite)
+    version = package_version()
+    figures = study_figures(study, records)
+    texts = {
+        REPORT: report_html(study, figures, version=version, command=command),
+        SCRIPT: model_script(study, version),
+    }
+    return write_results(
+        place,
+        {"command": command, **study_entries(study, version)},
+        backbones=study.backbones,
+        posterior=study.posterior,
+        mean_backbone=study.posterior_backbone,
+        figures=figures,
+        texts=texts,
+        keys=DIAGNOSIS_KEYS,
+    )
+
+
+def study_entries(study: Study, version: str) -> dict[str, Any]:
+    """Return what ``result.json`` holds of a study; keys as in `DIAGNOSIS_KEYS`."""
+    falling = sorted(study.candidates, key=lambda item: -np.nan_to_num(item.probability, nan=-1.0))
+    return {
+        "version": version,
+        "verdict": study.verdict,
+        "sentence": study.sentence,
+        "base_effects": [effect.name for effect in study.base.effects],
+        "missing_effects": [
+            {"name": name, "parameters": _estimates(study.parameters.get(name, {}))} for name in study.missing_effects
+        ],
+        "probability": study.probability,
+        "candidates": [
+            {
+                "effects": list(item.effects),
+                "probability": item.probability,
+                "reduced_chi_square": item.reduced_chi_square,
+                "log_evidence": item.log_evidence,
+                "status": item.status,
+                "reason": item.reason,
+                "backbone_chi_square": item.backbone_chi_square,
+                "parameters": {
+                    name: {"value": value, "standard_error": error} for name, (value, error) in item.parameters.items()
+                },
+            }
+            for item in falling
+        ],
+        "ambiguous_sets": [list(names) for names in study.ambiguous_sets],
+        "advice": list(study.advice),
+        "reasons": list(study.reasons),
+        "below_tolerance": list(study.below_tolerance),
+        "where": [asdict(item) for item in study.where],
+        "missing_p_value": study.missing_p_value,
+        "gap": {
+            "held_out_levels": _held_out(study.held_out_levels),
+            "held_out_specimens": _held_out(study.held_out_specimens),
+            "shrink": study.shrink,
+            "shrink_low": study.shrink_low,
+            "shrink_high": study.shrink_high,
+        },
+        "adequate_by": study.adequate_by,
+        "tolerance": dict(study.tolerance),
+        "detectable": [asdict(item) for item in study.detectable],
+        "data_checks": [asdict(check) for check in study.checks],
+        "parameters": {effect: _estimates(group) for effect, group in study.parameters.items()},
+        "posterior_bounds": {name: list(bounds) for name, bounds in study.posterior_bounds.items()},
+        "convergence": dict(study.convergence),
+        "findings": list(study.findings),
+        "equation_before": study.base.equation,
+        "equation_after": None if study.extended is None else study.extended.equation,
+        "mass": study.base.mass,
+        "observables": [str(name) for name in study.backbones["observable"].values],
+        "levels": np.asarray(study.backbones["level"], dtype=float),
+        "amplitude_unit": str(study.backbones.attrs.get("amplitude_unit", "m")),
+        "specimens": [str(name) for name in study.backbones["specimen"].values],
+        "settings": dict(study.settings),
+        "notes": list(study.notes),
+        "seconds": study.seconds,
+        "seed": study.seed,
+    }
+
+
+def _estimates(group: Mapping[str, Estimate]) -> dict[str, dict[str, Any]]:
+    return {name: asdict(estimate) for name, estimate in group.items()}
+
+
+def _held_out(held_out: HeldOut | None) -> dict[str, Any]:
+    if held_out is None:
+        return {"before": None, "after": None, "labels": [], "before_each": [], "after_each": []}
+    return {
+        "before": held_out.before,
+        "after": held_out.after,
+        "labels": list(held_out.labels),
+        "before_each": held_out.before_each,
+        "after_each": held_out.after_each,
+    }

@@ -1,0 +1,178 @@
+"""What a run prints: measured backbones, inferred parameters, measured against simulated spread, findings."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from .._common.checks import OBSERVABLE_UNITS
+
+MOST_NOTES = 8
+
+
+def compare(measured: xr.Dataset, simulated: xr.Dataset) -> list[dict[str, Any]]:
+    """Compare the spread over the specimens with the posterior's, at each level of each observable.
+
+    Parameters
+    ----------
+    measured, simulated : xarray.Dataset
+        Measured backbones, and those simulated from posterior draws at the same levels.
+
+    Returns
+    -------
+    list of dict
+        ``observable``, ``unit``, ``level``, then mean and sd of both, and the median standard error of the measured
+        values, in the observable's unit. The measured sd holds the standard error too, the simulated one does not.
+    """
+    rows = []
+    for observable in measured["observable"].values:
+        pairs = [np.asarray(dataset["value"].sel(observable=observable)) for dataset in (measured, simulated)]
+        for k, level in enumerate(np.asarray(measured["level"], dtype=float)):
+            row: dict[str, Any] = {
+                "observable": str(observable),
+                "unit": OBSERVABLE_UNITS.get(str(observable), "1"),
+                "level": float(level),
+            }
+            for name, values in zip(("measured", "simulated"), pairs, strict=True):
+                here = values[:, k][np.isfinite(values[:, k])]
+                row[f"{name}_mean"] = float(here.mean()) if here.size else float("nan")
+                row[f"{name}_sd"] = float(here.std(ddof=1)) if here.size > 1 else float("nan")
+            error = np.asarray(measured["standard_error"].sel(observable=observable))[:, k]
+            error = error[np.isfinite(error)]
+            row["measured_standard_error"] = float(np.median(error)) if error.size else float("nan")
+            rows.append(row)
+    return rows
+
+
+def describe_batch(backbones: xr.Dataset) -> str:
+    """Say in one line how many specimens, levels and observables there are."""
+    levels = np.asarray(backbones["level"], dtype=float)
+    unit = str(backbones.attrs.get("amplitude_unit", "m"))
+    count = backbones.sizes["specimen"]
+    return (
+        f"{count} {'specimen' if count == 1 else 'specimens'}, {levels.size} levels from {levels[0]:.4g} to "
+        f"{levels[-1]:.4g} {unit}, observables {', '.join(map(str, backbones['observable'].values))}."
+    )
+
+
+def describe_reading(records: Sequence[Any]) -> str:
+    """Say what was read, and what was assumed and converted meanwhile, each once; empty if nothing was."""
+    counts = Counter(note for record in records for note in dict.fromkeys(record.notes))
+    if not counts:
+        return ""
+    lines = ["Reading the records:", f"- {_extent(records)}"]
+    for note, number in list(counts.items())[:MOST_NOTES]:
+        share = "" if number == len(records) else f" ({number} of {len(records)} records)"
+        lines.append(f"- {note}{share}")
+    if len(counts) > MOST_NOTES:
+        lines.append(f"- and {len(counts) - MOST_NOTES} more, in the notes of the result")
+    return "\n".join(lines)
+
+
+def _extent(records: Sequence[Any]) -> str:
+    """Return how many records of which quantity there are, their length, sampling and size."""
+    quantities = ", ".join(dict.fromkeys(f"{record.quantity} [{record.unit}]" for record in records))
+    seconds = [float(record.time[-1] - record.time[0]) for record in records]
+    rates = [(record.time.size - 1) / span for record, span in zip(records, seconds, strict=True)]
+    peaks = [float(np.max(np.abs(record.values))) for record in records]
+
+    def spread(values: Sequence[float]) -> str:
+        low, high = (f"{value:.4g}" for value in (min(values), max(values)))
+        return low if low == high else f"{low} to {high}"
+
+    count = f"{len(records)} {'record' if len(records) == 1 else 'records'}"
+    return (
+        f"{count} of {quantities}: {spread(seconds)} s at {spread(rates)} samples per second, largest value "
+        f"{spread(peaks)}"
+    )
+
+
+def describe_measured(backbones: xr.Dataset) -> str:
+    """Say what was measured: numbers of specimens and levels, and mean and scatter at three levels."""
+    unit = str(backbones.attrs.get("amplitude_unit", "m"))
+    levels = np.asarray(backbones["level"], dtype=float)
+    rows = [(f"level [{unit}]", "observable", "mean", "scatter (sd)", "standard error", "specimens")]
+    for observable in backbones["observable"].values:
+        for k in _three(levels.size):
+            value = np.asarray(backbones["value"].sel(observable=observable))[:, k]
+            error = np.asarray(backbones["standard_error"].sel(observable=observable))[:, k]
+            here = np.isfinite(value)
+            rows.append(
+                (
+                    f"{levels[k]:.4g}",
+                    _with_unit(str(observable)),
+                    short(value[here].mean() if here.any() else np.nan),
+                    short(value[here].std(ddof=1) if here.sum() > 1 else np.nan),
+                    short(np.median(error[here]) if here.any() else np.nan),
+                    str(int(here.sum())),
+                )
+            )
+    return f"{describe_batch(backbones)}\n\n{aligned(rows)}"
+
+
+def describe_result(result: Mapping[str, Any]) -> str:
+    """Say what was inferred: parameters, measured against simulated spread, findings."""
+    rows = [("parameter", "unit", "mean", "sd", "95 % HDI", "R-hat", "effective draws")]
+    for name, entry in result["parameters"].items():
+        rows.append(
+            (
+                name,
+                entry["unit"],
+                short(entry["mean"]),
+                short(entry["sd"]),
+                f"{short(entry['hdi_low'])} to {short(entry['hdi_high'])}",
+                f"{entry['r_hat']:.3f}",
+                f"{entry['ess_bulk']:.0f}",
+            )
+        )
+    spread: list[tuple[str, ...]] = [
+        (
+            f"level [{result['amplitude_unit']}]",
+            "observable",
+            "measured mean",
+            "sd",
+            "standard error",
+            "simulated mean",
+            "sd",
+        )
+    ]
+    columns = ("measured_mean", "measured_sd", "measured_standard_error", "simulated_mean", "simulated_sd")
+    for observable in result["observables"]:
+        entries = [row for row in result["comparison"] if row["observable"] == observable]
+        for k in _three(len(entries)):
+            row = entries[k]
+            numbers = [short(row[key]) for key in columns]
+            spread.append((f"{row['level']:.4g}", _with_unit(observable), *numbers))
+    found = result["findings"] or ["Nothing wrong was found: the chains agree, and no parameter leans on its prior."]
+    return "\n".join([aligned(rows), "", aligned(spread), "", "Findings:", *(f"- {sentence}" for sentence in found)])
+
+
+def _three(size: int) -> list[int]:
+    return sorted({0, size // 2, size - 1})
+
+
+def _with_unit(observable: str) -> str:
+    unit = OBSERVABLE_UNITS.get(observable, "1")
+    return f"{observable} [{'-' if unit == '1' else unit}]"
+
+
+def short(value: float) -> str:
+    """Write a number with four significant digits."""
+    return "-" if not np.isfinite(value) else f"{value:.4g}"
+
+
+def aligned(rows: Sequence[Sequence[str]]) -> str:
+    """Lay out rows in columns: the first two to the left, numbers to the right."""
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    lines = []
+    for row in rows:
+        cells = [
+            cell.ljust(width) if i < 2 else cell.rjust(width)
+            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        lines.append("  " + "  ".join(cells).rstrip())
+    return "\n".join(lines)

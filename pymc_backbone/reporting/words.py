@@ -1,0 +1,51 @@
+"""Words for what a study decided, the same in reports, figures, terminals and the page over many structures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from ..discrepancy.study import Study
+
+VERDICT_WORDS = {
+    "adequate": "\N{CHECK MARK} Adequate",
+    "found": "\N{BLACK CIRCLE} Found",
+    "ambiguous": "? Ambiguous",
+    "unexplained": "! Unexplained",
+}
+VERDICT_MEANS = {
+    "adequate": "The base model describes these records; no effect needs to be added.",
+    "found": "One set of effects explains the gap between base model and measurement, and the others do not.",
+    "ambiguous": "Several sets of effects explain the gap equally well; these records cannot tell them apart.",
+    "unexplained": "There is a gap that no effect known to the program explains; the best set explains a part of it.",
+}
+ADEQUATE_BY = {
+    "statistics": "Model and measurement agree within measurement error.",
+    "tolerance": "There is a difference beyond measurement error, and it is smaller than the tolerance that was set.",
+}
+STATUS_WORDS = {"best": "best", "possible": "possible", "rejected": "rejected", "failed": "could not be fitted"}
+
+
+def added_effects(study: Study) -> tuple[str, ...]:
+    """Return the names of the effects that the extended model has beyond the base."""
+    base = {effect.name for effect in study.base.effects}
+    return tuple(effect.name for effect in (study.extended or study.base).effects if effect.name not in base)
+
+
+def set_name(effects: Sequence[str], nothing: str = "nothing (base model)") -> str:
+    """Return a set of effects as words; the empty set as ``nothing``."""
+    return " + ".join(name.replace("_", " ") for name in effects) or nothing
+
+
+def percent(probability: float) -> str:
+    """Return a probability as a percentage that never rounds to certainty or to nothing."""
+    if not np.isfinite(probability):
+        return "-"
+    if 0.999 < probability < 1.0:
+        return "> 99.9 %"
+    if 0.0 < probability < 0.001:
+        return "< 0.1 %"
+    return f"{100.0 * probability:.3g} %" if probability < 0.995 else f"{100.0 * probability:.4g} %"

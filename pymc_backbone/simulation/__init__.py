@@ -1,0 +1,1 @@
+"""Free decays and forced response of an oscillator, compiled; knows nothing of measurement."""

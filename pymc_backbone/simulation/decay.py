@@ -1,0 +1,385 @@
+"""Simulation of free decays: backbones at levels, whole decays, and the displacement at given instants."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .._common.checks import FloatArray, InputError, check_finite_array, check_levels, check_positive
+from ..oscillator import Oscillator
+from . import kernels
+from .curves import cycles_of_decay
+from .forces import KIND, OWN_EQUATION, describe_effects
+from .halfcycle import COMPLETED, NO_RETURN, OUT_OF_REACH, RUNAWAY, STUCK
+from .user_effects import compose_user_effects
+
+TOLERANCE = 2e-9  # of one step, relative to amplitude and speed; set by the decrement, not by the frequency
+MAXIMUM_TURNING_POINTS = 20_001
+
+
+class Status(IntEnum):
+    """How the simulation of a level or of a decay ended."""
+
+    COMPLETED = COMPLETED
+    STUCK = STUCK
+    NO_RETURN = NO_RETURN
+    RUNAWAY = RUNAWAY
+    OUT_OF_REACH = OUT_OF_REACH
+
+    @property
+    def meaning(self) -> str:
+        """One line that says what happened and what to do."""
+        return _MEANINGS[self]
+
+
+_MEANINGS = {
+    Status.COMPLETED: "completed",
+    Status.STUCK: "the motion stuck before it completed a cycle; lower the friction bounds or drop the lowest levels",
+    Status.NO_RETURN: "the motion did not swing back; lower the damping bounds or exclude negative stiffness",
+    Status.RUNAWAY: "the motion ran away or was not finite; exclude negative stiffness at large amplitude",
+    Status.OUT_OF_REACH: "no cycle of the decay has this amplitude, or the damping is too light to get there; "
+    "raise the release amplitude or drop the level",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class BackboneResult:
+    """A simulated backbone.
+
+    Attributes
+    ----------
+    levels : ndarray, shape (l,)
+        Amplitudes [m or rad].
+    values : ndarray, shape (3, l)
+        Rows frequency [Hz], damping (logarithmic decrement) [-], offset [-]; NaN where ``status`` is not 0.
+    status : ndarray of int, shape (l,)
+        A `Status` for each level.
+    jacobian : ndarray, shape (3, l, p), or None
+        Derivatives of ``values`` with respect to the parameters.
+    """
+
+    levels: FloatArray
+    values: FloatArray
+    status: NDArray[np.int64]
+    jacobian: FloatArray | None = None
+
+    @property
+    def frequency(self) -> FloatArray:
+        """Frequency [Hz], shape (l,)."""
+        row: FloatArray = self.values[0]
+        return row
+
+    @property
+    def damping(self) -> FloatArray:
+        """Logarithmic decrement per cycle, shape (l,)."""
+        row: FloatArray = self.values[1]
+        return row
+
+    @property
+    def offset(self) -> FloatArray:
+        """Mid-line over amplitude, shape (l,)."""
+        row: FloatArray = self.values[2]
+        return row
+
+
+@dataclass(frozen=True, eq=False)
+class DecayResult:
+    """A simulated free decay, cycle by cycle (positive peak to positive peak).
+
+    Attributes
+    ----------
+    time, amplitude, frequency, damping, offset : ndarray, shape (n,)
+        Middle of each cycle [s], amplitude [m or rad], frequency [Hz], logarithmic decrement, mid-line over amplitude.
+    turning_times, turning_values : ndarray, shape (k,)
+        All turning points, the release first.
+    status : Status
+        Why the decay ended; `Status.COMPLETED` where it ran as long as it was asked to.
+    """
+
+    time: FloatArray
+    amplitude: FloatArray
+    frequency: FloatArray
+    damping: FloatArray
+    offset: FloatArray
+    turning_times: FloatArray
+    turning_values: FloatArray
+    status: Status
+
+
+@dataclass(frozen=True, eq=False)
+class WaveformResult:
+    """The displacement of a free decay at given instants.
+
+    Attributes
+    ----------
+    displacement : ndarray, shape (n,)
+        Displacement [m or rad]; the release amplitude before release, constant after sticking, NaN after a
+        decay that could not be continued.
+    jacobian : ndarray, shape (n, p), or None
+        Derivatives with respect to the parameters.
+    release_slope : ndarray, shape (n,), or None
+        Derivative with respect to the release amplitude.
+    status : Status
+        Why the decay ended.
+    """
+
+    displacement: FloatArray
+    jacobian: FloatArray | None
+    release_slope: FloatArray | None
+    status: Status
+
+
+class Simulator:
+    """An oscillator prepared for simulation: its effects looked up once, its arrays in the kernel's order.
+
+    Parameters
+    ----------
+    oscillator : Oscillator
+        What to simulate.
+    """
+
+    def __init__(self, oscillator: Oscillator) -> None:
+        kernels.define()
+        self.oscillator = oscillator
+        table, stiffness, damping, n_states, has_regime, users = describe_effects(oscillator.effects)
+        user = compose_user_effects(users)
+        self.description = (user, table, stiffness, damping, n_states, float(oscillator.mass), has_regime)
+        self.needs_decay = n_states > 0
+        self.has_own_equation = bool(np.any(table[:, KIND] == OWN_EQUATION))
+
+    def backbone(
+        self,
+        parameters: FloatArray,
+        levels: FloatArray,
+        release: float,
+        virgin: bool,
+        values: FloatArray,
+        jacobian: FloatArray,
+        status: NDArray[np.int64],
+    ) -> None:
+        """Run the compiled backbone into ``values``, ``jacobian`` (empty: not wanted) and ``status``."""
+        run = kernels.backbone_by_decay if self.needs_decay or release > 0.0 else kernels.backbone_by_cycles
+        run(
+            *self.description, parameters, levels, release, virgin, jacobian.size > 0, TOLERANCE,
+            MAXIMUM_TURNING_POINTS, values, jacobian, status,
+        )  # fmt: skip
+
+    def decay(self, *arguments: Any) -> tuple[int, int]:
+        """Run the compiled whole decay."""
+        count, code = kernels.decay(*self.description, *arguments)
+        return int(count), int(code)
+
+
+def simulate_backbone(
+    oscillator: Oscillator,
+    parameters: ArrayLike | dict[str, float],
+    levels: ArrayLike,
+    *,
+    release_amplitude: float | None = None,
+    virgin: bool = True,
+    sensitivities: bool = False,
+) -> BackboneResult:
+    """Simulate the backbone of an oscillator at amplitude levels.
+
+    Without internal states a turning point is described by its amplitude alone, so each level needs one cycle,
+    whose starting peak Newton's method finds; with states (hysteresis) the whole decay is run and read off between
+    its cycles by local cubics in log amplitude.
+
+    Parameters
+    ----------
+    oscillator : Oscillator
+        Mass and effects.
+    parameters : array_like, shape (p,), or dict
+        Parameter values, in the order of ``oscillator.parameter_names``.
+    levels : array_like, shape (l,)
+        Amplitudes [m or rad], strictly increasing and positive.
+    release_amplitude : float, optional
+        Start of the decay [m or rad]. Given, the whole decay is run even without internal states (the reference
+        path). Default: one cycle per level, or 1.25 times the highest level where states remember.
+    virgin : bool, default True
+        Whether hysteretic states start loaded from rest up to the release, or relaxed at the release.
+    sensitivities : bool, default False
+        Whether to compute derivatives with respect to the parameters.
+
+    Returns
+    -------
+    BackboneResult
+        Values (3, l), status (l,), and derivatives (3, l, p) if wanted.
+
+    Raises
+    ------
+    InputError
+        Levels not positive and increasing, or parameters that do not fit the oscillator.
+
+    Notes
+    -----
+    Dormand-Prince 8(5,3), adaptive, with local error 3e-10 of amplitude and speed.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pymc_backbone import Oscillator, simulate_backbone
+    >>> linear = Oscillator(mass=1.0, effects=())
+    >>> result = simulate_backbone(linear, {"linear_stiffness": 400.0, "viscous_damping": 0.4}, [0.01, 0.1])
+    >>> print(np.round(result.frequency, 6))
+    [3.18294 3.18294]
+    """
+    checked = check_levels(levels)
+    vector = oscillator.pack(parameters)
+    values = np.empty((3, checked.size))
+    jacobian = np.zeros((3, checked.size, vector.size) if sensitivities else (0, 0, 0))
+    status = np.zeros(checked.size, dtype=np.int64)
+    release = 0.0 if release_amplitude is None else check_positive("release_amplitude", release_amplitude)
+    Simulator(oscillator).backbone(vector, checked, release, virgin, values, jacobian, status)
+    return BackboneResult(checked, values, status, jacobian if sensitivities else None)
+
+
+def simulate_decay(
+    oscillator: Oscillator,
+    parameters: ArrayLike | dict[str, float],
+    release_amplitude: float,
+    *,
+    n_cycles: int | None = None,
+    stop_amplitude: float | None = None,
+    virgin: bool = True,
+) -> DecayResult:
+    """Simulate a whole free decay, cycle by cycle.
+
+    Parameters
+    ----------
+    oscillator : Oscillator
+        Mass and effects.
+    parameters : array_like, shape (p,), or dict
+        Parameter values.
+    release_amplitude : float
+        Displacement at release, at rest [m or rad]; positive.
+    n_cycles : int, optional
+        How many cycles; default: until ``stop_amplitude``.
+    stop_amplitude : float, optional
+        The decay ends when its amplitude is below this [m or rad]; default 1e-3 of the release.
+    virgin : bool, default True
+        Whether hysteretic states start loaded from rest up to the release, or relaxed at the release.
+
+    Returns
+    -------
+    DecayResult
+        Cycle quantities, turning points and why the decay ended.
+
+    Raises
+    ------
+    InputError
+        A release or a number of cycles that is not positive, or parameters that do not fit the oscillator.
+    """
+    release = check_positive("release_amplitude", release_amplitude)
+    vector = oscillator.pack(parameters)
+    stop = 1e-3 * release if stop_amplitude is None else check_positive("stop_amplitude", stop_amplitude)
+    maximum = MAXIMUM_TURNING_POINTS
+    if n_cycles is not None:
+        if n_cycles < 1:
+            raise InputError(f"`n_cycles` must be at least 1, got {n_cycles}.")
+        maximum = 2 * int(n_cycles) + 1
+        stop = 0.0 if stop_amplitude is None else stop
+    simulator = Simulator(oscillator)
+    columns = 0 if simulator.has_own_equation else 1
+    turns, times = np.empty(maximum), np.empty(maximum)
+    slopes, time_slopes = np.empty((maximum, columns)), np.empty((maximum, columns))
+    empty = np.empty(0)
+    count, code = simulator.decay(
+        vector, release, virgin, stop, False, TOLERANCE, maximum, turns, slopes, time_slopes, times,
+        empty, empty, np.empty((0, 0)),
+    )  # fmt: skip
+    cycles = np.empty((maximum // 2 + 1, 4))
+    found = 0
+    if count >= 3:
+        found = cycles_of_decay(turns, times, slopes, time_slopes, count, 0, cycles, np.empty((maximum // 2 + 1, 4, 0)))
+    peaks = times[0:count:2]
+    return DecayResult(
+        time=0.5 * (peaks[:found] + peaks[1 : found + 1]),
+        amplitude=cycles[:found, 0].copy(),
+        frequency=cycles[:found, 1].copy(),
+        damping=cycles[:found, 2].copy(),
+        offset=cycles[:found, 3].copy(),
+        turning_times=times[:count].copy(),
+        turning_values=turns[:count].copy(),
+        status=Status(code),
+    )
+
+
+def simulate_waveform(
+    oscillator: Oscillator,
+    parameters: ArrayLike | dict[str, float],
+    time: ArrayLike,
+    release_amplitude: float,
+    *,
+    release_time: float = 0.0,
+    virgin: bool = True,
+    sensitivities: bool = False,
+) -> WaveformResult:
+    """Simulate the displacement of a free decay at given instants.
+
+    Parameters
+    ----------
+    oscillator : Oscillator
+        Mass and effects.
+    parameters : array_like, shape (p,), or dict
+        Parameter values.
+    time : array_like, shape (n,)
+        Instants [s], not decreasing.
+    release_amplitude : float
+        Displacement at release, at rest [m or rad]; not zero, either sign.
+    release_time : float, default 0.0
+        Instant of release [s]; before it the displacement is ``release_amplitude``.
+    virgin : bool, default True
+        Whether hysteretic states start loaded from rest up to the release, or relaxed at the release.
+    sensitivities : bool, default False
+        Whether to compute derivatives with respect to the parameters and the release amplitude.
+
+    Returns
+    -------
+    WaveformResult
+        Displacement (n,) and, if wanted, its derivatives.
+
+    Raises
+    ------
+    InputError
+        Time that runs backwards, a release of zero, or parameters that do not fit the oscillator.
+
+    Notes
+    -----
+    Between the integrator's steps the septic through position, velocity, acceleration and jerk is used, for the
+    derivatives the quintic without jerk.
+    """
+    instants = check_finite_array("time", time) - release_time
+    backwards = np.flatnonzero(np.diff(instants) < 0.0)
+    if backwards.size:
+        raise InputError(f"`time` must not run backwards, got a drop after time[{backwards[0]}]. Sort the instants.")
+    release = float(release_amplitude)
+    if not np.isfinite(release) or release == 0.0:
+        raise InputError(f"`release_amplitude` must be finite and not zero, got {release_amplitude}.")
+    vector = oscillator.pack(parameters)
+    simulator = Simulator(oscillator)
+    before = int(np.searchsorted(instants, 0.0, side="left"))
+    displacement = np.full(instants.size, release)
+    columns = vector.size + 1 if sensitivities else (0 if simulator.has_own_equation else 1)
+    slopes = np.zeros((instants.size, columns if sensitivities else 0))
+    if sensitivities:
+        slopes[:before, 0] = 1.0
+    maximum = MAXIMUM_TURNING_POINTS
+    turns, times = np.empty(maximum), np.empty(maximum)
+    turn_slopes, time_slopes = np.empty((maximum, columns)), np.empty((maximum, columns))
+    code = int(COMPLETED)
+    if before < instants.size:
+        _, code = simulator.decay(
+            vector, release, virgin, 0.0, sensitivities, TOLERANCE, maximum, turns, turn_slopes, time_slopes, times,
+            np.ascontiguousarray(instants[before:]), displacement[before:], slopes[before:],
+        )  # fmt: skip
+    return WaveformResult(
+        displacement=displacement,
+        jacobian=np.ascontiguousarray(slopes[:, 1:]) if sensitivities else None,
+        release_slope=np.ascontiguousarray(slopes[:, 0]) if sensitivities else None,
+        status=Status(code),
+    )

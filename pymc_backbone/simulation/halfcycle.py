@@ -1,0 +1,397 @@
+"""From one turning point to the next: the step that everything simulated is made of.
+
+Inside a half cycle the sign of the velocity is a constant, so Coulomb friction and v|v| are smooth. The last
+step is aimed at the turning point, and may overshoot it, because the frozen sign continues the force smoothly;
+what then remains is closed by one implicit step. Where a force has kinks, a step is cut back until it ends where the
+label of the smooth branch is about to change, and a hop takes it over: no step straddles a kink, which the state would
+hardly notice but its derivatives would.
+
+Compiled once as native functions with a name, which other compiled code calls without being compiled with them.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import float64, int64
+
+from .._common.compiled import NativeFunction
+from .forces import (
+    KIND,
+    MEMORY,
+    P_FIRST,
+    P_LAST,
+    ROW,
+    Z_FIRST,
+    effect_slopes,
+    force_gradient,
+    force_slopes,
+    plain,
+    smooth_branch,
+    state_rates,
+    total_force,
+)
+from .instants import Samples, sensitivity_slopes, write_samples
+from .kinks import HOP, KINK_MARGIN, KINK_WINDOW, fraction_before_kink, hop_over, time_to_kink
+from .memory import (
+    AMPLITUDE,
+    CURSOR,
+    HAS_REGIME,
+    LARGEST_STEP,
+    MODE,
+    N_SAMPLES,
+    OWN_STATES,
+    SAMPLE_SLOPES,
+    SENSITIVITY,
+    STEP,
+    TIME,
+    TOLERANCE,
+    VALUE,
+    model_of,
+    place_of,
+)
+from .pointers import FLOATS, INTEGERS, shifted
+from .states import load_slowly
+from .stepper import step_sensitivity, step_states, step_value
+
+COMPLETED, STUCK, NO_RETURN, RUNAWAY, OUT_OF_REACH = range(5)
+_MAXIMUM_STEPS = 400
+_CLOSE = 0.02  # radians left to the turning point that the closing step may cover (error: their fifth power / 720)
+_CLOSE_STATES = 2e-3  # the same with states that have their own equation (error: their cube / 12) ...
+_CLOSE_STATE_SENSITIVITIES = 1e-6  # ... and where their sensitivities are carried (error: proportional)
+_GONE = 1e-13  # of the amplitude: what is smaller and still creeps will not turn
+
+
+@plain
+def _remember(model, y, direction):
+    """Let effects with memory take over the turning point ``y``: where it was, their own force there."""
+    columns = model.columns
+    z = shifted(y, 2)
+    for i in range(model.n_effects):
+        row = shifted(model.table, ROW * i)
+        if row[KIND] != MEMORY:
+            continue
+        first = row[Z_FIRST]
+        force = effect_slopes(model, i, y[0], 0.0, direction, z)
+        S = shifted(y, 2 + model.n_states)
+        Sz = shifted(S, (2 + first) * columns)
+        by_state = shifted(model.scratch, 2 + row[P_LAST] - row[P_FIRST])
+        for c in range(columns):
+            total = model.scratch[0] * S[c]
+            for j in range(3):
+                total += by_state[j] * Sz[j * columns + c]
+            if row[P_FIRST] <= c - 1 < row[P_LAST]:
+                total += model.scratch[2 + c - 1 - row[P_FIRST]]
+            Sz[c] = S[c]
+            Sz[columns + c] = total
+            Sz[2 * columns + c] = 0.0
+        z[first] = y[0]
+        z[first + 1] = force
+        z[first + 2] = 1.0
+
+
+@plain
+def _jerk(model, x, v, a, fx, fv, direction, z, moving, rates):
+    """Return the third derivative of the displacement; states that move need the force's slopes along them."""
+    total = fx * v + fv * a
+    if moving:
+        state_rates(model, x, v, direction, z, rates)
+        force_gradient(model, x, v, direction, z)
+        for j in range(model.n_states):
+            total += model.fz[j] * rates[j]
+    return -total / model.mass
+
+
+@plain
+def _turning_time(v, a, jerk):
+    """Return the time left to the turning point, to second order."""
+    return -v / a - 0.5 * jerk * v * v / (a * a * a)
+
+
+@plain
+def _close(model, y, y1, a, jerk, label, check_label, moving, direction, shift, rates, room):
+    """Move the state to the turning point close by; return the time that takes, or nan if a kink lies between.
+
+    One two-point Hermite step: the velocity is zero at the end, the acceleration there is that of a predicted state.
+    """
+    n = model.n_states
+    columns = model.columns
+    rows = 2 + n
+    x, v = y[0], y[1]
+    tau = _turning_time(v, a, jerk)
+    y1[0] = x + tau * (v + tau * (0.5 * a + tau * jerk / 6.0))
+    y1[1] = 0.0
+    for j in range(n):
+        y1[2 + j] = y[2 + j] + (tau * rates[j] if moving else 0.0)
+    z1 = shifted(y1, 2)
+    force, fx1, fv1 = force_slopes(model, y1[0], 0.0, direction, z1)
+    a1 = -force / model.mass
+    if not a1 * direction < 0.0:
+        return np.nan
+    if moving:
+        tau -= (v + 0.5 * tau * (a + a1)) / a1
+        y1[0] = x + tau * (v + tau * (2.0 * a + a1) / 6.0)
+    else:
+        jerk1 = -fv1 * a1 / model.mass
+        tau -= (v + 0.5 * tau * (a + a1) + tau * tau / 12.0 * (jerk - jerk1)) / a1
+        y1[0] = x + tau * (0.5 * v + tau * (0.1 * (a - a1) + tau * (jerk + jerk1) / 120.0))
+    if check_label and smooth_branch(model, y1[0], 0.0, direction, z1) != label:
+        return np.nan
+    if columns > 0:
+        S = shifted(y, rows)
+        S1 = shifted(y1, rows)
+        slope1 = shifted(room, columns)
+        sensitivity_slopes(model, y, direction, room)
+        for c in range(columns):
+            S1[c] = S[c] + tau * (S[columns + c] + 0.5 * tau * room[c])
+            S1[columns + c] = S[columns + c] + tau * room[c]
+        for k in range(2 * columns, rows * columns):
+            S1[k] = S[k]
+        sensitivity_slopes(model, y1, direction, slope1)
+        for c in range(columns):
+            S1[c] = S[c] + tau * (S[columns + c] + tau * (2.0 * room[c] + slope1[c]) / 6.0)
+            S1[columns + c] = S[columns + c] + 0.5 * tau * (room[c] + slope1[c])
+    if moving:
+        state_rates(model, y1[0], 0.0, direction, z1, model.fz)
+        for j in range(n):
+            y1[2 + j] = y[2 + j] + 0.5 * tau * (rates[j] + model.fz[j])
+    if columns > 0:
+        S1 = shifted(y1, rows)
+        for c in range(columns):
+            # The turning point moves in time by so much; there the displacement does not change with time.
+            shift[c] = -S1[columns + c] / a1
+    return tau
+
+
+@plain
+def _aim(v, a, fx, mass, h, direction):
+    """Return the length of the next step: ``h``, or less to land on the turning point; negative behind it."""
+    if not a * direction < 0.0:
+        return h
+    left = abs(v / a)
+    if v * direction < 0.0:
+        return -min(left, h)
+    if fx > 0.0:
+        local = math.sqrt(fx / mass)
+        left = math.atan(local * left) / local
+    if left <= 1.1 * h:
+        return left
+    return 0.5 * left if left < 2.0 * h else h
+
+
+@plain
+def _growth(error):
+    """Return by how much the next step may be longer: the eighth root of the error, from square roots for speed."""
+    return min(6.0, 0.9 / math.sqrt(math.sqrt(math.sqrt(error)))) if error > 0.0 else 6.0
+
+
+@plain
+def _half_cycle(run, memory, p, direction, time, displacement, slopes):
+    place = place_of(run)
+    model = model_of(run, memory, p, place)
+    samples = Samples(time, displacement, slopes, run[SAMPLE_SLOPES] != 0, run[N_SAMPLES])
+    y = shifted(memory, place.now)
+    y1 = shifted(memory, place.next)
+    z = shifted(y, 2)
+    z1 = shifted(y1, 2)
+    dt = shifted(memory, place.dt)
+    shift = shifted(memory, place.shift)
+    K = shifted(memory, place.K)
+    middle = shifted(memory, place.middle)
+    room = shifted(memory, place.room)
+    mode = run[MODE]
+    moving = mode == OWN_STATES
+    has_regime = run[HAS_REGIME] != 0
+    columns = model.columns
+    n = model.n_states
+    rows = 2 + n
+    # Where states stay as they are through a half cycle, so do their sensitivities.
+    carried = rows if moving else 2
+    mass = model.mass
+    start = y[0]
+    amplitude = memory[AMPLITUDE]
+    tolerance = memory[TOLERANCE]
+    force = total_force(model, start, 0.0, direction, z)
+    a = -force / mass
+    if not math.isfinite(a):
+        return RUNAWAY
+    if not a * direction > 0.0:
+        backwards = total_force(model, start, 0.0, -direction, z) / mass * direction
+        if backwards > 0.0:
+            return RUNAWAY
+        return STUCK if a * direction < 0.0 or backwards < 0.0 else NO_RETURN
+    omega = math.sqrt(abs(a) / amplitude)
+    model.scales[0] = amplitude
+    model.scales[1] = amplitude * omega
+    if moving:
+        state_rates(model, start, amplitude * omega * direction, direction, z, model.fz)
+        for j in range(n):
+            model.scales[2 + j] = max(abs(z[j]), abs(model.fz[j]) / omega)
+    for k in range(carried, rows):
+        y1[k] = y[k]
+        for c in range(columns):
+            y1[rows + k * columns + c] = y[rows + k * columns + c]
+    force, fx, fv = force_slopes(model, start, 0.0, direction, z)
+    label = smooth_branch(model, start, 0.0, direction, z) if has_regime else 0
+    radius = _CLOSE
+    if moving:
+        radius = _CLOSE_STATES if columns == 0 else _CLOSE_STATE_SENSITIVITIES
+    h = memory[STEP] if memory[STEP] > 0.0 else 0.3 / omega
+    limit = np.inf
+    rejected, at_kink, hop = False, False, False
+    for _ in range(_MAXIMUM_STEPS):
+        local = math.sqrt(fx / mass) if fx > 0.0 else 0.0
+        h = min(h, memory[LARGEST_STEP] / max(local, omega if samples.count > 0 else 1e-3 * omega))
+        scale = max(local, omega)
+        step = min(_aim(y[1], a, fx, mass, h, direction), limit)
+        if hop:
+            step = HOP / scale
+            hop_over(model, y, y1, a, direction, step, moving, K, room)
+            error = 0.0
+        elif mode == VALUE:
+            error = step_value(model, y, shifted(y, rows), a, fx, fv, direction, step, tolerance, y1, shifted(y1, rows))
+        elif mode == SENSITIVITY:
+            error = step_sensitivity(
+                model, y, shifted(y, rows), a, fx, fv, direction, step, tolerance, y1, shifted(y1, rows),
+                shifted(memory, place.quadrature),
+            )  # fmt: skip
+        else:
+            error = step_states(model, y, direction, step, tolerance, y1, K)
+        if not math.isfinite(error):
+            error = np.inf
+        new_label = label
+        if has_regime and step > 0.0 and error < np.inf:
+            new_label = smooth_branch(model, y1[0], y1[1], direction, z1)
+            if new_label != label and not hop:
+                a1 = -total_force(model, y1[0], y1[1], direction, z1) / mass
+                precision = 0.1 * HOP / (scale * step)
+                share = fraction_before_kink(
+                    model, y, a, y1, a1, step, label, direction, precision, shifted(K, 2), moving, middle
+                )
+                left = share * step
+                if left * scale > 2.0 * KINK_MARGIN:
+                    limit = left - KINK_MARGIN / scale
+                    at_kink = True
+                    continue
+                if step * scale > KINK_WINDOW:
+                    jerk = _jerk(model, y[0], y[1], a, fx, fv, direction, z, moving, middle)
+                    left = time_to_kink(
+                        model, y, y1, a, jerk, KINK_WINDOW / scale, label, direction, 0.1 * HOP / scale, middle,
+                        moving, room,
+                    )  # fmt: skip
+                hop = left * scale < HOP
+                limit = min(left - 0.5 * HOP / scale, 0.5 * step)
+                at_kink = not hop
+                continue
+        if not error <= 1.0:
+            h = abs(step) * (max(0.2, _growth(error)) if error < np.inf else 0.2)
+            limit = h
+            rejected, at_kink = True, False
+            if not h * omega > 1e-9:
+                return RUNAWAY
+            continue
+        force, fx1, fv1 = force_slopes(model, y1[0], y1[1], direction, z1)
+        a1 = -force / mass
+        if not (math.isfinite(a1) and abs(y1[0]) < 1e3 * (abs(start) + amplitude)):
+            return RUNAWAY
+        if samples.count > 0 and step > 0.0:
+            jerk = _jerk(model, y[0], y[1], a, fx, fv, direction, z, moving, middle)
+            jerk1 = _jerk(model, y1[0], y1[1], a1, fx1, fv1, direction, z1, moving, middle)
+            until = memory[TIME] + step
+            if y1[1] * direction < 0.0 and a1 * direction < 0.0:
+                until += _turning_time(y1[1], a1, jerk1)
+            run[CURSOR] = write_samples(
+                model, y, a, jerk, y1, a1, jerk1, memory[TIME], step, not hop, run[CURSOR], until,
+                direction, dt, room, samples,
+            )  # fmt: skip
+        memory[TIME] += step
+        for k in range(carried):
+            y[k] = y1[k]
+        for k in range(rows, rows + carried * columns):
+            y[k] = y1[k]
+        for j in range(n if moving else 0):
+            model.scales[2 + j] = max(model.scales[2 + j], abs(z[j]))
+        if step >= 0.999 * h:
+            growth = _growth(error)
+            h = step * (min(growth, 1.0) if rejected else growth)
+        a, fx, fv, limit, rejected = a1, fx1, fv1, np.inf, False
+        hop = False
+        if at_kink and new_label == label:
+            jerk = _jerk(model, y[0], y[1], a, fx, fv, direction, z, moving, middle)
+            left = time_to_kink(
+                model, y, y1, a, jerk, KINK_WINDOW / scale, label, direction, 0.1 * HOP / scale, middle, moving, room
+            )
+            hop = left * scale < HOP
+            if not hop:
+                limit = left - 0.5 * HOP / scale
+                continue
+        at_kink = False
+        label = new_label
+        if hop:
+            continue
+        if a * direction < 0.0:
+            if abs(y[1]) * scale < radius * abs(a):
+                jerk = _jerk(model, y[0], y[1], a, fx, fv, direction, z, moving, middle)
+                check = has_regime and radius > 1e-9
+                tau = _close(model, y, y1, a, jerk, label, check, moving, direction, shift, middle, room)
+                if math.isfinite(tau):
+                    if samples.count > 0 and tau > 0.0:
+                        force, fx1, fv1 = force_slopes(model, y1[0], 0.0, direction, z1)
+                        a1 = -force / mass
+                        jerk1 = _jerk(model, y1[0], 0.0, a1, fx1, fv1, direction, z1, moving, middle)
+                        run[CURSOR] = write_samples(
+                            model, y, a, jerk, y1, a1, jerk1, memory[TIME], tau, True, run[CURSOR],
+                            memory[TIME] + tau, direction, dt, room, samples,
+                        )  # fmt: skip
+                    for k in range(rows * (1 + columns)):
+                        y[k] = y1[k]
+                    if moving and columns > 0:
+                        state_rates(model, y[0], 0.0, direction, z, middle)
+                    for c in range(columns):
+                        dt[c] += shift[c]
+                        y[rows + columns + c] = 0.0
+                        for j in range(n if moving else 0):
+                            y[rows + (2 + j) * columns + c] += middle[j] * shift[c]
+                    _remember(model, y, direction)
+                    memory[TIME] += tau
+                    memory[STEP] = h
+                    memory[AMPLITUDE] = max(0.5 * abs(y[0] - start), 1e-300)
+                    return COMPLETED
+                radius *= 0.1
+            elif not abs(y[0]) + abs(y[1]) / omega > _GONE * amplitude:
+                return NO_RETURN
+    return NO_RETURN
+
+
+@plain
+def _load_states(run, memory, p, virgin):
+    place = place_of(run)
+    model = model_of(run, memory, p, place)
+    y = shifted(memory, place.now)
+    side = 1.0 if y[0] > 0.0 else -1.0
+    for j in range(2 + model.n_states):
+        model.scales[j] = abs(y[0])
+    if virgin != 0:
+        if run[MODE] == OWN_STATES:
+            load_slowly(model, y, side, shifted(memory, place.K))
+        _remember(model, y, side)
+        return 0
+    for i in range(model.n_effects):
+        row = shifted(model.table, ROW * i)
+        if row[KIND] == MEMORY:
+            y[2 + row[Z_FIRST]] = y[0]
+            if model.columns > 0:
+                y[2 + model.n_states + (2 + row[Z_FIRST]) * model.columns] = 1.0
+    return 0
+
+
+HALF_CYCLE = NativeFunction("half_cycle", int64(INTEGERS, FLOATS, FLOATS, float64, FLOATS, FLOATS, FLOATS), _half_cycle)
+half_cycle = HALF_CYCLE.call
+"""``half_cycle(run, memory, p, direction, time, displacement, slopes) -> status``: on to the next turning point.
+
+On entry the memory's ``now`` describes a turning point, on return the next one; time and ``dt`` gain what that took.
+"""
+LOAD_STATES = NativeFunction("load_states", int64(INTEGERS, FLOATS, FLOATS, int64), _load_states)
+load_states = LOAD_STATES.call
+"""``load_states(run, memory, p, virgin)``: put the internal states where they are at release."""

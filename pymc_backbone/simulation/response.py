@@ -1,0 +1,174 @@
+"""What an Op simulates: an oscillator at fixed levels, or any function that returns a backbone."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+
+import numpy as np
+import pytensor
+from numpy.typing import ArrayLike
+
+from .._common.checks import OBSERVABLES, FloatArray, InputError, check_levels, check_observables, check_positive
+from .._common.compiled import compiled_sources_digest
+from ..oscillator import Oscillator
+from .decay import Simulator
+
+
+@dataclass(frozen=True)
+class OscillatorResponse:
+    """The backbone of an oscillator at fixed levels, as an Op sees it: plain, hashable, picklable data.
+
+    Parameters
+    ----------
+    oscillator : Oscillator
+        Mass and effects.
+    levels : tuple of float
+        Amplitudes [m or rad].
+    observables : tuple of str
+        Which of frequency, damping, offset.
+    release_amplitude : float, default 0.0
+        Release of the whole decay [m or rad]; 0 lets the simulator choose.
+    virgin : bool, default True
+        Whether hysteretic states start loaded from rest.
+    """
+
+    oscillator: Oscillator
+    levels: tuple[float, ...]
+    observables: tuple[str, ...]
+    release_amplitude: float = 0.0
+    virgin: bool = True
+
+    has_gradient = True
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the parameters, in order."""
+        return self.oscillator.parameter_names
+
+    @property
+    def rows(self) -> tuple[int, ...]:
+        """Which rows of the simulator's table are wanted."""
+        return tuple(OBSERVABLES.index(name) for name in self.observables)
+
+    @property
+    def key(self) -> str:
+        """Digest of everything the numbers depend on: the description, every compiled source, user effects."""
+        text = repr(
+            (self.oscillator.mass, self.levels, self.observables, self.release_amplitude, self.virgin,
+             [effect.name for effect in self.oscillator.effects])
+        )  # fmt: skip
+        parts = (text, self.oscillator.source_digest(), compiled_sources_digest(), pytensor.__version__)
+        return sha256("\0".join(parts).encode()).hexdigest()
+
+    def evaluate(self, theta: FloatArray, wanted: bool) -> tuple[FloatArray, FloatArray, bool]:
+        """Return values (o, l), derivatives (o, l, p) (empty if not wanted) and whether every level completed."""
+        simulator = simulator_of(self.oscillator)
+        levels = np.array(self.levels)
+        values = np.empty((3, levels.size))
+        jacobian = np.empty((3, levels.size, theta.size) if wanted else (0, 0, 0))
+        status = np.zeros(levels.size, dtype=np.int64)
+        simulator.backbone(theta, levels, self.release_amplitude, self.virgin, values, jacobian, status)
+        rows = list(self.rows)
+        return values[rows], jacobian[rows] if wanted else jacobian, not status.any()
+
+
+@functools.lru_cache(maxsize=64)
+def simulator_of(oscillator: Oscillator) -> Simulator:
+    """Return the prepared simulator of ``oscillator``, kept for the next call."""
+    return Simulator(oscillator)
+
+
+@dataclass(frozen=True)
+class CallableResponse:
+    """Any function that returns a backbone, standing in for an oscillator; no gradient.
+
+    Parameters
+    ----------
+    function : callable
+        ``function(parameters, levels) -> values``: a dict from parameter name to float, the levels (l,) and the
+        values (o, l) with one row per observable; NaN, or any exception, counts as a failed simulation. Must be
+        importable (defined at the top of a module) where several processes sample.
+    parameter_names : tuple of str
+        Names of the parameters, in order.
+    levels : tuple of float
+        Amplitudes [m or rad].
+    observables : tuple of str
+        Which of frequency, damping, offset the rows are.
+    """
+
+    function: Callable[[dict[str, float], FloatArray], ArrayLike]
+    parameter_names: tuple[str, ...]
+    levels: tuple[float, ...]
+    observables: tuple[str, ...]
+
+    has_gradient = False
+
+    def evaluate(self, theta: FloatArray, wanted: bool) -> tuple[FloatArray, FloatArray, bool]:
+        """Return values (o, l), an empty array, and whether the function returned finite values."""
+        shape = (len(self.observables), len(self.levels))
+        try:
+            values = np.asarray(
+                self.function(dict(zip(self.parameter_names, theta.tolist(), strict=True)), np.array(self.levels)),
+                dtype=np.float64,
+            )
+        except (ArithmeticError, ValueError, RuntimeError, np.linalg.LinAlgError):
+            return np.full(shape, np.nan), np.empty((0, 0, 0)), False
+        if values.shape != shape:
+            raise InputError(
+                f"the backbone function must return an array of shape {shape} (observables, levels), "
+                f"got {values.shape}."
+            )
+        return values, np.empty((0, 0, 0)), bool(np.isfinite(values).all())
+
+
+Response = OscillatorResponse | CallableResponse
+
+
+def make_response(
+    source: Oscillator | Callable[[dict[str, float], FloatArray], ArrayLike],
+    levels: ArrayLike,
+    observables: str | Sequence[str] = ("frequency", "damping"),
+    *,
+    parameter_names: Sequence[str] | None = None,
+    release_amplitude: float | None = None,
+    virgin: bool = True,
+) -> Response:
+    """Describe an oscillator, or any function that returns a backbone, as an Op sees it.
+
+    Parameters
+    ----------
+    source : Oscillator or callable
+        What is simulated; see `CallableResponse` for what a function must return.
+    levels : array_like, shape (l,)
+        Amplitudes [m or rad].
+    observables : sequence of str
+        Any of frequency, damping, offset.
+    parameter_names : sequence of str, optional
+        For a function: the names of its parameters, in order.
+    release_amplitude : float, optional
+        For an oscillator: run the whole decay from here [m or rad].
+    virgin : bool, default True
+        For an oscillator: whether hysteretic states start loaded from rest.
+
+    Returns
+    -------
+    OscillatorResponse or CallableResponse
+
+    Raises
+    ------
+    InputError
+        Levels or observables that cannot be used, or a function without parameter names.
+    """
+    checked = tuple(check_levels(levels).tolist())
+    names = check_observables(observables)
+    if isinstance(source, Oscillator):
+        release = 0.0 if release_amplitude is None else check_positive("release_amplitude", release_amplitude)
+        return OscillatorResponse(source, checked, names, release, virgin)
+    if not callable(source):
+        raise InputError(f"the model must be an Oscillator or a function, got {type(source).__name__}.")
+    if not parameter_names:
+        raise InputError("a backbone function needs `parameter_names`: the names of its parameters, in order.")
+    return CallableResponse(source, tuple(parameter_names), checked, names)
