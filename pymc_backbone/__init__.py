@@ -24,12 +24,13 @@ if TYPE_CHECKING:
     from .likelihood.op import BackboneLogLikelihood, SimulatedBackbone
     from .measurement.conditioning.condition import ConditionedRecord, condition
     from .measurement.cycles import Cycles, extract_cycles
-    from .measurement.levels import backbones_at_levels, simulated_backbones
+    from .measurement.levels import backbones_at_levels
     from .measurement.reading.measured_backbones import read_backbones
     from .measurement.reading.records import Record, read_records, write_records
     from .oscillator import Oscillator
     from .reporting.output_folder import write_backbones
     from .reporting.study_files import write_study
+    from .simulation.backbones import simulated_backbones
     from .simulation.decay import (
         BackboneResult,
         DecayResult,
@@ -51,7 +52,8 @@ except PackageNotFoundError:  # run from a source tree that was not installed
 
 _WHERE = {
     "_common.checks": ("InputError",),
-    "measurement.levels": ("backbones_at_levels", "simulated_backbones"),
+    "measurement.levels": ("backbones_at_levels",),
+    "simulation.backbones": ("simulated_backbones",),
     "measurement.conditioning.condition": ("ConditionedRecord", "condition"),
     "measurement.cycles": ("Cycles", "extract_cycles"),
     "likelihood.data_consistent": ("fit_data_consistent",),

@@ -13,8 +13,8 @@ from pymc_backbone.effects import LIBRARY
 from pymc_backbone.inference.diagnostics import findings, summarise
 from pymc_backbone.inference.model import build_model
 from pymc_backbone.inference.sampling import sample
-from pymc_backbone.measurement.levels import simulated_backbones
 from pymc_backbone.oscillator import Oscillator
+from pymc_backbone.simulation.backbones import simulated_backbones
 
 SENTENCES = {
     "adequate": "Nothing is missing: base model and measurement agree within measurement error at every amplitude.",

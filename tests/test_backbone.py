@@ -10,8 +10,9 @@ import pytest
 
 from pymc_backbone._common.checks import InputError
 from pymc_backbone.measurement.cycles import Cycles, extract_cycles_from_arrays
-from pymc_backbone.measurement.levels import backbones_at_levels, default_levels, simulated_backbones
+from pymc_backbone.measurement.levels import backbones_at_levels, default_levels
 from pymc_backbone.oscillator import Oscillator
+from pymc_backbone.simulation.backbones import simulated_backbones
 from pymc_backbone.simulation.decay import simulate_backbone, simulate_waveform
 
 STIFFNESS = (2.0 * np.pi) ** 2

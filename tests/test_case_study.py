@@ -11,12 +11,12 @@ from scipy import stats
 
 from pymc_backbone import InputError
 from pymc_backbone.cli.main import main
-from pymc_backbone.measurement.levels import simulated_backbones
 from pymc_backbone.paper.case_comparison import compare_distributions, describe_gap, overlap
 from pymc_backbone.paper.case_files import describe_case
 from pymc_backbone.paper.case_study import KEYS, run_case
 from pymc_backbone.paper.cases import CASES
 from pymc_backbone.paper.run_cases import run_cases
+from pymc_backbone.simulation.backbones import simulated_backbones
 
 SMALL = {"draws": 250, "tune": 300, "chains": 2, "random_seed": 4}
 

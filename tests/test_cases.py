@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pymc_backbone import InputError
-from pymc_backbone.measurement.levels import simulated_backbones
 from pymc_backbone.paper.cases import CASES, get_case, uniform_bounds
+from pymc_backbone.simulation.backbones import simulated_backbones
 
 
 def test_uniform_bounds_have_the_mean_and_the_standard_deviation():

@@ -10,7 +10,7 @@ from pymc_backbone import InputError, Oscillator, build_model, sample
 from pymc_backbone.likelihood.data_consistent import fit_data_consistent
 from pymc_backbone.likelihood.density import Density
 from pymc_backbone.likelihood.density_fit import fit_density
-from pymc_backbone.measurement.levels import simulated_backbones
+from pymc_backbone.simulation.backbones import simulated_backbones
 
 DUFFING = Oscillator(1.0, "cubic_stiffness")
 LEVELS = np.geomspace(0.01, 0.1, 4)

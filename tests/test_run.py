@@ -13,10 +13,10 @@ import xarray as xr
 
 from pymc_backbone._common.checks import InputError
 from pymc_backbone.likelihood.density_fit import fit_density
-from pymc_backbone.measurement.levels import simulated_backbones
 from pymc_backbone.oscillator import Oscillator
 from pymc_backbone.reporting.output_folder import RESULT_KEYS, backbone_table, read_result
 from pymc_backbone.reporting.terminal import compare, describe_measured
+from pymc_backbone.simulation.backbones import simulated_backbones
 from pymc_backbone.workflows import (
     demo,
 )  # noqa: F401  the store needs the model that the fixture replaces

@@ -1,28 +1,22 @@
-"""Backbones at levels: one xarray Dataset for measured and simulated curves alike."""
+"""Backbones at levels, from the cycles of measured specimens."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
+from .._common.backbone_dataset import backbone_dataset
 from .._common.checks import (
-    OBSERVABLE_UNITS,
-    OBSERVABLES,
     FloatArray,
     InputError,
-    check_finite_array,
     check_levels,
     check_observables,
 )
 from .cycles import QUANTITIES, Cycles
 from .smoothing import smooth
-
-if TYPE_CHECKING:
-    from ..oscillator import Oscillator
 
 DEFAULT_LEVELS = 10
 """Levels chosen by default, fewer when a decay has fewer than two cycles per level."""
@@ -144,7 +138,7 @@ def backbones_at_levels(
         raise InputError(
             f"`levels` must lie inside the measured amplitudes {low:g} to {high:g}, got {at[0]:g} to {at[-1]:g}."
         )
-    return _dataset(names, chosen, at, value, covariance, amplitude_unit, notes)
+    return backbone_dataset(names, chosen, at, value, covariance, amplitude_unit, notes)
 
 
 def _level_values(item: Cycles, observable: str, levels: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -178,76 +172,3 @@ def _level_values(item: Cycles, observable: str, levels: FloatArray) -> tuple[Fl
     shared = weights @ item.shared[QUANTITIES.index(observable)]
     covariance = curve.covariance[:n, :n] + blur @ item.smoothed_amplitude_spread @ blur.T + shared @ shared.T
     return curve.value[:n], covariance
-
-
-def simulated_backbones(
-    oscillator: Oscillator,
-    parameters: ArrayLike,
-    levels: ArrayLike,
-    observables: str | Iterable[str] = ("frequency", "damping"),
-    *,
-    release_amplitude: float | None = None,
-    amplitude_unit: str = "m",
-) -> xr.Dataset:
-    """Simulate the backbones of many parameter vectors at levels, in the same Dataset as measured ones.
-
-    Parameters
-    ----------
-    oscillator : Oscillator
-        The model.
-    parameters : (n, p) or (p,) array
-        One row per specimen, in the order of ``oscillator.parameter_names``.
-    levels : (l,) array
-        Increasing amplitudes [m or rad].
-    observables : str or iterable of str, default ("frequency", "damping")
-        Any of ``frequency``, ``damping``, ``offset``.
-    release_amplitude : float, optional
-        Where the decay starts; matters for effects with memory.
-    amplitude_unit : str, default "m"
-        Recorded in the attributes.
-
-    Returns
-    -------
-    xarray.Dataset
-        As `backbones_at_levels`, standard errors and covariance zero; NaN where the simulation has no cycle at a level.
-    """
-    from ..simulation.decay import simulate_backbone
-
-    chosen = check_observables(observables)
-    at = check_levels(levels)
-    table = check_finite_array("parameters", np.atleast_2d(np.asarray(parameters, dtype=np.float64)), ndim=2)
-    rows = [OBSERVABLES.index(name) for name in chosen]
-    value = np.empty((table.shape[0], len(chosen), at.size))
-    for i, row in enumerate(table):
-        value[i] = simulate_backbone(oscillator, row, at, release_amplitude=release_amplitude).values[rows]
-    covariance = np.zeros((*value.shape, at.size)) + np.where(np.isnan(value), np.nan, 0.0)[..., None]
-    names = [f"simulated_{i + 1}" for i in range(table.shape[0])]
-    return _dataset(names, chosen, at, value, covariance, amplitude_unit, ["simulated"])
-
-
-def _dataset(
-    names: list[str],
-    observables: tuple[str, ...],
-    levels: FloatArray,
-    value: FloatArray,
-    covariance: FloatArray,
-    amplitude_unit: str,
-    notes: list[str],
-) -> xr.Dataset:
-    error = np.sqrt(np.diagonal(covariance, axis1=2, axis2=3))
-    dims: tuple[Any, ...] = ("specimen", "observable", "level")
-    return xr.Dataset(
-        {
-            "value": (dims, value),
-            "standard_error": (dims, error),
-            "covariance": ((*dims, "level_other"), covariance),
-        },
-        coords={
-            "specimen": names,
-            "observable": list(observables),
-            "level": levels,
-            "level_other": levels,
-            "unit": ("observable", [OBSERVABLE_UNITS[name] for name in observables]),
-        },
-        attrs={"amplitude_unit": amplitude_unit, "notes": notes},
-    )

@@ -149,7 +149,7 @@ def run_case(
 
 def _predict(case: Case, posterior: xr.DataTree, backbones: xr.Dataset, random_seed: int) -> xr.Dataset:
     """Return the backbones of some posterior draws."""
-    from ..measurement.levels import simulated_backbones
+    from ..simulation.backbones import simulated_backbones
 
     chains, draws = (posterior["posterior"].sizes[dim] for dim in ("chain", "draw"))
     chosen = np.random.default_rng(random_seed).choice(chains * draws, min(PREDICTIVE_DRAWS, chains * draws), False)

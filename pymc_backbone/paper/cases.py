@@ -36,8 +36,8 @@ import numpy as np
 import xarray as xr
 
 from .._common.checks import FloatArray, check_choice
-from ..measurement.levels import simulated_backbones
 from ..oscillator import Oscillator
+from ..simulation.backbones import simulated_backbones
 from .beam import PAPER_BEAM
 
 Pair = tuple[float, float]

@@ -17,11 +17,11 @@ import numpy as np
 import xarray as xr
 
 from .._common.checks import OBSERVABLES
+from .._common.text import printable
 from ..discrepancy.study import Study
 from ..effects import LIBRARY
 from ..inference.model import LIKELIHOODS
 from ..inference.sampling import STEPS
-from ..measurement.reading.tables import printable
 from ..oscillator import Oscillator
 from .output_folder import BACKBONES, MEAN_BACKBONE
 

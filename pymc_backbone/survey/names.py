@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from .._common.checks import InputError
-from ..measurement.reading.tables import natural_key, printable
+from .._common.text import natural_key, printable
 
 MOST_CHARACTERS = 80  # of the name of a folder; longer ones trouble some file systems
 

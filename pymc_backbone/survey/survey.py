@@ -176,7 +176,7 @@ def effects_in_words(item: Structure) -> str:
 
 
 def _plain(text: str) -> str:
-    from ..measurement.reading.tables import printable
+    from .._common.text import printable
 
     return printable(text)
 

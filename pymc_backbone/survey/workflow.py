@@ -260,7 +260,7 @@ def _in_words(executor: Executor, workers: int | None, count: int) -> str:
 
 def _line(item: Structure) -> str:
     """Return what is said when a structure is finished."""
-    from ..measurement.reading.tables import printable
+    from .._common.text import printable
 
     if not item.is_done:
         return f"{printable(item.name)}: failed: {printable(str(item.error))}"

@@ -317,7 +317,7 @@ def _likelihood(likelihood: str, backbones: xr.Dataset) -> str:
 def _predictive(
     oscillator: Oscillator, posterior: xr.DataTree, fixed: Mapping[str, float], backbones: xr.Dataset, seed: int
 ) -> xr.Dataset:
-    from ..measurement.levels import simulated_backbones
+    from ..simulation.backbones import simulated_backbones
 
     draws = posterior["posterior"].to_dataset()
     columns = []

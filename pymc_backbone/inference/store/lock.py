@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from ..._common.checks import InputError
-from ...measurement.reading.tables import printable
+from ..._common.text import printable
 
 LOCK = "lock.json"
 

@@ -13,7 +13,7 @@ from typing import Any
 from pymc.exceptions import SamplingError
 
 from ..._common.checks import InputError
-from ...measurement.reading.tables import printable, shorten
+from ..._common.text import printable, shorten
 from .draw_chunks import ChunkFolder, Point, StoredChain
 from .step_state import History, encode_state, restore_state
 

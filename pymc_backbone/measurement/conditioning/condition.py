@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._common.checks import FloatArray, InputError, check_finite_array
+from ..._common.text import printable
 from ..reading.records import MINIMUM_SAMPLES, QUANTITIES, Record
-from ..reading.tables import printable
 from .asymmetry import SIGNIFICANT, MidLine, displacement_amplitude, restore_mid_line, second_harmonic
 from .baseline import Baseline, find_baseline
 from .conditioned import ConditionedRecord

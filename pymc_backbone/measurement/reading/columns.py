@@ -11,8 +11,9 @@ from typing import NoReturn, Protocol
 import numpy as np
 
 from ..._common.checks import FloatArray, InputError, check_choice, check_positive
+from ..._common.text import printable, shorten
 from .headers import ERROR_WORDS, QUANTITIES, is_angle_name, is_time, mentions_time, quantity_of_name, words_of
-from .tables import Column, Table, printable, shorten
+from .tables import Column, Table
 from .units import Unit, dimension_of, parse_unit, require_unit
 
 SI_UNITS = {

@@ -18,9 +18,10 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator
 
 from ..._common.checks import OBSERVABLES, FloatArray, InputError, check_levels
+from ..._common.text import natural_key, printable, shorten
 from .columns import find_specimens
 from .formats.netcdf import open_netcdf
-from .tables import Column, Table, list_tables, natural_key, printable, read_table, shorten
+from .tables import Column, Table, list_tables, read_table
 from .units import require_unit
 
 DEFAULT_LEVELS = 8

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..._common.checks import FloatArray, InputError, check_choice, check_finite_array
+from ..._common.text import natural_key, printable, shorten
 from .columns import (
     SI_UNITS,
     Reading,
@@ -31,7 +32,7 @@ from .formats.channel import Recording
 from .formats.sep005 import channels_of_sep005
 from .headers import QUANTITIES
 from .measured_backbones import read_backbones
-from .tables import Column, Table, list_tables, natural_key, printable, read_table, shorten
+from .tables import Column, Table, list_tables, read_table
 from .units import split_header
 
 __all__ = ["QUANTITIES", "Record", "read_backbones", "read_records", "write_records"]

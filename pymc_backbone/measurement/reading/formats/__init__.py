@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 from ...._common.checks import InputError
-from ..tables import natural_key, printable, shorten
+from ...._common.text import natural_key, printable, shorten
 from .channel import Channel, Recording
 
 __all__ = ["RECORD_SUFFIXES", "list_recordings", "read_recording"]

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...._common.checks import FloatArray, InputError
+from ...._common.text import printable, shorten
 from ..columns import Reading, find_time, named_columns, scaled, unit_of_time
-from ..tables import Column, printable, shorten
+from ..tables import Column
 from ..units import split_header
 
 MAXIMUM_BYTES = 2_000_000_000

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from ...._common.checks import InputError
-from ..tables import printable
+from ...._common.text import printable
 
 SECONDS = 10.0
 """What the library may take for a small file, in seconds of computation, ..."""

@@ -15,7 +15,8 @@ from typing import NoReturn
 import numpy as np
 
 from ...._common.checks import FloatArray, InputError
-from ..tables import printable, read_text, shorten
+from ...._common.text import printable, shorten
+from ..tables import read_text
 from ..units import parse_unit
 from .channel import Channel
 

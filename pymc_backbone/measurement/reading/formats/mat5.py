@@ -14,7 +14,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from ...._common.checks import InputError
-from ..tables import printable
+from ...._common.text import printable
 from .channel import LARGEST_COMPRESSION, MAXIMUM_BYTES, read_bytes
 from .tree import Refused
 

@@ -9,7 +9,7 @@ import h5py
 import numpy as np
 
 from ...._common.checks import InputError
-from ..tables import printable
+from ...._common.text import printable
 from .channel import check_claim
 from .isolation import check_that_it_ends
 from .mat5 import COMPLEX, object_words

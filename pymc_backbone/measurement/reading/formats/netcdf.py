@@ -12,8 +12,8 @@ import numpy as np
 import xarray as xr
 
 from ...._common.checks import InputError
+from ...._common.text import printable
 from ..headers import RATE_WORDS, STEP_WORDS, is_time, key_of, mentions_time
-from ..tables import printable
 from ..units import parse_unit
 from .channel import LARGEST_COMPRESSION, MAXIMUM_BYTES, Channel, channel_of, check_claim
 from .isolation import check_that_it_ends

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.lib import format as npy
 
 from ...._common.checks import InputError
-from ..tables import printable
+from ...._common.text import printable
 from .channel import MAXIMUM_BYTES, check_claim, read_bytes
 from .tree import Refused
 

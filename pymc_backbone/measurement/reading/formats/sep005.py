@@ -14,7 +14,8 @@ from typing import Any, NoReturn
 import numpy as np
 
 from ...._common.checks import InputError
-from ..tables import printable, read_text, shorten
+from ...._common.text import printable, shorten
+from ..tables import read_text
 from .channel import NO_MOTION, Channel, channel_of, text_of
 
 _QUANTITIES = {"d": "displacement", "v": "velocity", "a": "acceleration"}

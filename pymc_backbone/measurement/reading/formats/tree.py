@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...._common.checks import FloatArray
+from ...._common.text import printable, shorten
 from ..headers import RATE_WORDS, STEP_WORDS, is_time, key_of, mentions_time, words_of
-from ..tables import printable, shorten
 from ..units import parse_unit, split_header
 from .channel import Channel, channel_of, text_of
 

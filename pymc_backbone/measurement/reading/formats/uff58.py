@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from ...._common.checks import InputError
+from ...._common.text import printable
 from ..headers import is_angle_name
-from ..tables import printable
 from .channel import NO_MOTION, Channel, channel_of, missing_extra, read_bytes
 
 _QUANTITIES = {8: "displacement", 11: "velocity", 12: "acceleration"}

@@ -1,0 +1,62 @@
+"""The one container of backbones at levels, for measured and simulated curves alike."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from .checks import OBSERVABLE_UNITS, FloatArray
+
+
+def backbone_dataset(
+    names: list[str],
+    observables: tuple[str, ...],
+    levels: FloatArray,
+    value: FloatArray,
+    covariance: FloatArray,
+    amplitude_unit: str,
+    notes: list[str],
+) -> xr.Dataset:
+    """Put level values and their covariance into the Dataset that measured and simulated backbones share.
+
+    Parameters
+    ----------
+    names : list of str
+        Specimens.
+    observables : tuple of str
+        In the order of `OBSERVABLES`.
+    levels : (l,) array
+        Increasing amplitudes [m or rad].
+    value : (specimen, observable, level) array
+        Hz for frequency, - for damping (logarithmic decrement) and offset.
+    covariance : (specimen, observable, level, level) array
+        Of each curve over the levels.
+    amplitude_unit : str
+        m or rad.
+    notes : list of str
+        Kept in the attributes.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``value``, ``standard_error``, ``covariance``, and the units of the observables.
+    """
+    error = np.sqrt(np.diagonal(covariance, axis1=2, axis2=3))
+    dims: tuple[Any, ...] = ("specimen", "observable", "level")
+    return xr.Dataset(
+        {
+            "value": (dims, value),
+            "standard_error": (dims, error),
+            "covariance": ((*dims, "level_other"), covariance),
+        },
+        coords={
+            "specimen": names,
+            "observable": list(observables),
+            "level": levels,
+            "level_other": levels,
+            "unit": ("observable", [OBSERVABLE_UNITS[name] for name in observables]),
+        },
+        attrs={"amplitude_unit": amplitude_unit, "notes": notes},
+    )

@@ -1,0 +1,57 @@
+"""Backbones at levels of many simulated specimens, in the Dataset of measured ones."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike
+
+from .._common.backbone_dataset import backbone_dataset
+from .._common.checks import OBSERVABLES, check_finite_array, check_levels, check_observables
+from ..oscillator import Oscillator
+from .decay import simulate_backbone
+
+
+def simulated_backbones(
+    oscillator: Oscillator,
+    parameters: ArrayLike,
+    levels: ArrayLike,
+    observables: str | Iterable[str] = ("frequency", "damping"),
+    *,
+    release_amplitude: float | None = None,
+    amplitude_unit: str = "m",
+) -> xr.Dataset:
+    """Simulate the backbones of many parameter vectors at levels, in the same Dataset as measured ones.
+
+    Parameters
+    ----------
+    oscillator : Oscillator
+        The model.
+    parameters : (n, p) or (p,) array
+        One row per specimen, in the order of ``oscillator.parameter_names``.
+    levels : (l,) array
+        Increasing amplitudes [m or rad].
+    observables : str or iterable of str, default ("frequency", "damping")
+        Any of ``frequency``, ``damping``, ``offset``.
+    release_amplitude : float, optional
+        Where the decay starts; matters for effects with memory.
+    amplitude_unit : str, default "m"
+        Recorded in the attributes.
+
+    Returns
+    -------
+    xarray.Dataset
+        As `backbones_at_levels`, standard errors and covariance zero; NaN where the simulation has no cycle at a level.
+    """
+    chosen = check_observables(observables)
+    at = check_levels(levels)
+    table = check_finite_array("parameters", np.atleast_2d(np.asarray(parameters, dtype=np.float64)), ndim=2)
+    rows = [OBSERVABLES.index(name) for name in chosen]
+    value = np.empty((table.shape[0], len(chosen), at.size))
+    for i, row in enumerate(table):
+        value[i] = simulate_backbone(oscillator, row, at, release_amplitude=release_amplitude).values[rows]
+    covariance = np.zeros((*value.shape, at.size)) + np.where(np.isnan(value), np.nan, 0.0)[..., None]
+    names = [f"simulated_{i + 1}" for i in range(table.shape[0])]
+    return backbone_dataset(names, chosen, at, value, covariance, amplitude_unit, ["simulated"])
