@@ -261,7 +261,7 @@ def test_unknown_effect_is_named_with_its_nearest():
 
 def test_effect_files_import_nothing_but_the_allowed():
     folder = Path(effects_package.__file__).parent
-    allowed = {"__future__", "math", "numba", "numpy", "_base", "_checks"}
+    allowed = {"__future__", "math", "numba", "numpy", "_base", "_common.checks"}
     for path in folder.glob("*.py"):
         if path.name in ("__init__.py", "_base.py"):
             continue

@@ -26,10 +26,10 @@ CALLS = {"eval", "exec", "compile", "__import__"}
 ATTRIBUTES = {"system", "popen", "literal_eval", "read_pickle", "loadmat", "getoutput", "extractall"}
 # Where one of these stands all the same, and why it cannot be reached from a file.
 ALLOWED = {
-    ("_forces.py", "exec"): "a switch over the package's own functions, by number",
-    ("_store_lock.py", "subprocess"): "ps, with a list of words and the number of a process",
+    ("simulation/forces.py", "exec"): "a switch over the package's own functions, by number",
+    ("inference/store/lock.py", "subprocess"): "ps, with a list of words and the number of a process",
     (
-        "formats/isolation.py",
+        "measurement/reading/formats/isolation.py",
         "subprocess",
     ): "this interpreter with a constant program; names of files go through a pipe",
 }

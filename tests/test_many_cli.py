@@ -154,7 +154,7 @@ def test_dask_that_is_not_installed_is_one_sentence(monkeypatch):
 
 SCRIPT = """
 import sys
-from pymc_backbone import cli
+from pymc_backbone.cli import main as cli
 from pymc_backbone.survey import workflow
 from tests import many_jobs
 if __name__ == "__main__":

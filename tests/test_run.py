@@ -12,17 +12,14 @@ import pytest
 import xarray as xr
 
 from pymc_backbone._common.checks import InputError
+from pymc_backbone.inference.store import run_folder  # noqa: F401  it needs the model that the fixture replaces
 from pymc_backbone.likelihood.density_fit import fit_density
 from pymc_backbone.oscillator import Oscillator
 from pymc_backbone.reporting.output_folder import RESULT_KEYS, backbone_table, read_result
 from pymc_backbone.reporting.terminal import compare, describe_measured
 from pymc_backbone.simulation.backbones import simulated_backbones
-from pymc_backbone.workflows import (
-    demo,
-)  # noqa: F401  the store needs the model that the fixture replaces
-from pymc_backbone.workflows import (
-    update as run,
-)
+from pymc_backbone.workflows import demo
+from pymc_backbone.workflows import update as run
 
 MEANS = {"linear_stiffness": (7000.0, 140.0), "viscous_damping": (1.7, 0.1), "cubic_stiffness": (6e6, 3.6e5)}
 LEVELS = np.geomspace(0.002, 0.018, 4)
@@ -68,7 +65,7 @@ def sampler(monkeypatch, rng) -> dict:
         return [SimpleNamespace(density=density)]
 
     for name, functions in (("model", (build_model, targets_of)), ("sampling", (sample,))):
-        module = ModuleType(f"pymc_backbone.{name}")
+        module = ModuleType(f"pymc_backbone.inference.{name}")
         for function in functions:
             setattr(module, function.__name__, function)
         module.POPULATION_SIZE = 8  # type: ignore[attr-defined]
