@@ -68,7 +68,7 @@ def sampler(monkeypatch, rng) -> dict:
         return [SimpleNamespace(density=density)]
 
     for name, functions in (("model", (build_model, targets_of)), ("sampling", (sample,))):
-        module = ModuleType(f"pymc_backbone.{name}")
+        module = ModuleType(f"pymc_backbone.inference.{name}")
         for function in functions:
             setattr(module, function.__name__, function)
         module.POPULATION_SIZE = 8  # type: ignore[attr-defined]
