@@ -72,22 +72,22 @@ def add_cases(commands: Any) -> None:
     parser.set_defaults(run=_cases)
 
 
-def _cases(options: argparse.Namespace) -> None:
-    hush_libraries(options.quiet)
+def _cases(given: argparse.Namespace) -> None:
+    hush_libraries(given.quiet)
     from ..paper.run_cases import run_cases
 
     records = run_cases(
-        options.names,
-        options.likelihood,
-        output=options.out,
-        overwrite=options.overwrite,
-        say=say_of(options),
-        workers=options.workers,
-        specimens=options.specimens,
-        draws=options.draws,
-        tune=options.tune,
-        chains=options.chains,
-        observables=options.observables,
-        random_seed=options.seed,
+        given.names,
+        given.likelihood,
+        output=given.out,
+        overwrite=given.overwrite,
+        say=say_of(given),
+        workers=given.workers,
+        specimens=given.specimens,
+        draws=given.draws,
+        tune=given.tune,
+        chains=given.chains,
+        observables=given.observables,
+        random_seed=given.seed,
     )
-    print_result(options, records)
+    print_result(given, records)

@@ -33,16 +33,16 @@ def add_talk(parser: argparse.ArgumentParser, *, quiet: bool = True) -> None:
     )
 
 
-def say_of(options: argparse.Namespace) -> Callable[[str], None]:
+def say_of(given: argparse.Namespace) -> Callable[[str], None]:
     """Return what prints a line of the summary: `say`, or nothing where the options ask for silence or JSON."""
-    return _say_nothing if options.quiet or options.json else say
+    return _say_nothing if given.quiet or given.json else say
 
 
 @contextmanager
-def extraction_progress(options: argparse.Namespace) -> Iterator[tuple[ProgressBar, Callable[[str], None]]]:
+def extraction_progress(given: argparse.Namespace) -> Iterator[tuple[ProgressBar, Callable[[str], None]]]:
     """Yield a bar for the extraction of cycles, shown after 2 s, and what prints a line below it."""
-    say_line = say_of(options)
-    with ProgressBar(is_shown=not options.quiet, delay=2.0) as progress:
+    say_line = say_of(given)
+    with ProgressBar(is_shown=not given.quiet, delay=2.0) as progress:
 
         def say_below(text: str) -> None:
             progress.clear()
@@ -51,9 +51,9 @@ def extraction_progress(options: argparse.Namespace) -> Iterator[tuple[ProgressB
         yield progress, say_below
 
 
-def print_result(options: argparse.Namespace, result: Any) -> None:
+def print_result(given: argparse.Namespace, result: Any) -> None:
     """Print a result as JSON where the options ask for it."""
-    if options.json:
+    if given.json:
         from ..reporting.output_folder import plain
 
         print(json.dumps(plain(result), allow_nan=False), flush=True)
@@ -83,16 +83,16 @@ def add_model(parser: argparse.ArgumentParser, *, required: bool = True) -> argp
     return group
 
 
-def measurement_of(options: argparse.Namespace) -> dict[str, Any]:
+def measurement_of(given: argparse.Namespace) -> dict[str, Any]:
     """Return the options of reading and conditioning as keyword arguments."""
     names = ("band", "start", "levels", "columns", "quantity", "unit", "sampling_rate")
-    return {name: getattr(options, name) for name in names}
+    return {name: getattr(given, name) for name in names}
 
 
-def sampling_of(options: argparse.Namespace) -> dict[str, Any]:
+def sampling_of(given: argparse.Namespace) -> dict[str, Any]:
     """Return the options of the sampler as keyword arguments."""
-    chosen = {name: getattr(options, name) for name in ("draws", "tune", "chains", "step")}
-    return {**chosen, "random_seed": options.seed}
+    chosen = {name: getattr(given, name) for name in ("draws", "tune", "chains", "step")}
+    return {**chosen, "random_seed": given.seed}
 
 
 def add_measurement(parser: argparse.ArgumentParser, *, observables: bool = True) -> None:
@@ -148,13 +148,13 @@ def add_measurement(parser: argparse.ArgumentParser, *, observables: bool = True
     )
 
 
-def search_of(options: argparse.Namespace) -> dict[str, Any]:
+def search_of(given: argparse.Namespace) -> dict[str, Any]:
     """Return the options of the search for a missing effect as keyword arguments."""
     names = ("max_effects", "tolerance", "held_out", "quick")
     return {
-        "base": options.split(options.base),
-        "candidates": options.split(options.candidates) or None,
-        **{name: getattr(options, name) for name in names},
+        "base": options.split(given.base),
+        "candidates": options.split(given.candidates) or None,
+        **{name: getattr(given, name) for name in names},
     }
 
 

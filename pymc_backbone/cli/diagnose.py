@@ -103,37 +103,37 @@ def add_diagnose(commands: Any) -> None:
     parser.set_defaults(run=_run)
 
 
-def _run(options: argparse.Namespace) -> None:
-    if options.many:
-        diagnose_many(options)
+def _run(given: argparse.Namespace) -> None:
+    if given.many:
+        diagnose_many(given)
         return
-    refuse_without_many(options)
-    if options.mass is None:
+    refuse_without_many(given)
+    if given.mass is None:
         raise InputError("the mass is missing: give --mass M, in kg, or kg m^2 for a rotation.")
-    _diagnose(options)
+    _diagnose(given)
 
 
-def _diagnose(options: argparse.Namespace) -> None:
+def _diagnose(given: argparse.Namespace) -> None:
     from ..workflows import diagnose as run_diagnosis
 
-    hush_libraries(options.quiet)
-    say = say_of(options)
-    with ProgressBar(is_shown=not options.quiet) as progress:
+    hush_libraries(given.quiet)
+    say = say_of(given)
+    with ProgressBar(is_shown=not given.quiet) as progress:
 
         def say_below(text: str) -> None:
             progress.clear()
             say(text)
 
         result = run_diagnosis.diagnose(
-            options.records,
-            mass=options.mass,
-            output=options.out,
-            **search_of(options),
-            is_table=options.backbones,
-            **measurement_of(options),
-            **sampling_of(options),
-            overwrite=options.overwrite,
+            given.records,
+            mass=given.mass,
+            output=given.out,
+            **search_of(given),
+            is_table=given.backbones,
+            **measurement_of(given),
+            **sampling_of(given),
+            overwrite=given.overwrite,
             progress=progress,
             say=say_below,
         )
-    print_result(options, result)
+    print_result(given, result)

@@ -171,15 +171,15 @@ class _Interrupt:
             signal.signal(signal.SIGINT, self.previous)
 
 
-def _effects(options: argparse.Namespace) -> None:
+def _effects(given: argparse.Namespace) -> None:
     from ..effects import LIBRARY, get_effect
 
-    if options.json:
-        chosen = LIBRARY.values() if options.name is None else [get_effect(options.name)]
-        _cli_common.print_result(options, {effect.name: _effect_entries(effect) for effect in chosen})
+    if given.json:
+        chosen = LIBRARY.values() if given.name is None else [get_effect(given.name)]
+        _cli_common.print_result(given, {effect.name: _effect_entries(effect) for effect in chosen})
         return
-    if options.name is not None:
-        print(_effect_text(get_effect(options.name)))
+    if given.name is not None:
+        print(_effect_text(get_effect(given.name)))
         return
     print("Every model has linear_stiffness and viscous_damping; --effect adds others. x is displacement, x' velocity.")
     for name, effect in LIBRARY.items():
@@ -209,12 +209,12 @@ def _effect_text(effect: Any) -> str:
     return "\n".join(lines)
 
 
-def _demo(options: argparse.Namespace) -> None:
+def _demo(given: argparse.Namespace) -> None:
     from ..workflows import demo
 
-    hush_libraries(options.quiet)
-    result = demo.run_demo(options.out, overwrite=options.overwrite, say=_cli_common.say_of(options))
-    _cli_common.print_result(options, result)
+    hush_libraries(given.quiet)
+    result = demo.run_demo(given.out, overwrite=given.overwrite, say=_cli_common.say_of(given))
+    _cli_common.print_result(given, result)
 
 
 def _stop(message: str, code: int) -> int:

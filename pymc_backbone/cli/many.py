@@ -68,47 +68,47 @@ def add_many(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def refuse_without_many(options: argparse.Namespace) -> None:
+def refuse_without_many(given: argparse.Namespace) -> None:
     """Raise if an option of many structures is given for one."""
     for name in ("structures", "workers", "dask", "resume"):
-        if getattr(options, name):
+        if getattr(given, name):
             raise InputError(f"--{name} is for many structures: add --many, or drop it.")
 
 
-def diagnose_many(options: argparse.Namespace) -> None:
+def diagnose_many(given: argparse.Namespace) -> None:
     """Run ``diagnose --many``."""
-    each = {} if options.structures is None else read_structures(options.structures)
-    if options.dask is not None and options.workers is not None:
+    each = {} if given.structures is None else read_structures(given.structures)
+    if given.dask is not None and given.workers is not None:
         raise InputError("--workers is for processes on this machine, and --dask says where else to run; drop one.")
-    hush_libraries(options.quiet)
+    hush_libraries(given.quiet)
     from ..survey.workflow import diagnose_many
 
-    say = say_of(options)
-    with _executor(options.dask) as executor, ProgressBar(is_shown=not options.quiet) as progress:
+    say = say_of(given)
+    with _executor(given.dask) as executor, ProgressBar(is_shown=not given.quiet) as progress:
 
         def say_below(text: str) -> None:
             progress.clear()
             say(text)
 
         survey = diagnose_many(
-            options.records,
-            mass=options.mass,
+            given.records,
+            mass=given.mass,
             each=each,
             executor=executor,
-            workers=options.workers,
-            output=options.out,
-            is_table=options.backbones or None,
-            **search_of(options),
-            **measurement_of(options),
-            **sampling_of(options),
-            resume=options.resume,
-            overwrite=options.overwrite,
-            command=shlex.join(["pymc-backbone", *options.arguments]),
+            workers=given.workers,
+            output=given.out,
+            is_table=given.backbones or None,
+            **search_of(given),
+            **measurement_of(given),
+            **sampling_of(given),
+            resume=given.resume,
+            overwrite=given.overwrite,
+            command=shlex.join(["pymc-backbone", *given.arguments]),
             progress=progress,
             say=say_below,
         )
-    say(f"\nThe summary is {options.out / 'summary.html'}, with a link to the report of each structure.")
-    print_result(options, {"program": "pymc-backbone", **survey.entries()})
+    say(f"\nThe summary is {given.out / 'summary.html'}, with a link to the report of each structure.")
+    print_result(given, {"program": "pymc-backbone", **survey.entries()})
     if survey.interrupted:
         raise KeyboardInterrupt
     if survey.failed:
@@ -117,7 +117,7 @@ def diagnose_many(options: argparse.Namespace) -> None:
         named = f"{names} and {rest} more" if rest > 0 else names
         raise InputError(
             f"{len(survey.failed)} of {survey.total} structures could not be diagnosed ({named}); the others are done, "
-            f"{options.out / 'summary.html'} says why."
+            f"{given.out / 'summary.html'} says why."
         )
 
 

@@ -155,47 +155,47 @@ def add_update(commands: Any) -> None:
     parser.set_defaults(run=_update)
 
 
-def _extract(options: argparse.Namespace) -> None:
+def _extract(given: argparse.Namespace) -> None:
     from ..workflows import update as run
 
-    with extraction_progress(options) as (progress, say):
+    with extraction_progress(given) as (progress, say):
         result = run.extract(
-            options.records,
-            output=options.out,
-            overwrite=options.overwrite,
-            **measurement_of(options),
-            observables=options.observables,
+            given.records,
+            output=given.out,
+            overwrite=given.overwrite,
+            **measurement_of(given),
+            observables=given.observables,
             progress=progress,
             say=say,
         )
-    print_result(options, result)
+    print_result(given, result)
 
 
-def _update(options: argparse.Namespace) -> None:
+def _update(given: argparse.Namespace) -> None:
     from ..workflows import update as run
 
-    hush_libraries(options.quiet)
-    with extraction_progress(options) as (progress, say):
+    hush_libraries(given.quiet)
+    with extraction_progress(given) as (progress, say):
         result = run.update(
-            options.records,
-            mass=options.mass,
-            effects=options.split(options.effect),
-            priors=options.once("--prior", options.prior),
-            fixed=options.once("--fix", options.fix),
-            is_table=options.backbones,
-            **measurement_of(options),
-            observables=options.observables,
-            likelihood=options.likelihood,
-            density=options.density,
-            marginal=options.marginal,
-            **sampling_of(options),
-            store=options.store,
-            resume=options.resume,
-            output=options.out,
-            overwrite=options.overwrite,
+            given.records,
+            mass=given.mass,
+            effects=options.split(given.effect),
+            priors=options.once("--prior", given.prior),
+            fixed=options.once("--fix", given.fix),
+            is_table=given.backbones,
+            **measurement_of(given),
+            observables=given.observables,
+            likelihood=given.likelihood,
+            density=given.density,
+            marginal=given.marginal,
+            **sampling_of(given),
+            store=given.store,
+            resume=given.resume,
+            output=given.out,
+            overwrite=given.overwrite,
             progress=progress,
             say=say,
         )
-    print_result(options, result)
+    print_result(given, result)
     if result.get("interrupted"):
         raise KeyboardInterrupt
