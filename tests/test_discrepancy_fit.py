@@ -1,4 +1,4 @@
-"""Witnesses and the joint fit: derivatives, coordinates, averaging, whitening, recovery, normal equations."""
+"""Data terms and the joint fit: derivatives, coordinates, averaging, whitening, recovery, normal equations."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from scipy.signal import butter, lfilter
 from scipy.stats import chi2
 
 from pymc_backbone.discrepancy import joint_fit, starts, whitening
+from pymc_backbone.discrepancy.data_term import level_term
 from pymc_backbone.discrepancy.joint_fit import NUISANCES, SCATTER, State, _recentred, fit, parameters_of, start_state
 from pymc_backbone.discrepancy.layout import make_layout
-from pymc_backbone.discrepancy.record_witness import first_turning_point
-from pymc_backbone.discrepancy.witness import level_witness
+from pymc_backbone.discrepancy.record_term import first_turning_point
 from pymc_backbone.effects import BASE_EFFECTS, LIBRARY
 from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.measurement.cycles import extract_cycles
@@ -135,11 +135,11 @@ def test_redundant_parameters_are_held_and_not_fitted():
             assert vector[layout.oscillator.index(key)] == value
 
 
-# derivatives of the witnesses
+# derivatives of the data terms
 
 
 def differences(chosen, simulator, vector, nuisances, steps):
-    """Central differences of a witness's simulated values, by parameter and nuisance."""
+    """Central differences of a data term's simulated values, by parameter and nuisance."""
     columns = []
     for j in range(vector.size + 5):
         sides = []
@@ -306,7 +306,7 @@ def test_white_noise_is_only_scaled(rng):
     np.testing.assert_array_equal(whitening.whitener(np.array([4.0, 0.0]))(columns), columns * 0.5)
 
 
-def test_level_witness_whitens_with_the_covariance_given(rng):
+def test_level_term_whitens_with_the_covariance_given(rng):
     levels = np.array([0.2, 0.5, 1.0])
     factor = np.array([[1.0, 0.0, 0.0], [0.6, 0.8, 0.0], [0.2, 0.3, 0.7]])
     covariance = factor @ factor.T
@@ -318,12 +318,12 @@ def test_level_witness_whitens_with_the_covariance_given(rng):
         },
         coords={"specimen": ["a"], "observable": ["frequency"], "level": levels},
     )
-    chosen = level_witness(backbones, 0)
+    chosen = level_term(backbones, 0)
     # correlations are widened by 1e-6 so that they can always be inverted
     np.testing.assert_allclose(chosen.whitening @ covariance @ chosen.whitening.T, np.eye(3), atol=1e-5)
-    part = level_witness(backbones, 0, keep=np.array([True, False, True]))
+    part = level_term(backbones, 0, keep=np.array([True, False, True]))
     np.testing.assert_array_equal(part.levels, levels[[0, 2]])
-    assert level_witness(backbones.isel(level=slice(0, 0)), 0) is None
+    assert level_term(backbones.isel(level=slice(0, 0)), 0) is None
 
 
 def test_first_turning_point_knows_whether_the_record_holds_the_release():

@@ -281,8 +281,8 @@ def relative_change(batch: Batch, larger: Fit, smaller: Fit) -> dict[str, float]
     first = on_levels(batch, larger)
     second = on_levels(batch, smaller, free_effects=smaller.layout.free.size > 0)
     worst = {"frequency": 0.0, "damping": 0.0}
-    for r, witness in enumerate(batch.levels):
-        inside = levels[(levels >= witness.levels[0] * 0.999) & (levels <= witness.levels[-1] * 1.001)]
+    for r, term in enumerate(batch.levels):
+        inside = levels[(levels >= term.levels[0] * 0.999) & (levels <= term.levels[-1] * 1.001)]
         a, b = (curve(item, item.parameters(r), inside) for item in (first, second))
         for row, key in ((0, "frequency"), (1, "damping")):
             with np.errstate(invalid="ignore", divide="ignore"):

@@ -46,7 +46,7 @@ class Candidate:
     log_evidence : float
         Natural logarithm of the evidence, relative to that of the base alone.
     reduced_chi_square : float
-        Of the deciding witness: per sample of the waveform, or per level value where only backbones were given.
+        Of the deciding data term: per sample of the waveform, or per level value where only backbones were given.
     backbone_chi_square : float
         Of the backbones at the levels, per level value.
     status : {"best", "possible", "rejected", "failed"}

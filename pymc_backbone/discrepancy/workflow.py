@@ -65,7 +65,7 @@ def find_missing_effect(
     oscillator : Oscillator
         The model that is questioned: mass and the effects it holds already.
     data : sequence of Record or ConditionedRecord, or xarray.Dataset
-        Records, one per specimen; or backbones at levels with standard errors. Records are the better witness: their
+        Records, one per specimen; or backbones at levels with standard errors. Records tell more: their
         samples tell apart what backbones cannot.
     candidates : sequence of str or Effect, optional
         Effects that may be missing, by name or, of your own, as `Effect`; by default all of the library that fit the
@@ -166,7 +166,7 @@ def find_missing_effect(
         rivals.drift_check(drifting, decision.drift_probability, bool(decision.best)),
         second_mode,
         rivals.alike_check(batch, search.fits[decision.best]),
-        rivals.witnesses_check(batch, search.fits[decision.best], reduced, _AGREE),
+        rivals.data_terms_check(batch, search.fits[decision.best], reduced, _AGREE),
     )
     factor, low, high = shrink(specimen_gap, level_gap, seed)
     before = simulate(batch, base_levels)
