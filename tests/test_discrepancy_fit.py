@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numba
 import numpy as np
 import pytest
 import xarray as xr
@@ -15,7 +16,7 @@ from pymc_backbone.discrepancy.data_term import level_term
 from pymc_backbone.discrepancy.joint_fit import NUISANCES, SCATTER, State, _recentred, fit, parameters_of, start_state
 from pymc_backbone.discrepancy.layout import make_layout
 from pymc_backbone.discrepancy.record_term import first_turning_point
-from pymc_backbone.effects import BASE_EFFECTS, LIBRARY
+from pymc_backbone.effects import BASE_EFFECTS, LIBRARY, Effect, Parameter
 from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.measurement.cycles import extract_cycles
 from pymc_backbone.oscillator import Oscillator
@@ -133,6 +134,44 @@ def test_redundant_parameters_are_held_and_not_fitted():
         vector = parameters_of(layout, state, 0)
         for key, value in held.items():
             assert vector[layout.oscillator.index(key)] == value
+
+
+@numba.njit
+def preloaded_force(x, v, direction, z, p):
+    side = 1.0 if x > 0.0 or (x == 0.0 and direction > 0.0) else -1.0
+    return p[0] * x + p[1] * side
+
+
+def preloaded(*, roles: tuple[str, str] = ("plain", "plain")) -> Effect:
+    """A spring that is fitted with preload, as users write it: N/m and N, which is no slider."""
+    texts = (("spring_rate", "N/m", "k_v", STIFFNESS), ("preload", "N", "F_v", STIFFNESS * AMPLITUDE))
+    parameters = tuple(
+        Parameter(name, unit, latex, name, lambda m, a, w, top=top: (0.0, 0.1 * top), role=role)  # type: ignore
+        for (name, unit, latex, top), role in zip(texts, roles, strict=True)
+    )
+    return Effect("preloaded_spring", "", "", "", parameters, preloaded_force)
+
+
+def test_a_preloaded_spring_is_no_slider():
+    layout = make_layout(Oscillator(MASS, (preloaded(),)), AMPLITUDE, OMEGA)
+    assert layout.slips == () and layout.powers == () and list(layout.is_strength) == [True, False]
+    values = np.array([0.03 * STIFFNESS, 0.002 * STIFFNESS * AMPLITUDE])
+    np.testing.assert_array_equal(layout.coordinates(values), values)
+    physical, slopes = layout.physical(values, np.zeros(2), 0.0)
+    np.testing.assert_array_equal(physical, values)
+    np.testing.assert_array_equal(slopes, np.eye(2))
+
+
+def test_roles_and_not_units_make_a_slider():
+    """Negative control of the test above, and of the order: the strength comes first, wherever it is declared."""
+    slider = make_layout(Oscillator(MASS, (preloaded(roles=("strength", "slip_force")),)), AMPLITUDE, OMEGA)
+    assert slider.slips == ((0, 1),) and slider.names == ("spring_rate", "preload")
+    turned = make_layout(Oscillator(MASS, (preloaded(roles=("slip_force", "strength")),)), AMPLITUDE, OMEGA)
+    assert turned.slips == ((0, 1),) and turned.names == ("preload", "spring_rate")
+    assert list(turned.free) == [3, 2] and list(turned.is_strength) == [True, False]
+    bounded = make_layout(Oscillator(MASS, (preloaded(roles=("strength", "shape")),)), AMPLITUDE, OMEGA)
+    plain = make_layout(Oscillator(MASS, (preloaded(),)), AMPLITUDE, OMEGA)
+    assert bounded.high[1] == pytest.approx(0.1 * STIFFNESS * AMPLITUDE, rel=1e-12) and plain.high[1] > bounded.high[1]
 
 
 # derivatives of the data terms

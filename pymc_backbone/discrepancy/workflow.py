@@ -255,11 +255,7 @@ def possible_effects(
     held = {effect.name for effect in oscillator.effects}
     unit = str(batch.backbones.attrs.get("amplitude_unit", "m"))
     if candidates is None:
-        names = [
-            name
-            for name, effect in LIBRARY.items()
-            if unit == "rad" or not any("rad" in parameter.unit for parameter in effect.parameters)
-        ]
+        names = [name for name, effect in LIBRARY.items() if unit == "rad" or not effect.needs_rotation]
     else:
         every = [item.name if isinstance(item, Effect) else str(item) for item in candidates]
         names = [check_choice("candidates", name, {**LIBRARY, **own}) for name in every]
