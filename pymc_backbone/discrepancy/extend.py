@@ -12,7 +12,7 @@ from .._common.checks import OBSERVABLES, FloatArray
 from ..effects import BASE_EFFECTS
 from .batch import Batch
 from .curves import curve, measured, on_levels
-from .decide import estimates_of
+from .estimates import estimates_of
 from .joint_fit import Fit
 from .layout import SHAPES
 from .study import Estimate
