@@ -1,9 +1,10 @@
-"""Witnesses and the joint fit: derivatives, coordinates, averaging, whitening, recovery, normal equations."""
+"""Data terms and the joint fit: derivatives, coordinates, averaging, whitening, recovery, normal equations."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
+import numba
 import numpy as np
 import pytest
 import xarray as xr
@@ -11,11 +12,11 @@ from scipy.signal import butter, lfilter
 from scipy.stats import chi2
 
 from pymc_backbone.discrepancy import joint_fit, starts, whitening
+from pymc_backbone.discrepancy.data_term import level_term
 from pymc_backbone.discrepancy.joint_fit import NUISANCES, SCATTER, State, _recentred, fit, parameters_of, start_state
 from pymc_backbone.discrepancy.layout import make_layout
-from pymc_backbone.discrepancy.record_witness import first_turning_point
-from pymc_backbone.discrepancy.witness import level_witness
-from pymc_backbone.effects import BASE_EFFECTS, LIBRARY
+from pymc_backbone.discrepancy.record_term import first_turning_point
+from pymc_backbone.effects import BASE_EFFECTS, LIBRARY, Effect, Parameter
 from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.measurement.cycles import extract_cycles
 from pymc_backbone.oscillator import Oscillator
@@ -135,11 +136,49 @@ def test_redundant_parameters_are_held_and_not_fitted():
             assert vector[layout.oscillator.index(key)] == value
 
 
-# derivatives of the witnesses
+@numba.njit
+def preloaded_force(x, v, direction, z, p):
+    side = 1.0 if x > 0.0 or (x == 0.0 and direction > 0.0) else -1.0
+    return p[0] * x + p[1] * side
+
+
+def preloaded(*, roles: tuple[str, str] = ("plain", "plain")) -> Effect:
+    """A spring that is fitted with preload, as users write it: N/m and N, which is no slider."""
+    texts = (("spring_rate", "N/m", "k_v", STIFFNESS), ("preload", "N", "F_v", STIFFNESS * AMPLITUDE))
+    parameters = tuple(
+        Parameter(name, unit, latex, name, lambda m, a, w, top=top: (0.0, 0.1 * top), role=role)  # type: ignore
+        for (name, unit, latex, top), role in zip(texts, roles, strict=True)
+    )
+    return Effect("preloaded_spring", "", "", "", parameters, preloaded_force)
+
+
+def test_a_preloaded_spring_is_no_slider():
+    layout = make_layout(Oscillator(MASS, (preloaded(),)), AMPLITUDE, OMEGA)
+    assert layout.slips == () and layout.powers == () and list(layout.is_strength) == [True, False]
+    values = np.array([0.03 * STIFFNESS, 0.002 * STIFFNESS * AMPLITUDE])
+    np.testing.assert_array_equal(layout.coordinates(values), values)
+    physical, slopes = layout.physical(values, np.zeros(2), 0.0)
+    np.testing.assert_array_equal(physical, values)
+    np.testing.assert_array_equal(slopes, np.eye(2))
+
+
+def test_roles_and_not_units_make_a_slider():
+    """Negative control of the test above, and of the order: the strength comes first, wherever it is declared."""
+    slider = make_layout(Oscillator(MASS, (preloaded(roles=("strength", "slip_force")),)), AMPLITUDE, OMEGA)
+    assert slider.slips == ((0, 1),) and slider.names == ("spring_rate", "preload")
+    turned = make_layout(Oscillator(MASS, (preloaded(roles=("slip_force", "strength")),)), AMPLITUDE, OMEGA)
+    assert turned.slips == ((0, 1),) and turned.names == ("preload", "spring_rate")
+    assert list(turned.free) == [3, 2] and list(turned.is_strength) == [True, False]
+    bounded = make_layout(Oscillator(MASS, (preloaded(roles=("strength", "shape")),)), AMPLITUDE, OMEGA)
+    plain = make_layout(Oscillator(MASS, (preloaded(),)), AMPLITUDE, OMEGA)
+    assert bounded.high[1] == pytest.approx(0.1 * STIFFNESS * AMPLITUDE, rel=1e-12) and plain.high[1] > bounded.high[1]
+
+
+# derivatives of the data terms
 
 
 def differences(chosen, simulator, vector, nuisances, steps):
-    """Central differences of a witness's simulated values, by parameter and nuisance."""
+    """Central differences of a data term's simulated values, by parameter and nuisance."""
     columns = []
     for j in range(vector.size + 5):
         sides = []
@@ -306,7 +345,7 @@ def test_white_noise_is_only_scaled(rng):
     np.testing.assert_array_equal(whitening.whitener(np.array([4.0, 0.0]))(columns), columns * 0.5)
 
 
-def test_level_witness_whitens_with_the_covariance_given(rng):
+def test_level_term_whitens_with_the_covariance_given(rng):
     levels = np.array([0.2, 0.5, 1.0])
     factor = np.array([[1.0, 0.0, 0.0], [0.6, 0.8, 0.0], [0.2, 0.3, 0.7]])
     covariance = factor @ factor.T
@@ -318,12 +357,12 @@ def test_level_witness_whitens_with_the_covariance_given(rng):
         },
         coords={"specimen": ["a"], "observable": ["frequency"], "level": levels},
     )
-    chosen = level_witness(backbones, 0)
+    chosen = level_term(backbones, 0)
     # correlations are widened by 1e-6 so that they can always be inverted
     np.testing.assert_allclose(chosen.whitening @ covariance @ chosen.whitening.T, np.eye(3), atol=1e-5)
-    part = level_witness(backbones, 0, keep=np.array([True, False, True]))
+    part = level_term(backbones, 0, keep=np.array([True, False, True]))
     np.testing.assert_array_equal(part.levels, levels[[0, 2]])
-    assert level_witness(backbones.isel(level=slice(0, 0)), 0) is None
+    assert level_term(backbones.isel(level=slice(0, 0)), 0) is None
 
 
 def test_first_turning_point_knows_whether_the_record_holds_the_release():

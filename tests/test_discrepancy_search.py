@@ -98,7 +98,7 @@ def test_evidence_does_not_depend_on_the_noise_that_was_assumed(cubic):
 
 
 def fake(residuals, batch, found, monkeypatch):
-    monkeypatch.setattr(evidence, "residuals_of", lambda witness, fit, specimen: residuals)
+    monkeypatch.setattr(evidence, "residuals_of", lambda term, fit, specimen: residuals)
     return evidence.effective_size(batch.waveform[0], found, 0)
 
 
@@ -118,13 +118,13 @@ def redrawn(batch, rng, effects=()):
     oscillator = Oscillator(MASS, effects)
     layout = search_layout(oscillator)
     vector = oscillator.pack(truth_of(effects))
-    witnesses, own = [], []
+    terms, own = [], []
     for item, record in zip(batch.waveform, batch.records, strict=True):
         exact, _ = item.simulate(layout.simulator, vector, AMPLITUDE, RELEASE_TIME, item.time)
         noise = record.noise / np.sqrt(item.together)
-        witnesses.append(replace(item, values=exact + noise * rng.standard_normal(exact.size)))
+        terms.append(replace(item, values=exact + noise * rng.standard_normal(exact.size)))
         own.append([vector[0], vector[1], AMPLITUDE, RELEASE_TIME, 0.0])
-    return replace(batch, waveform=tuple(witnesses)), np.array(own)
+    return replace(batch, waveform=tuple(terms)), np.array(own)
 
 
 def search_layout(oscillator):
@@ -346,11 +346,11 @@ def test_specimens_alike_or_not(cubic, linear, rng):
     assert not check.passed
 
 
-def test_witnesses_agree_or_not(cubic):
+def test_data_terms_agree_or_not(cubic):
     found = cubic.fits[("cubic_stiffness",)]
-    assert rivals.witnesses_check(cubic.batch, found, 1.2, 5.0).passed
-    assert not rivals.witnesses_check(cubic.batch, found, 12.0, 5.0).passed
-    assert not rivals.witnesses_check(cubic.batch, found, float("nan"), 5.0).passed
+    assert rivals.data_terms_check(cubic.batch, found, 1.2, 5.0).passed
+    assert not rivals.data_terms_check(cubic.batch, found, 12.0, 5.0).passed
+    assert not rivals.data_terms_check(cubic.batch, found, float("nan"), 5.0).passed
 
 
 # the search itself

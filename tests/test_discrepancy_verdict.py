@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,7 +13,7 @@ from scipy.integrate import solve_ivp
 
 import pymc_backbone as pb
 from pymc_backbone.discrepancy import decide, words
-from pymc_backbone.discrepancy.study import VERDICTS
+from pymc_backbone.discrepancy.verdict import AdequateBy, Status, Verdict
 from pymc_backbone.discrepancy.workflow import TOLERANCE
 from pymc_backbone.effects import BASE_EFFECTS, LIBRARY
 
@@ -40,7 +41,7 @@ def study_of(data, base=(), **options):
 
 def check_whole(study):
     """What holds for every study, whatever was found."""
-    assert study.verdict in VERDICTS and study.sentence.endswith(".")
+    assert isinstance(study.verdict, Verdict) and study.sentence.endswith(".")
     probabilities = [item.probability for item in study.candidates]
     assert probabilities == sorted(probabilities, reverse=True)
     assert 0.0 < sum(probabilities) <= 1.0 + 1e-9
@@ -284,8 +285,13 @@ def test_mass_only_scales_forces(cubic_records):
 # words
 
 
+def decision_of(verdict: str, **options) -> decide.Decision:
+    lack = SimpleNamespace(share=0.012, p_value=1e-9)
+    fields = {"best": ("a",), "probability": 0.97, "p_missing": 0.3, "probabilities": {}, "evidences": {}, **options}
+    return decide.Decision(verdict=Verdict(verdict), lack=lack, **fields)
+
+
 def test_words_of_each_verdict():
-    lack = SimpleNamespace(share=0.012)
     for verdict, options, said in (
         ("found", {}, "cubic_stiffness is missing from the model, with a probability of 97 %"),
         ("ambiguous", {"listed": (("cubic_stiffness",), ("freeplay",))}, "tell apart: cubic_stiffness; freeplay."),
@@ -303,13 +309,50 @@ def test_words_of_each_verdict():
         ),
         ("unexplained", {}, "no set of known effects explains it"),
         ("unexplained", {"drift_probability": 0.9}, "a drift with time explains the records better"),
-        ("adequate", {"adequate_by": "statistics", "best": ()}, "Nothing is missing"),
-        ("adequate", {"adequate_by": "tolerance", "below": ("iwan",)}, "iwan is detectable"),
-        ("adequate", {"adequate_by": "tolerance", "drift_probability": 0.9}, "a drift with time is detectable"),
+        ("adequate", {"adequate_by": AdequateBy.STATISTICS, "best": ()}, "Nothing is missing"),
+        ("adequate", {"adequate_by": AdequateBy.TOLERANCE, "below": ("iwan",)}, "iwan is detectable"),
+        (
+            "adequate",
+            {"adequate_by": AdequateBy.TOLERANCE, "drift_probability": 0.9},
+            "a drift with time is detectable",
+        ),
     ):
-        fields = {"verdict": verdict, "best": ("cubic_stiffness",), "probability": 0.97, "p_missing": 0.3, "lack": lack}
-        decision = decide.Decision(**{**fields, "probabilities": {}, "evidences": {}, **options})
+        decision = decision_of(verdict, **{"best": ("cubic_stiffness",), **options})
         assert said in words.sentence(decision, None)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "listed"),
+    [
+        ("adequate", "unexplained", ()),
+        ("found", "ambiguous", (("a",),)),
+        ("ambiguous", "ambiguous", (("a",), ("b",))),
+        ("unexplained", "unexplained", ()),
+    ],
+)
+def test_a_second_mode_takes_back_names_and_leaves_the_decision_as_it_was(before, after, listed):
+    given = (("a",), ("b",)) if before == "ambiguous" else ()
+    decision = decision_of(before, listed=given, adequate_by=AdequateBy.STATISTICS if before == "adequate" else None)
+    minded = decide.mind_second_mode(decision)
+    assert (minded.verdict, minded.listed, minded.adequate_by) == (after, listed, None)
+    assert minded.has_second_mode and not decision.has_second_mode and decision.verdict == before
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        decision.verdict = Verdict.FOUND
+
+
+@pytest.mark.parametrize("p_value", [1e-12, 1e-4, 0.01, 0.2, 0.6])
+def test_least_bayes_factor_is_the_least_over_decreasing_densities(p_value):
+    """Under the alternative p has the density s p^(s - 1), s at most 1; the null's is 1. Found by trying every s."""
+    shape = np.linspace(1e-3, 1.0, 400_001)
+    least = 1.0 / (shape * p_value ** (shape - 1.0)).max()
+    assert decide.least_bayes_factor(p_value) == pytest.approx(least, rel=1e-6)  # the steps of s, squared
+    assert decide.least_bayes_factor(0.0) > 0.0
+
+
+def test_verdicts_are_plain_text_in_files():
+    assert json.dumps({Verdict.FOUND: Status.BEST}) == '{"found": "best"}' and f"{Verdict.FOUND}" == "found"
+    assert [str(verdict) for verdict in Verdict] == ["adequate", "found", "ambiguous", "unexplained"]
+    assert [str(status) for status in Status] == ["best", "possible", "rejected", "failed"]
 
 
 def test_model_errors_count_once_for_each_level_not_for_each_sample():

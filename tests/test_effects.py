@@ -272,6 +272,89 @@ def test_effect_files_import_nothing_but_the_allowed():
                 assert node.module in allowed, path.name
 
 
+UNITS_OF_ROLES = {
+    "slip_force": {"N"},
+    "gap": {"m"},
+    "exponent": {"-"},
+    "shape": {"-"},
+}
+
+
+@ALL
+def test_roles_agree_with_units_and_limits(effect):
+    """Roles are declared, units are for people: where the library states both, they say the same."""
+    (strength,) = effect.with_role("strength")
+    assert strength == effect.parameter_names[0] and strength not in dict(effect.redundant)
+    for parameter in effect.parameters:
+        assert parameter.role != "plain", "the library says what each of its parameters is"
+        assert parameter.unit in UNITS_OF_ROLES.get(parameter.role, {parameter.unit})
+        if parameter.role == "power_coefficient":
+            (exponent,) = (q for q in effect.parameters if q.role == "exponent")
+            assert parameter.unit == f"1/m^{exponent.latex}"
+        else:
+            assert "^" not in parameter.unit or parameter.role == "strength"
+    by_role = {parameter.role: parameter for parameter in effect.parameters}
+    if "slip_force" in by_role:
+        assert by_role["strength"].unit == "N/m"
+    assert effect.needs_rotation == any("rad" in parameter.unit for parameter in effect.parameters)
+
+
+@pytest.mark.parametrize("effect", [effect for effect in LIBRARY.values() if effect.has_memory], ids=lambda e: e.name)
+def test_sliders_declare_their_slip_force(effect):
+    """A full slip has exactly this force, whatever the path: found by pushing, not by name."""
+    (name,) = effect.with_role("slip_force")
+    p = np.array(effect.signature.typical(1.0, 1.0, 1.0))
+    far = effect.force(1e3, 1.0, 1.0, np.array([0.0, 0.0, 0.0]), p)
+    assert far == pytest.approx(p[effect.parameter_names.index(name)], rel=1e-12)
+
+
+def number(name: str, role: str = "plain") -> Parameter:
+    return Parameter(name, "N", "q", "a number", lambda mass, amplitude, omega: (0.0, 1.0), role=role)  # type: ignore
+
+
+def mine(*parameters: Parameter, **more) -> Effect:
+    return Effect("mine", "", "", "", parameters, LIBRARY["freeplay"].force, **more)
+
+
+@pytest.mark.parametrize(
+    ("roles", "expected"),
+    [
+        (("plain", "plain"), ("strength", "plain")),
+        (("shape", "plain", "plain"), ("shape", "strength", "plain")),
+        (("plain", "strength"), ("plain", "strength")),
+        ((), ()),
+    ],
+)
+def test_first_plain_parameter_is_the_strength_unless_another_is(roles, expected):
+    effect = mine(*(number(f"q{i}", role) for i, role in enumerate(roles)))
+    assert tuple(parameter.role for parameter in effect.parameters) == expected
+
+
+def test_a_redundant_parameter_does_not_become_the_strength():
+    effect = mine(number("one"), number("two"), redundant=(("one", 1.0),))
+    assert effect.with_role("strength") == ("two",)
+
+
+@pytest.mark.parametrize(
+    ("roles", "redundant", "message"),
+    [
+        (("shape", "exponent"), (), "exactly one parameter with the role 'strength', not redundant; got none"),
+        (("strength", "strength"), (), "got q0, q1"),
+        (("strength", "plain"), (("q0", 1.0),), "got q0"),
+        (("plain", "slip_force", "slip_force"), (), "one parameter with the role 'slip_force'"),
+        (("plain", "power_coefficient"), (), "give the role 'exponent'"),
+    ],
+)
+def test_roles_that_do_not_fit_are_refused(roles, redundant, message):
+    with pytest.raises(InputError, match=message):
+        mine(*(number(f"q{i}", role) for i, role in enumerate(roles)), redundant=redundant)
+
+
+def test_an_unknown_role_is_named_with_its_nearest():
+    with pytest.raises(InputError, match="Did you mean 'exponent'"):
+        number("one", "exponents")
+
+
 def test_uncompiled_force_is_refused():
     with pytest.raises(InputError, match="numba.njit"):
         Effect("mine", "", "", "", (), force=lambda x, v, direction, z, p: 0.0)

@@ -14,7 +14,7 @@ from matplotlib import pyplot
 
 from pymc_backbone._common.checks import InputError
 from pymc_backbone.discrepancy.locate import mean_gap
-from pymc_backbone.discrepancy.study import VERDICTS
+from pymc_backbone.discrepancy.verdict import Verdict
 from pymc_backbone.reporting.html import number, table, unit
 from pymc_backbone.reporting.output_folder import DIAGNOSIS_FIGURES, FIGURES, read_result
 from pymc_backbone.reporting.report import report_html
@@ -66,10 +66,10 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def studies():
-    return {verdict: make_study(verdict) for verdict in VERDICTS}
+    return {verdict: make_study(verdict) for verdict in Verdict}
 
 
-@pytest.mark.parametrize("verdict", VERDICTS)
+@pytest.mark.parametrize("verdict", Verdict)
 def test_result_has_the_documented_keys(studies, tmp_path, verdict):
     study = studies[verdict]
     files = write_study(study, tmp_path / "out", command="pymc-backbone diagnose x")
@@ -128,7 +128,7 @@ def test_a_second_study_removes_what_it_did_not_write(studies, tmp_path):
     assert not (tmp_path / "out" / "figures" / "detectable.png").exists()
 
 
-@pytest.mark.parametrize("verdict", VERDICTS)
+@pytest.mark.parametrize("verdict", Verdict)
 def test_page_is_whole_and_holds_everything_inside(studies, verdict):
     study = studies[verdict]
     figures = study_figures(study)

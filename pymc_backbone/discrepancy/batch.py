@@ -1,4 +1,4 @@
-"""The data of a batch as the fits see them: three witnesses for each specimen, and rough values to start from."""
+"""The data of a batch as the fits see them: three data terms for each specimen, and rough values to start from."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import xarray as xr
 from .._common.checks import FloatArray, InputError
 from ..measurement.conditioning.conditioned import ConditionedRecord
 from ..measurement.cycles import Cycles
-from .record_witness import turning_witness, waveform_witness
-from .witness import LevelWitness, TurningWitness, WaveformWitness, Witness, level_witness
+from .data_term import DataTerm, LevelTerm, TurningTerm, WaveformTerm, level_term
+from .record_term import turning_term, waveform_term
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,10 +26,10 @@ class Batch:
         At levels.
     records, cycles : tuples
         As conditioned and extracted; empty where only backbones are known.
-    levels, turning, waveform : tuples of witnesses
+    levels, turning, waveform : tuples of data terms
         One per specimen; the last two empty where only backbones are known.
     specimens : tuple of str
-        Names, in the order of the witnesses.
+        Names, in the order of the data terms.
     own : (r, 5) array
         Rough stiffness, damping, release amplitude, release instant, offset.
     amplitude : float
@@ -43,9 +43,9 @@ class Batch:
     backbones: xr.Dataset
     records: tuple[ConditionedRecord, ...]
     cycles: tuple[Cycles, ...]
-    levels: tuple[LevelWitness, ...]
-    turning: tuple[TurningWitness, ...]
-    waveform: tuple[WaveformWitness, ...]
+    levels: tuple[LevelTerm, ...]
+    turning: tuple[TurningTerm, ...]
+    waveform: tuple[WaveformTerm, ...]
     specimens: tuple[str, ...]
     own: FloatArray
     amplitude: float
@@ -53,8 +53,8 @@ class Batch:
     notes: tuple[str, ...] = ()
 
     @property
-    def deciding(self) -> Sequence[Witness]:
-        """The witness that decides: the waveform where there is one."""
+    def deciding(self) -> Sequence[DataTerm]:
+        """The data term that decides: the waveform where there is one."""
         return self.waveform or self.levels
 
     @property
@@ -64,7 +64,7 @@ class Batch:
 
     @property
     def nuisances(self) -> tuple[int, ...]:
-        """Which of a specimen's own values the deciding witness sees."""
+        """Which of a specimen's own values the deciding data term sees."""
         return (0, 1, 2, 3, 4) if self.has_records else (0, 1)
 
     def subset(self, specimens: Sequence[int]) -> Batch:
@@ -94,17 +94,17 @@ def batch_of_records(
     names = [str(name) for name in backbones["specimen"].values]
     kept, levels, notes = [], [], []
     for i, item in enumerate(cycles):
-        witness = level_witness(backbones, names.index(item.specimen)) if item.specimen in names else None
-        if witness is None:
+        term = level_term(backbones, names.index(item.specimen)) if item.specimen in names else None
+        if term is None:
             notes.append(f"{item.specimen}: reaches none of the levels and was left out")
             continue
         kept.append(i)
-        levels.append(witness)
+        levels.append(term)
     if not kept:
         raise InputError("no specimen reaches the levels; choose levels within the measured amplitudes.")
     records, cycles = [records[i] for i in kept], [cycles[i] for i in kept]
-    turning = tuple(turning_witness(record, item) for record, item in zip(records, cycles, strict=True))
-    waveform = tuple(waveform_witness(record, item) for record, item in zip(records, cycles, strict=True))
+    turning = tuple(turning_term(record, item) for record, item in zip(records, cycles, strict=True))
+    waveform = tuple(waveform_term(record, item) for record, item in zip(records, cycles, strict=True))
     own = np.array([_rough(mass, item, points) for item, points in zip(cycles, turning, strict=True)])
     amplitude = float(max(np.abs(item.values).max() for item in turning))
     frequency = float(np.median(np.concatenate([item.frequency for item in cycles])))
@@ -120,8 +120,8 @@ def batch_of_backbones(mass: float, backbones: xr.Dataset) -> Batch:
     observables = [str(name) for name in backbones["observable"].values]
     if "frequency" not in observables:
         raise InputError("the search for a missing effect needs the observable `frequency`; give backbones with it.")
-    found = [(i, level_witness(backbones, i)) for i in range(len(names))]
-    held = [(i, witness) for i, witness in found if witness is not None and witness.levels.size > 1]
+    found = [(i, level_term(backbones, i)) for i in range(len(names))]
+    held = [(i, term) for i, term in found if term is not None and term.levels.size > 1]
     if not held:
         raise InputError(
             "the backbones need standard errors to judge a model by, at two levels or more; give them with the table."
@@ -136,12 +136,12 @@ def batch_of_backbones(mass: float, backbones: xr.Dataset) -> Batch:
         own[row] = (mass * omega**2, mass * omega * damping / np.pi, 0.0, 0.0, 0.0)
     amplitude = float(np.asarray(backbones["level"])[-1])
     return Batch(
-        backbones, (), (), tuple(witness for _, witness in held), (), (), tuple(names[i] for i, _ in held), own,
+        backbones, (), (), tuple(term for _, term in held), (), (), tuple(names[i] for i, _ in held), own,
         amplitude, float(np.sqrt(np.median(own[:, 0]) / mass)),
     )  # fmt: skip
 
 
-def _rough(mass: float, cycles: Cycles, points: TurningWitness) -> tuple[float, ...]:
+def _rough(mass: float, cycles: Cycles, points: TurningTerm) -> tuple[float, ...]:
     """Return rough stiffness, damping, release amplitude, release instant and offset of one record."""
     omega = 2.0 * np.pi * float(np.median(cycles.frequency))
     damping = max(float(np.median(cycles.damping)), 1e-6)

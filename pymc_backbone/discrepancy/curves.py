@@ -10,8 +10,8 @@ import xarray as xr
 from .._common.checks import OBSERVABLES, FloatArray
 from . import joint_fit
 from .batch import Batch
+from .data_term import LevelTerm
 from .joint_fit import NUISANCES, SCATTER, Fit, State, fit, linearise, parameters_of
-from .witness import LevelWitness
 
 NO_NUISANCES = np.zeros(5)  # levels see none of them
 
@@ -27,12 +27,12 @@ def on_levels(batch: Batch, found: Fit, *, free_effects: bool = False) -> Fit:
     return replace(found, state=State(state.eta, own))
 
 
-def one_on_levels(found: Fit, witness: LevelWitness, state: State, specimen: int) -> FloatArray:
+def one_on_levels(found: Fit, term: LevelTerm, state: State, specimen: int) -> FloatArray:
     """Return a specimen's own values with stiffness and damping fitted to its backbone, the effects held."""
     vector = parameters_of(found.layout, state, specimen)
     own: FloatArray = state.own[specimen].copy()
     damping = 1e-3
-    compared = witness.compare(found.layout.simulator, vector, NO_NUISANCES)
+    compared = term.compare(found.layout.simulator, vector, NO_NUISANCES)
     if compared is None:
         return own
     for _ in range(12):
@@ -44,7 +44,7 @@ def one_on_levels(found: Fit, witness: LevelWitness, state: State, specimen: int
         trial = vector.copy()
         trial[:2] += step
         trial[1] = max(trial[1], 0.0)
-        moved = witness.compare(found.layout.simulator, trial, NO_NUISANCES) if trial[0] > 0.0 else None
+        moved = term.compare(found.layout.simulator, trial, NO_NUISANCES) if trial[0] > 0.0 else None
         before = float(residuals @ residuals)
         if moved is None or float(moved[0] @ moved[0]) > before:
             damping *= 10.0
@@ -91,24 +91,24 @@ def measured(batch: Batch) -> tuple[FloatArray, FloatArray]:
 def level_chi_square(batch: Batch, found: Fit) -> float:
     """Return the reduced chi-square of the backbones at a fit."""
     total, count = 0.0, 0
-    for r, witness in enumerate(batch.levels):
-        compared = witness.compare(found.layout.simulator, found.parameters(r), NO_NUISANCES)
+    for r, term in enumerate(batch.levels):
+        compared = term.compare(found.layout.simulator, found.parameters(r), NO_NUISANCES)
         if compared is None:
             return float("inf")
         total += float(compared[0] @ compared[0])
-        count += witness.size
+        count += term.size
     return total / max(count - 2 * len(batch.levels), 1)
 
 
-def prediction_errors(batch: Batch, found: Fit, witnesses: list[LevelWitness], levels: FloatArray) -> FloatArray:
-    """Return standard errors (specimen, 3, l) of what a fit to ``witnesses`` predicts at ``levels``."""
+def prediction_errors(batch: Batch, found: Fit, terms: list[LevelTerm], levels: FloatArray) -> FloatArray:
+    """Return standard errors (specimen, 3, l) of what a fit to ``terms`` predicts at ``levels``."""
     q = found.layout.free.size
-    scatter = SCATTER if len(witnesses) > 1 else 0.0
+    scatter = SCATTER if len(terms) > 1 else 0.0
     active = np.zeros(NUISANCES + q, dtype=bool)
     active[:2] = True
     active[NUISANCES:] = scatter > 0.0
-    errors = np.zeros((len(witnesses), 3, levels.size))
-    system = linearise(found.layout, witnesses, found.state, scatter, active)
+    errors = np.zeros((len(terms), 3, levels.size))
+    system = linearise(found.layout, terms, found.state, scatter, active)
     if system is None:
         return errors
     held = np.zeros(found.state.own.shape, dtype=bool)

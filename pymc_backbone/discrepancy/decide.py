@@ -8,43 +8,71 @@ from itertools import combinations
 
 import numpy as np
 
-from .._common.checks import FloatArray
-from . import evidence, starts
-from .batch import Batch
-from .curves import curve, level_chi_square, on_levels, simulate
+from . import evidence
 from .evidence import Evidence, LackOfFit
-from .joint_fit import Fit, State
-from .locate import mean_gap
+from .joint_fit import Fit
 from .search import Search, Set
-from .study import Candidate
+from .tolerance import UNEXPLAINED, is_unexplained, prune, within_tolerance
+from .verdict import AdequateBy, Verdict
 
 MISSING = 0.01  # p-value of "nothing is missing" below which something is
 NAMED = 0.88  # probability from which a set is named
 LISTED = 0.95  # probability that the sets listed as possible hold together
 DRIFT_POSSIBLE = 0.05  # probability of a drift with time from which nothing is named
-UNEXPLAINED = 1e-4  # p-value of the best set's residuals below which no set explains the records
 _MOST_LISTED = 16
-_LOOKED_AT = 150
 _PRIOR_NONE = 0.05  # prior probability that the library does not hold what is missing
 _IMITATES = (0.0, 0.01, 0.05, 0.3)  # how probable it is that a set of so many effects imitates what the library lacks
 _WEIGHT_OF_NOISE = 0.1  # how much rarer residuals like noise are where the library lacks what is missing
 _INDEPENDENT = 8.0  # the effects of the library count as so many independent attempts
 
 
-@dataclass
+@dataclass(frozen=True)
 class Decision:
-    """What is said, and what it rests on."""
+    """What is said, and what it rests on.
 
-    verdict: str
+    Attributes
+    ----------
+    verdict : Verdict
+        What is said.
+    best : tuple of str
+        The set it is said of.
+    probability : float
+        Of that set, with those that differ from it by effects below the tolerance.
+    p_missing : float
+        Of the test of "nothing is missing".
+    lack : LackOfFit
+        What the most probable set leaves.
+    probabilities, evidences : mappings
+        Of every set that was fitted.
+    ranked : tuple of tuple of str
+        The sets, most probable first.
+    listed : tuple of tuple of str
+        The sets that remain possible, where several do.
+    below : tuple of str
+        Effects below the tolerance.
+    adequate_by : AdequateBy or None
+        Why nothing is missing.
+    drift_probability : float
+        Of a drift with time.
+    has_second_mode : bool
+        Whether a second mode beats in the records.
+    is_approximate : bool
+        Whether the sets listed follow the backbones within the tolerance, none exactly.
+    left_by_best : float
+        What the best of these leaves, as a share of the motion.
+    """
+
+    verdict: Verdict
     best: Set
     probability: float
     p_missing: float
     lack: LackOfFit
-    probabilities: dict[Set, float]
-    evidences: dict[Set, Evidence]
+    probabilities: Mapping[Set, float]
+    evidences: Mapping[Set, Evidence]
+    ranked: tuple[Set, ...] = ()
     listed: tuple[Set, ...] = ()
     below: tuple[str, ...] = ()
-    adequate_by: str | None = None
+    adequate_by: AdequateBy | None = None
     drift_probability: float = 0.0
     has_second_mode: bool = False
     is_approximate: bool = False
@@ -73,71 +101,118 @@ def p_nothing_missing(search: Search) -> float:
 def decide(
     search: Search, drifting: Fit | None, drift_key: Set, tolerance: Mapping[str, float], bonus: float = 0.0
 ) -> Decision:
-    """Return the verdict on a finished search."""
+    """Return the verdict on a finished search.
+
+    ``drifting`` is the base with a drift in time, known as ``drift_key``; ``bonus`` is added to its log evidence.
+    """
     _complete(search)
+    decision = _judged(search, _weighed(search, drifting, drift_key, bonus), tolerance)
+    if decision.verdict is Verdict.AMBIGUOUS and decision.best not in decision.listed:
+        return replace(decision, listed=(decision.best, *decision.listed))
+    return decision
+
+
+def _judged(search: Search, weighed: Decision, tolerance: Mapping[str, float]) -> Decision:
+    """Return the verdict: each question in turn, until one is answered."""
+    if weighed.best == () and not is_unexplained(weighed.lack, tolerance):
+        return replace(weighed, verdict=Verdict.ADEQUATE, adequate_by=AdequateBy.STATISTICS)
+    if weighed.p_missing > MISSING:
+        return replace(
+            weighed, best=(), probability=weighed.probabilities[()], verdict=Verdict.ADEQUATE,
+            adequate_by=AdequateBy.STATISTICS,
+        )  # fmt: skip
+    named = _pruned(search, weighed, tolerance) if any(tolerance.values()) else weighed
+    if named.verdict is Verdict.ADEQUATE:
+        return named
+    if named.drift_probability > 0.5:
+        return replace(named, verdict=Verdict.UNEXPLAINED, below=())
+    if named.lack.p_value < UNEXPLAINED:
+        return _approximate(search, named, tolerance)
+    if named.probability >= NAMED and named.drift_probability < DRIFT_POSSIBLE:
+        return replace(named, verdict=Verdict.FOUND)
+    chances = {names: named.evidences[names].probability for names in named.ranked}
+    # what the sets do not hold of the probability is the drift's
+    return replace(named, listed=_listed(chances, 1.0 - sum(chances.values())))
+
+
+def _weighed(search: Search, drifting: Fit | None, drift_key: Set, bonus: float) -> Decision:
+    """Return the probabilities of all sets and of a drift with time, the verdict still open.
+
+    Every probability is multiplied by that of the library holding the answer. The p-value of the residuals bounds it:
+    ``-e p ln p`` is the least Bayes factor for noise against whatever else may have left them [1]_.
+
+    References
+    ----------
+    .. [1] Sellke T., Bayarri M. J., Berger J. O. (2001) Calibration of p values for testing precise null hypotheses.
+       The American Statistician 55(1), 62-71. doi:10.1198/000313001300339950
+    """
     fits = dict(search.fits)
     if drifting is not None:
         fits[drift_key] = drifting
-    count = len(search.candidates)
-    evidences = evidence.probabilities(fits, search.batch, count, {drift_key: bonus})
-    ranked = [names for names in search.ranked() if names in evidences]
+    evidences = evidence.probabilities(fits, search.batch, len(search.candidates), {drift_key: bonus})
+    ranked = tuple(names for names in search.ranked() if names in evidences)
     best = ranked[0]
     lack = evidence.lack_of_fit(search.batch, search.fits[best])
     left = lack
     if drifting is not None and evidences[drift_key].log_posterior > evidences[best].log_posterior:
         left = evidence.lack_of_fit(search.batch, drifting)  # what explains the records best may be no set
-    p = min(max(left.p_value, 1e-300), float(np.exp(-1.0)))
-    none = _PRIOR_NONE * _WEIGHT_OF_NOISE / (-np.exp(1.0) * p * np.log(p))
+    none = _PRIOR_NONE * _WEIGHT_OF_NOISE / least_bayes_factor(left.p_value)
     explained = (1.0 - _PRIOR_NONE) / (1.0 - _PRIOR_NONE + none)
     probabilities = {names: explained * _is_none_other(names) * evidences[names].probability for names in search.fits}
-    drift_probability = explained * evidences[drift_key].probability if drifting is not None else 0.0
-    p_missing = p_nothing_missing(search)
-    decision = Decision(
-        "ambiguous", best, probabilities[best], p_missing, lack, probabilities, evidences,
-        drift_probability=drift_probability,
-    )  # fmt: skip
-    if best == () and not _is_unexplained(lack, tolerance):
-        decision.verdict, decision.adequate_by = "adequate", "statistics"
-        return decision
-    if p_missing > MISSING:
-        decision.best, decision.probability = (), probabilities[()]
-        decision.verdict, decision.adequate_by = "adequate", "statistics"
-        return decision
-    if any(tolerance.values()):
-        kept, below = prune(search, best, tolerance)
-        if not kept and not _is_unexplained(evidence.lack_of_fit(search.batch, search.fits[best]), tolerance):
-            decision.verdict, decision.adequate_by = "adequate", "tolerance"
-            decision.below = () if drift_probability > 0.5 else best
-            return decision
-        decision.below = below
-        if below and kept in search.fits:
-            # what is below the tolerance is said, not named: sets that differ by such effects only are one
-            decision.best = kept
-            together = [names for names in search.fits if set(kept) <= set(names) <= {*kept, *below}]
-            decision.probability = float(sum(probabilities[names] for names in together))
-    if drift_probability > 0.5:
-        decision.verdict, decision.below = "unexplained", ()
-        return decision
-    if lack.p_value < UNEXPLAINED:
-        # no set is exact: sets that follow the backbones within the tolerance cannot be told apart by what matters
-        close = within_tolerance(search, ranked, tolerance) if any(tolerance.values()) else []
-        if not close:
-            decision.verdict = "unexplained"
-            return decision
-        chances = by_model_error(search, close)
-        decision.best = max(chances, key=lambda names: chances[names])
-        decision.probability, decision.below = chances[decision.best], ()
-        decision.probabilities = {names: chances.get(names, 0.0) for names in search.fits}
-        left = evidence.lack_of_fit(search.batch, search.fits[decision.best])
-        decision.is_approximate, decision.left_by_best = True, left.share
-        decision.listed = _listed(chances, drift_probability)
-        return decision
-    if decision.probability >= NAMED and drift_probability < DRIFT_POSSIBLE:
-        decision.verdict = "found"
-        return decision
-    total = evidences[drift_key].probability if drifting is not None else 0.0
-    decision.listed = _listed({names: evidences[names].probability for names in ranked}, total)
-    return decision
+    return Decision(
+        verdict=Verdict.AMBIGUOUS,
+        best=best,
+        probability=probabilities[best],
+        p_missing=p_nothing_missing(search),
+        lack=lack,
+        probabilities=probabilities,
+        evidences=evidences,
+        ranked=ranked,
+        drift_probability=explained * evidences[drift_key].probability if drifting is not None else 0.0,
+    )
+
+
+def least_bayes_factor(p_value: float) -> float:
+    """Return the least Bayes factor for the null hypothesis that a p-value allows: ``-e p ln p``, 1 from 1/e on."""
+    p = min(max(p_value, 1e-300), float(np.exp(-1.0)))
+    return float(-np.exp(1.0) * p * np.log(p))
+
+
+def _pruned(search: Search, weighed: Decision, tolerance: Mapping[str, float]) -> Decision:
+    """Return the decision on the effects above the tolerance; ``adequate`` where there are none."""
+    kept, below = prune(search, weighed.best, tolerance)
+    if not kept and not is_unexplained(weighed.lack, tolerance):
+        below = () if weighed.drift_probability > 0.5 else weighed.best
+        return replace(weighed, verdict=Verdict.ADEQUATE, adequate_by=AdequateBy.TOLERANCE, below=below)
+    if not below or kept not in search.fits:
+        return replace(weighed, below=below)
+    # what is below the tolerance is said, not named: sets that differ by such effects only are one
+    together = [names for names in search.fits if set(kept) <= set(names) <= {*kept, *below}]
+    probability = float(sum(weighed.probabilities[names] for names in together))
+    return replace(weighed, best=kept, probability=probability, below=below)
+
+
+def _approximate(search: Search, decision: Decision, tolerance: Mapping[str, float]) -> Decision:
+    """Return the decision where no set is exact.
+
+    Sets that follow the backbones within the tolerance cannot be told apart by what matters; without any the records
+    are unexplained.
+    """
+    close = within_tolerance(search, decision.ranked, tolerance) if any(tolerance.values()) else []
+    if not close:
+        return replace(decision, verdict=Verdict.UNEXPLAINED)
+    chances = by_model_error(search, close)
+    best = max(chances, key=lambda names: chances[names])
+    return replace(
+        decision,
+        best=best,
+        probability=chances[best],
+        probabilities={names: chances.get(names, 0.0) for names in search.fits},
+        below=(),
+        listed=_listed(chances, decision.drift_probability),
+        is_approximate=True,
+        left_by_best=evidence.lack_of_fit(search.batch, search.fits[best]).share,
+    )
 
 
 def _is_none_other(names: Set) -> float:
@@ -179,17 +254,17 @@ def by_model_error(search: Search, close: Sequence[Set]) -> dict[Set, float]:
     return dict(zip(close, (weights / weights.sum()).tolist(), strict=True))
 
 
-def mind_second_mode(decision: Decision) -> None:
-    """Take back what cannot be said of records in which a second mode beats.
+def mind_second_mode(decision: Decision) -> Decision:
+    """Return what can be said of records in which a second mode beats.
 
     Its line is no effect of a single mode, and the estimate of the noise holds it: "nothing is missing" is not true,
     and a name rests on a misfit that the second mode may have made.
     """
-    decision.has_second_mode = True
-    if decision.verdict == "adequate":
-        decision.verdict, decision.adequate_by = "unexplained", None
-    elif decision.verdict == "found":
-        decision.verdict, decision.listed = "ambiguous", (decision.best,)
+    if decision.verdict is Verdict.ADEQUATE:
+        return replace(decision, has_second_mode=True, verdict=Verdict.UNEXPLAINED, adequate_by=None)
+    if decision.verdict is Verdict.FOUND:
+        return replace(decision, has_second_mode=True, verdict=Verdict.AMBIGUOUS, listed=(decision.best,))
+    return replace(decision, has_second_mode=True)
 
 
 def _complete(search: Search) -> None:
@@ -199,162 +274,3 @@ def _complete(search: Search) -> None:
         best = search.best()
         for rest in combinations(best, max(len(best) - 1, 0)):
             search.fit_set(rest)
-
-
-def _is_unexplained(lack: LackOfFit, tolerance: Mapping[str, float]) -> bool:
-    """Return whether residuals are no noise, and larger than the tolerance on the waveform."""
-    limit = tolerance.get("waveform", 0.0)
-    return lack.p_value < UNEXPLAINED and not lack.share < limit
-
-
-def within_tolerance(search: Search, ranked: Sequence[Set], tolerance: Mapping[str, float]) -> list[Set]:
-    """Return the smallest sets that describe the backbones within the tolerance, or as well as the best of these.
-
-    A set does when its curves follow the measured ones within the tolerance and twice their errors. Then so does every
-    set whose curves follow those of the likeliest such set: the two cannot be told apart by what matters.
-    """
-    curves: dict[Set, FloatArray] = {}
-    errors: dict[Set, FloatArray] = {}
-    backbones = search.batch.backbones.sel(specimen=list(search.batch.specimens))
-    looked_at = sorted((names for names in ranked[:_LOOKED_AT] if names), key=len)
-    close: list[Set] = []
-    for names in looked_at:
-        found = search.fits[names]
-        brought = on_levels(search.batch, found, free_effects=found.layout.free.size > 0)
-        simulated = simulate(search.batch, brought)
-        mean, errors[names] = mean_gap(backbones, simulated)
-        curves[names] = np.nanmean(np.asarray(simulated["value"]), axis=0)
-        if _is_within(search.batch, mean, errors[names], curves[names], tolerance):
-            close.append(names)
-    if not close:
-        return []
-    leader = min(close, key=ranked.index)
-
-    def is_alike(names: Set) -> bool:
-        return _is_within(search.batch, curves[names] - curves[leader], errors[leader], curves[leader], tolerance)
-
-    alike = [names for names in looked_at if names in close or is_alike(names)]
-    return [names for names in alike if not any(set(other) < set(names) for other in alike)]
-
-
-def _is_within(
-    batch: Batch, gap: FloatArray, error: FloatArray, value: FloatArray, tolerance: Mapping[str, float]
-) -> bool:
-    """Return whether a gap (observable, level) is nowhere larger than the tolerance and twice its error."""
-    for o, key in enumerate(str(name) for name in batch.backbones["observable"].values):
-        if key in tolerance:
-            excess = np.abs(gap[o]) - 2.0 * error[o] - tolerance[key] * np.abs(value[o])
-            unknown = 1.0 if np.isnan(value[o]).any() else 0.0
-            if np.any(np.nan_to_num(excess, nan=unknown) > 0.0):
-                return False
-    return True
-
-
-def prune(search: Search, best: Set, tolerance: Mapping[str, float]) -> tuple[Set, Set]:
-    """Return the effects of a set that change the backbones by more than the tolerance, and those that do not."""
-    kept = best
-    below: list[str] = []
-    while kept:
-        changes = {}
-        for name in kept:
-            rest = tuple(other for other in kept if other != name)
-            if rest not in search.fits:
-                search.fit_set(rest)
-            if rest in search.fits:
-                changes[name] = relative_change(search.batch, search.fits[kept], search.fits[rest])
-        small = [
-            name
-            for name, change in changes.items()
-            if all(change.get(key, 0.0) < limit for key, limit in tolerance.items() if key in change)
-        ]
-        if not small:
-            break
-        weakest = min(small, key=lambda name: max(changes[name].values()))
-        below.append(weakest)
-        kept = tuple(other for other in kept if other != weakest)
-    return kept, tuple(below)
-
-
-def relative_change(batch: Batch, larger: Fit, smaller: Fit) -> dict[str, float]:
-    """Return the largest relative change of frequency and damping over the levels between two fits."""
-    levels = np.asarray(batch.backbones["level"])
-    first = on_levels(batch, larger)
-    second = on_levels(batch, smaller, free_effects=smaller.layout.free.size > 0)
-    worst = {"frequency": 0.0, "damping": 0.0}
-    for r, witness in enumerate(batch.levels):
-        inside = levels[(levels >= witness.levels[0] * 0.999) & (levels <= witness.levels[-1] * 1.001)]
-        a, b = (curve(item, item.parameters(r), inside) for item in (first, second))
-        for row, key in ((0, "frequency"), (1, "damping")):
-            with np.errstate(invalid="ignore", divide="ignore"):
-                change = np.abs(a[row] - b[row]) / np.abs(a[row])
-            worst[key] = max(worst[key], float(np.nanmax(change)) if np.isfinite(change).any() else np.inf)
-    return worst
-
-
-def candidates_of(search: Search, decision: Decision) -> tuple[Candidate, ...]:
-    """Return the table of all sets, most probable first, each with what became of it and why."""
-    rows = []
-    count = sum(w.size for w in search.batch.deciding)
-    best_cost = search.fits[decision.best].cost
-    for names, found in search.fits.items():
-        probability = decision.probabilities[names]
-        reduced = float(found.chi_square.sum() / count)
-        status = "best" if names == decision.best else "possible" if probability > 0.01 else "rejected"
-        rows.append(
-            Candidate(
-                effects=names,
-                probability=probability,
-                log_evidence=decision.evidences[names].log_evidence,
-                reduced_chi_square=reduced,
-                backbone_chi_square=level_chi_square(search.batch, on_levels(search.batch, found))
-                if status != "rejected" or len(names) < 2
-                else float("nan"),
-                status=status,
-                reason=_reason(names, found, decision, search, best_cost, status),
-                parameters=estimates_of(found),
-            )
-        )
-    rows.sort(key=lambda item: -item.probability)
-    failed = [
-        Candidate(names, 0.0, float("nan"), float("nan"), float("nan"), "failed", reason)
-        for names, reason in search.failed.items()
-    ]
-    return (*rows, *failed)
-
-
-def _reason(names: Set, found: Fit, decision: Decision, search: Search, best_cost: float, status: str) -> str:
-    if status == "best":
-        return "the most probable set"
-    extra = set(names) - set(decision.best)
-    gain = best_cost - found.cost
-    if set(decision.best) < set(names):
-        return f"adds {', '.join(sorted(extra))}, which improves chi-square by {max(gain, 0.0):.3g} only"
-    if set(names) < set(decision.best):
-        lost = ", ".join(sorted(set(decision.best) - set(names)))
-        return f"without {lost} chi-square is larger by {-gain:.3g}"
-    if status == "possible":
-        return "explains the records about as well"
-    if gain < 0.0:
-        return f"chi-square is larger by {-gain:.3g}"
-    return f"chi-square is smaller by {gain:.3g}, less than its extra parameters are worth"
-
-
-def estimates_of(found: Fit) -> dict[str, tuple[float, float]]:
-    """Return value over the batch and standard error of the effects' parameters."""
-    q = found.layout.free.size
-    if q == 0:
-        return {}
-    values, slopes = found.layout.physical(found.state.eta, np.zeros(q), 0.0)
-    variance = slopes @ np.nan_to_num(found.covariance) @ slopes.T
-    errors = np.sqrt(np.maximum(np.diag(variance), 0.0))
-    rows = zip(found.layout.names, values, errors, strict=True)
-    return {name: (float(value), float(error)) for name, value, error in rows}
-
-
-def without(found: Fit, names: Sequence[str]) -> Fit:
-    """Return a fit with some effects turned off, everything else as it was."""
-    eta = found.state.eta.copy()
-    for name in names:
-        where = starts.positions(found.layout, name)
-        eta[where[0]] = 0.0
-    return replace(found, state=State(eta, found.state.own))

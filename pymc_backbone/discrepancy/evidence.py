@@ -11,8 +11,8 @@ from scipy.special import logsumexp
 
 from .._common.checks import FloatArray
 from .batch import Batch
+from .data_term import DataTerm, WaveformTerm
 from .joint_fit import NUISANCES, Fit, information
-from .witness import WaveformWitness, Witness
 
 PRIOR_OF_SIZE = (0.5, 0.445, 0.05, 0.005)
 """Prior probability that so many effects are missing, shared evenly among the sets of that size."""
@@ -74,19 +74,19 @@ def probabilities(
     }
 
 
-def residuals_of(witness: Witness, found: Fit, specimen: int) -> FloatArray:
+def residuals_of(term: DataTerm, found: Fit, specimen: int) -> FloatArray:
     """Return the standardised residuals of one specimen at a fit."""
     own = found.state.own[specimen]
     vector = found.parameters(specimen)
-    compared = witness.compare(found.layout.simulator, vector, own[2:NUISANCES])
-    return np.zeros(witness.size) if compared is None else compared[0]
+    compared = term.compare(found.layout.simulator, vector, own[2:NUISANCES])
+    return np.zeros(term.size) if compared is None else compared[0]
 
 
-def effective_size(witness: Witness, found: Fit, specimen: int) -> float:
+def effective_size(term: DataTerm, found: Fit, specimen: int) -> float:
     """Return the number of independent pieces in the residuals of one specimen."""
-    residuals = residuals_of(witness, found, specimen)
+    residuals = residuals_of(term, found, specimen)
     n = residuals.size
-    if not isinstance(witness, WaveformWitness) or n < 16:
+    if not isinstance(term, WaveformTerm) or n < 16:
         return float(n)
     power = np.abs(np.fft.rfft(residuals, 2 * n)) ** 2
     correlation = np.fft.irfft(power)[:n] / max(float(residuals @ residuals), 1e-300)
@@ -113,24 +113,24 @@ def lack_of_fit(batch: Batch, found: Fit) -> LackOfFit:
 
     fitted = found.layout.free.size / max(len(batch.specimens), 1) + len(batch.nuisances)
     z, ratios, shares = [], [], []
-    for r, witness in enumerate(batch.deciding):
-        residuals = residuals_of(witness, found, r)
-        if isinstance(witness, WaveformWitness) and witness.subspace:
-            inside = sum(float(((basis.T @ residuals[w]) ** 2).sum()) for w, basis in witness.subspace)
-            degrees = sum(basis.shape[1] for _, basis in witness.subspace) - fitted
+    for r, term in enumerate(batch.deciding):
+        residuals = residuals_of(term, found, r)
+        if isinstance(term, WaveformTerm) and term.subspace:
+            inside = sum(float(((basis.T @ residuals[w]) ** 2).sum()) for w, basis in term.subspace)
+            degrees = sum(basis.shape[1] for _, basis in term.subspace) - fitted
             outside = float(residuals @ residuals) - inside
             rest = residuals.size - degrees - fitted
             noise = outside / max(rest, 1.0)
             ratio = inside / max(degrees, 1.0) / max(noise, 1e-300)
             p = float(f.sf(ratio, max(degrees, 1.0), max(rest, 1.0)))
-            shares.append(np.sqrt(max(inside - degrees * noise, 0.0)) / _size_of_motion(witness))
+            shares.append(np.sqrt(max(inside - degrees * noise, 0.0)) / _size_of_motion(term))
         else:
             degrees = max(residuals.size - fitted, 1.0)
             ratio = float(residuals @ residuals) / degrees
             # the noise itself is known to some ten per cent only
             p = float(f.sf(ratio, degrees, 60.0)) if batch.has_records else float(chi2.sf(ratio * degrees, degrees))
             excess = max(float(residuals @ residuals) - degrees, 0.0)
-            size = _size_of_motion(witness) if isinstance(witness, WaveformWitness) else float("nan")
+            size = _size_of_motion(term) if isinstance(term, WaveformTerm) else float("nan")
             shares.append(np.sqrt(excess) / size)
         ratios.append(ratio)
         z.append(float(norm.isf(min(max(p, 1e-300), 1.0 - 1e-15))))
@@ -139,13 +139,13 @@ def lack_of_fit(batch: Batch, found: Fit) -> LackOfFit:
     return LackOfFit(float(np.median(ratios)), min(1.0, 2.0 * min(combined, worst)), float(np.max(shares)))
 
 
-def residuals_scale(witness: WaveformWitness) -> float:
+def residuals_scale(term: WaveformTerm) -> float:
     """Return the standard deviation that one standardised residual stands for [m or rad]."""
-    probe = np.random.default_rng(0).standard_normal((witness.time.size, 1))
-    return 1.0 / max(float(witness.whiten(probe).std()), 1e-300)
+    probe = np.random.default_rng(0).standard_normal((term.time.size, 1))
+    return 1.0 / max(float(term.whiten(probe).std()), 1e-300)
 
 
-def _size_of_motion(witness: WaveformWitness) -> float:
+def _size_of_motion(term: WaveformTerm) -> float:
     """Return the norm of the motion in units of the standardised residuals."""
-    motion = witness.whiten((witness.values - witness.values.mean())[:, None])
+    motion = term.whiten((term.values - term.values.mean())[:, None])
     return max(float(np.linalg.norm(motion)), 1e-300)

@@ -12,8 +12,9 @@ from .._common.checks import OBSERVABLES, FloatArray
 from ..effects import BASE_EFFECTS
 from .batch import Batch
 from .curves import curve, measured, on_levels
-from .decide import estimates_of
+from .estimates import estimates_of
 from .joint_fit import Fit
+from .layout import SHAPES
 from .study import Estimate
 
 _REACH = 10.0  # standard deviations between an estimate and the ends of its prior
@@ -85,7 +86,7 @@ def prior_bounds(batch: Batch, found: Fit, mean: FloatArray) -> tuple[dict[str, 
         if parameter.name in held:
             continue
         low, high = defaults[parameter.name]
-        is_shape = parameter.unit in ("-",) or parameter.name not in errors
+        is_shape = parameter.role in SHAPES or parameter.name not in errors
         reach = max(_REACH * errors.get(parameter.name, 0.0), _LEAST.get(parameter.name, _LEAST_SHARE) * abs(value))
         if is_shape:
             bounds[parameter.name] = (low, high)

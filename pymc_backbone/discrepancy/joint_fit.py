@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from .._common.checks import FloatArray
+from .data_term import DataTerm
 from .layout import Layout
-from .witness import Witness
 
 SCATTER = 0.1
 """Scatter of an effect's parameters between specimens, relative to their value."""
@@ -105,7 +105,7 @@ def parameters_of(layout: Layout, state: State, specimen: int) -> FloatArray:
 
 def fit(
     layout: Layout,
-    witnesses: Sequence[Witness],
+    terms: Sequence[DataTerm],
     state: State,
     *,
     iterations: int = 30,
@@ -120,7 +120,7 @@ def fit(
     ----------
     layout : Layout
         The model.
-    witnesses : sequence of Witness
+    terms : sequence of DataTerm
         One per specimen.
     state : State
         Start.
@@ -136,12 +136,12 @@ def fit(
         A cost that another model reached: what is far above it and hardly falls is given up.
     """
     q = layout.free.size
-    scatter = SCATTER if has_scatter and len(witnesses) > 1 else 0.0
+    scatter = SCATTER if has_scatter and len(terms) > 1 else 0.0
     active = np.zeros(NUISANCES + q, dtype=bool)
     active[list(nuisances)] = True
     active[NUISANCES:] = scatter > 0.0
     state = State(np.clip(state.eta, layout.low, layout.high), state.own.copy())
-    system = linearise(layout, witnesses, state, scatter, active)
+    system = linearise(layout, terms, state, scatter, active)
     if system is None:
         return None
     damping, converged, quiet = _FIRST_DAMPING, False, 0
@@ -156,7 +156,7 @@ def fit(
             if scatter > 0.0:
                 proposal = _recentred(layout, proposal, scatter)
             if np.all(proposal.own[:, 0] > 0.0) and np.isfinite(proposal.own).all():
-                accepted = linearise(layout, witnesses, proposal, scatter, active)
+                accepted = linearise(layout, terms, proposal, scatter, active)
                 evaluations += 1
         if accepted is not None and accepted.cost < system.cost + 1e-9:
             gain = system.cost - accepted.cost
@@ -214,16 +214,16 @@ class System:
         return float(self.chi_square.sum() + self.penalty)
 
 
-def linearise(layout: Layout, witnesses: Sequence[Witness], state: State, scatter: float, active: Any) -> System | None:
+def linearise(layout: Layout, terms: Sequence[DataTerm], state: State, scatter: float, active: Any) -> System | None:
     """Return the normal equations at a point, or None where it cannot be simulated."""
-    q, count = layout.free.size, len(witnesses)
+    q, count = layout.free.size, len(terms)
     size = NUISANCES + q
     shared, shared_gradient = np.zeros((q, q)), np.zeros(q)
     mixed, own = np.zeros((count, q, size)), np.zeros((count, size, size))
     own_gradient, chi_square = np.zeros((count, size)), np.zeros(count)
     priors = np.flatnonzero(active & (np.arange(size) >= DRIFTS[0]))  # those with a standard normal prior
-    for r, witness in enumerate(witnesses):
-        gram = _gram(layout, witness, state.eta, state.own[r], scatter, active)
+    for r, term in enumerate(terms):
+        gram = _gram(layout, term, state.eta, state.own[r], scatter, active)
         if gram is None:
             return None
         chi_square[r] = gram[-1, -1]
@@ -239,7 +239,7 @@ def linearise(layout: Layout, witnesses: Sequence[Witness], state: State, scatte
 
 
 def _gram(
-    layout: Layout, witness: Witness, eta: FloatArray, values: FloatArray, scatter: float, active: Any
+    layout: Layout, term: DataTerm, eta: FloatArray, values: FloatArray, scatter: float, active: Any
 ) -> FloatArray | None:
     """Return the products of derivatives and residuals of one specimen: shared, own, residual; None where it fails."""
     delta = values[NUISANCES:]
@@ -247,7 +247,7 @@ def _gram(
     vector = layout.template.copy()
     vector[:2] = values[:2]
     vector[layout.free] = effects
-    compared = witness.compare(layout.simulator, vector, values[2:NUISANCES])
+    compared = term.compare(layout.simulator, vector, values[2:NUISANCES])
     if compared is None:
         return None
     residuals, jacobian = compared

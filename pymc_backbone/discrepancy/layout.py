@@ -8,23 +8,25 @@ from typing import Any
 import numpy as np
 
 from .._common.checks import FloatArray
-from ..effects import BASE_EFFECTS
+from ..effects import BASE_EFFECTS, Role
 from ..oscillator import Oscillator
 from ..simulation.decay import Simulator
 
 _BOX = 4.0
 _STIFFEST = 0.003  # slip displacement over amplitude
-_SOFTEST = {True: 10.0, False: 1.5}  # of a bed of sliders, and of one, which is a plain spring beyond
+_SOFTEST = {True: 10.0, False: 1.5}  # of a bed of sliders (with an exponent), and of one: a plain spring beyond
+SHAPES: tuple[Role, ...] = ("shape", "exponent")
+"""Roles of parameters that have limits of their own: they do not leave their default bounds."""
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
     """Which parameters of an oscillator are fitted, and in which coordinates.
 
-    Two kinds of parameters are not fitted as they stand. One whose unit holds another one as exponent (``1/m^n``) is
-    fitted as its value at the amplitude of the records, or it would change by orders of magnitude with the exponent.
-    A slider's stiffness is replaced by the displacement at which it slips over the amplitude, so that the stiffer
-    slider and dry friction are neighbours: at zero, not at infinity.
+    The roles of the parameters say it; two are not fitted as they stand. A power coefficient is fitted as its value at
+    the amplitude of the records, or it would change by orders of magnitude with the exponent. The stiffness of what
+    has a slip force is replaced by the displacement at which it slips over the amplitude, so that the stiffer slider
+    and dry friction are neighbours: at zero, not at infinity.
 
     Attributes
     ----------
@@ -33,7 +35,7 @@ class Layout:
     simulator : Simulator
         The same, ready to run.
     free : (q,) array of int
-        Places in the parameter vector of the effects' fitted parameters.
+        Places in the parameter vector of the effects' fitted parameters, effect by effect, the strength of each first.
     template : (p,) array
         Parameter vector with redundant parameters at their values.
     low, high : (q,) arrays
@@ -105,39 +107,49 @@ def make_layout(oscillator: Oscillator, amplitude: float, angular_frequency: flo
     bounds = oscillator.default_bounds(amplitude, angular_frequency)
     template = np.zeros(len(oscillator.parameter_names))
     free: list[int] = []
-    rows: list[tuple[float, float, float, bool]] = []
-    powers, slips, opposed = [], [], []
+    rows: list[tuple[float, float, float]] = []
+    strengths: list[int] = []
+    powers: list[tuple[int, int]] = []
+    slips: list[tuple[int, int]] = []
+    opposed: list[tuple[int, int]] = []
     for effect in oscillator.effects:
-        start = oscillator.slices[effect.name].start
         held = dict(effect.redundant)
-        for offset, parameter in enumerate(effect.parameters):
-            if parameter.name in held:
-                template[start + offset] = held[parameter.name]
+        for name, value in held.items():
+            template[oscillator.index(name)] = value
         if effect.name in BASE_EFFECTS:
             continue
-        kept = [q for q in effect.parameters if q.name not in held]
-        first = len(free)
-        place = {q.name: first + j for j, q in enumerate(kept)}
-        for j, parameter in enumerate(kept):
+        kept = sorted((q for q in effect.parameters if q.name not in held), key=lambda q: q.role != "strength")
+        place = {q.name: len(free) + j for j, q in enumerate(kept)}
+        by_role = {q.role: place[q.name] for q in kept}
+        for parameter in kept:
             lower, upper = bounds[parameter.name]
-            exponent = next((q.name for q in kept if parameter.unit.endswith(f"^{q.latex}")), None)
-            if exponent is not None:  # bounds are those at an exponent of 1
+            if parameter.role == "power_coefficient" and "exponent" in by_role:  # bounds are those at an exponent of 1
                 lower, upper = lower * amplitude, upper * amplitude
-                powers.append((first + j, place[exponent]))
-            # what has no unit is a shape with limits of its own; the rest may leave the default bounds
-            grow = 0.0 if parameter.unit == "-" else _BOX * (upper - lower)
+                powers.append((place[parameter.name], by_role["exponent"]))
+            grow = 0.0 if parameter.role in SHAPES else _BOX * (upper - lower)
             low, high = max(parameter.minimum, lower - grow), min(parameter.maximum, upper + grow)
-            rows.append((low, high, (upper - lower) / np.sqrt(12.0), j == 0))
-            free.append(start + list(effect.parameters).index(parameter))
+            rows.append((low, high, (upper - lower) / np.sqrt(12.0)))
+            free.append(oscillator.index(parameter.name))
         opposed += [(place[one], place[other]) for one, other in effect.opposed if {one, other} <= set(place)]
-        units = [q.unit for q in kept]
-        if units[:2] in (["N/m", "N"], ["N m/rad", "N m"]):
-            slips.append((first, first + 1))
-            rows[first] = (0.0, rows[first + 1][1], rows[first + 1][2], True)
-            rows[first + 1] = (_STIFFEST, _SOFTEST[len(kept) > 2], 1.0 / np.sqrt(12.0), False)
-    table = np.array(rows, dtype=np.float64).reshape(-1, 4)
+        strengths += [by_role["strength"]] if kept else []
+        if "slip_force" in by_role:
+            stiffness, force = by_role["strength"], by_role["slip_force"]
+            slips.append((stiffness, force))
+            rows[stiffness] = (0.0, *rows[force][1:])
+            rows[force] = (_STIFFEST, _SOFTEST["exponent" in by_role], 1.0 / np.sqrt(12.0))
+    table = np.array(rows, dtype=np.float64).reshape(-1, 3)
     return Layout(
-        oscillator, Simulator(oscillator), np.array(free, dtype=np.int64), template, table[:, 0].copy(),
-        table[:, 1].copy(), table[:, 2].copy(), table[:, 3] > 0.0, tuple(powers), tuple(slips), tuple(opposed),
-        amplitude, tuple(oscillator.parameter_names[i] for i in free),
-    )  # fmt: skip
+        oscillator=oscillator,
+        simulator=Simulator(oscillator),
+        free=np.array(free, dtype=np.int64),
+        template=template,
+        low=table[:, 0].copy(),
+        high=table[:, 1].copy(),
+        width=table[:, 2].copy(),
+        is_strength=np.isin(np.arange(len(free)), strengths),
+        powers=tuple(powers),
+        slips=tuple(slips),
+        opposed=tuple(opposed),
+        amplitude=amplitude,
+        names=tuple(oscillator.parameter_names[i] for i in free),
+    )

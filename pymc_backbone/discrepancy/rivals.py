@@ -9,9 +9,9 @@ import numpy as np
 from . import evidence
 from .batch import Batch
 from .curves import measured
+from .data_term import DRIFT, WaveformTerm
 from .joint_fit import DRIFTS, NUISANCES, SCATTER, Fit, fit
 from .study import Check
-from .witness import DRIFT, WaveformWitness
 
 DRIFT_KEY = ("drift with time",)
 _LINE = 25.0  # peak of the residuals' periodogram over its median that a line has at least
@@ -87,15 +87,15 @@ def second_mode_check(batch: Batch, best: Fit) -> Check:
     """Look for a line beside the harmonics in what the best model leaves, and in what conditioning saw."""
     name = "no second mode"
     worst: tuple[float, float, str] = (0.0, 0.0, "")
-    for r, witness in enumerate(batch.waveform):
-        if not witness.subspace:
+    for r, term in enumerate(batch.waveform):
+        if not term.subspace:
             record = batch.records[r]
             if record.band is None and np.isfinite(record.second_mode_share) and record.second_mode_share > worst[0]:
                 worst = (float(record.second_mode_share), record.second_mode_frequency, record.specimen)
             continue
         # not whitened: the estimate of the noise holds a second mode too, and whitening would take most of it away
-        plain = replace(witness, whiten=lambda columns: columns)
-        share, frequency = _line(witness, evidence.residuals_of(plain, best, r), batch.records[r].frequency)
+        plain = replace(term, whiten=lambda columns: columns)
+        share, frequency = _line(term, evidence.residuals_of(plain, best, r), batch.records[r].frequency)
         if share > worst[0]:
             worst = (share, frequency, batch.specimens[r])
     if worst[0] > _BEATING:
@@ -108,10 +108,10 @@ def second_mode_check(batch: Batch, best: Fit) -> Check:
     return Check(name, True, "what the model leaves holds no line beside the harmonics of the mode")
 
 
-def _line(witness: WaveformWitness, residuals: np.ndarray, frequency: float) -> tuple[float, float]:
+def _line(term: WaveformTerm, residuals: np.ndarray, frequency: float) -> tuple[float, float]:
     """Return share of the motion and frequency [Hz] of the highest line beside the harmonics, or zeros."""
     n = residuals.size
-    step = float(np.median(np.diff(witness.time)))
+    step = float(np.median(np.diff(term.time)))
     power = np.abs(np.fft.rfft(residuals * np.hanning(n))) ** 2
     grid = np.fft.rfftfreq(n, step)
     order = grid / frequency
@@ -125,7 +125,7 @@ def _line(witness: WaveformWitness, residuals: np.ndarray, frequency: float) -> 
     if power[peak] < _LINE * level or power[peak] < around.max():
         return 0.0, 0.0
     amplitude = 4.0 * np.sqrt(power[peak]) / n
-    return float(amplitude / (np.sqrt(2.0) * witness.signal)), float(grid[peak])
+    return float(amplitude / (np.sqrt(2.0) * term.signal)), float(grid[peak])
 
 
 def alike_check(batch: Batch, best: Fit) -> Check:
@@ -155,11 +155,11 @@ def alike_check(batch: Batch, best: Fit) -> Check:
     return Check(name, True, f"the frequency curves agree in shape within {scatter:.2%}")
 
 
-def witnesses_check(batch: Batch, best: Fit, reduced: float, limit: float) -> Check:
+def data_terms_check(batch: Batch, best: Fit, reduced: float, limit: float) -> Check:
     """Say whether the backbones agree with what the waveform names."""
-    name = "two witnesses agree"
+    name = "data terms agree"
     if not batch.has_records:
-        return Check(name, True, "backbones only: there is one witness")
+        return Check(name, True, "backbones only: there is one data term")
     if np.isfinite(reduced) and reduced < limit:
         said = f"the set the waveforms want fits the backbones too (reduced chi-square {reduced:.2f})"
         return Check(name, True, said)
@@ -168,5 +168,5 @@ def witnesses_check(batch: Batch, best: Fit, reduced: float, limit: float) -> Ch
 
 
 __all__ = [
-    "DRIFT_KEY", "alike_check", "drift_bonus", "drift_check", "drift_fit", "second_mode_check", "witnesses_check",
+    "DRIFT_KEY", "alike_check", "drift_bonus", "drift_check", "drift_fit", "second_mode_check", "data_terms_check",
 ]  # fmt: skip

@@ -13,9 +13,9 @@ from ..effects import Effect
 from ..oscillator import Oscillator
 from . import evidence, starts
 from .batch import Batch
+from .data_term import DataTerm
 from .joint_fit import NUISANCES, Fit, State, fit, start_state
 from .layout import Layout, make_layout
-from .witness import Witness
 
 Set = tuple[str, ...]
 Progress = Callable[[str, float], None]
@@ -297,7 +297,7 @@ class Search:
     def descend(
         self, layout: Layout, states: Sequence[State], *, is_near: bool, rival: float | None = None
     ) -> list[Fit]:
-        """Return the minimum of the deciding witness that the best of some starts leads to.
+        """Return the minimum of the deciding data term that the best of some starts leads to.
 
         From afar the way is by the turning points, which have no phase to lose.
         """
@@ -324,11 +324,11 @@ class Search:
         )  # fmt: skip
         return [best] if found is None else [found]
 
-    def _fit(self, layout: Layout, witnesses: Sequence[Witness], state: State, **options: Any) -> Fit | None:
+    def _fit(self, layout: Layout, terms: Sequence[DataTerm], state: State, **options: Any) -> Fit | None:
         """Fit, and count the effort in simulated values."""
-        found = fit(layout, witnesses, state, **options)
+        found = fit(layout, terms, state, **options)
         if found is not None:
-            self.effort += found.evaluations * sum(w.size for w in witnesses) * (1.0 + 4.0 * is_heavy(layout))
+            self.effort += found.evaluations * sum(w.size for w in terms) * (1.0 + 4.0 * is_heavy(layout))
         return found
 
 

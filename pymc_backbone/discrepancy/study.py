@@ -10,8 +10,7 @@ import xarray as xr
 
 from .._common.checks import FloatArray
 from ..oscillator import Oscillator
-
-VERDICTS = ("adequate", "found", "ambiguous", "unexplained")
+from .verdict import AdequateBy, Status, Verdict
 
 
 @dataclass(frozen=True)
@@ -46,11 +45,11 @@ class Candidate:
     log_evidence : float
         Natural logarithm of the evidence, relative to that of the base alone.
     reduced_chi_square : float
-        Of the deciding witness: per sample of the waveform, or per level value where only backbones were given.
+        Of the deciding data term: per sample of the waveform, or per level value where only backbones were given.
     backbone_chi_square : float
         Of the backbones at the levels, per level value.
-    status : {"best", "possible", "rejected", "failed"}
-        What became of it.
+    status : Status
+        ``best``, ``possible``, ``rejected`` or ``failed``: what became of it.
     reason : str
         Why, in one sentence.
     parameters : mapping of str to (float, float)
@@ -62,7 +61,7 @@ class Candidate:
     log_evidence: float
     reduced_chi_square: float
     backbone_chi_square: float
-    status: str
+    status: Status
     reason: str
     parameters: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
@@ -158,8 +157,8 @@ class Study:
 
     Attributes
     ----------
-    verdict : {"adequate", "found", "ambiguous", "unexplained"}
-        The decision.
+    verdict : Verdict
+        The decision, a string: ``adequate``, ``found``, ``ambiguous`` or ``unexplained``.
     sentence : str
         The verdict in one sentence of plain words.
     base : Oscillator
@@ -188,8 +187,8 @@ class Study:
         The gap on data that the fit has not seen; None where it cannot be measured.
     shrink, shrink_low, shrink_high : float
         Held-out gap before over after, with a 95 % interval; NaN where there is no extended model.
-    adequate_by : {"statistics", "tolerance"} or None
-        Why the base is adequate.
+    adequate_by : AdequateBy or None
+        Why the base is adequate, a string: ``statistics`` or ``tolerance``.
     tolerance : mapping of str to float
         Relative engineering tolerance by observable.
     detectable : tuple of Detectable
@@ -222,7 +221,7 @@ class Study:
         Of everything random.
     """
 
-    verdict: str
+    verdict: Verdict
     sentence: str
     base: Oscillator
     extended: Oscillator | None
@@ -240,7 +239,7 @@ class Study:
     shrink: float
     shrink_low: float
     shrink_high: float
-    adequate_by: str | None
+    adequate_by: AdequateBy | None
     tolerance: Mapping[str, float]
     detectable: tuple[Detectable, ...]
     checks: tuple[Check, ...]

@@ -7,9 +7,9 @@ import numpy as np
 from .._common.checks import OBSERVABLES, FloatArray
 from .batch import Batch
 from .curves import curve, measured, one_on_levels, prediction_errors
+from .data_term import level_term
 from .joint_fit import NUISANCES, SCATTER, Fit, State, fit, parameters_of
 from .study import HeldOut
-from .witness import level_witness
 
 _RESAMPLES = 2000
 
@@ -26,20 +26,18 @@ def held_out_levels(batch: Batch, before: Fit, after: Fit | None) -> HeldOut | N
     index = [names.index(name) for name in batch.specimens]
     for k in range(levels.size):
         keep = np.arange(levels.size) != k
-        found = [level_witness(batch.backbones, i, keep) for i in index]
-        witnesses = [witness for witness in found if witness is not None and witness.levels.size >= 3]
-        if len(witnesses) < len(index):
+        found = [level_term(batch.backbones, i, keep) for i in index]
+        terms = [term for term in found if term is not None and term.levels.size >= 3]
+        if len(terms) < len(index):
             continue
         for m, model in enumerate((before, after)):
             if model is None:
                 continue
-            solved = fit(model.layout, witnesses, model.state, iterations=12, nuisances=(0, 1), tolerance=0.1)
+            solved = fit(model.layout, terms, model.state, iterations=12, nuisances=(0, 1), tolerance=0.1)
             if solved is None:
                 continue
-            own = prediction_errors(batch, solved, witnesses, levels[[k]])[:, rows, 0]
-            predicted = np.array(
-                [curve(solved, solved.parameters(r), levels[[k]])[rows, 0] for r in range(len(witnesses))]
-            )
+            own = prediction_errors(batch, solved, terms, levels[[k]])[:, rows, 0]
+            predicted = np.array([curve(solved, solved.parameters(r), levels[[k]])[rows, 0] for r in range(len(terms))])
             results[m, k] = _reduced(values[:, :, k] - predicted, errors[:, :, k], own)
     if not np.isfinite(results[0]).any():
         return None

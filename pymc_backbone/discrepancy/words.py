@@ -11,10 +11,12 @@ from ..effects import LIBRARY
 from . import starts
 from .batch import Batch
 from .curves import curve, measured, on_levels
-from .decide import DRIFT_POSSIBLE, Decision, without
+from .decide import DRIFT_POSSIBLE, Decision
+from .estimates import without
 from .joint_fit import Fit, State, parameters_of
 from .search import Search, Set
 from .study import Check, Detectable
+from .verdict import AdequateBy, Verdict
 
 _DETECTED = 5.0  # standard deviations at which an effect is named nine times in ten
 _SPOKEN = 5  # sets that the sentence holds
@@ -193,10 +195,10 @@ def sentence(decision: Decision, search: Search) -> str:
     """Return the verdict in one sentence."""
     percent = f"{100.0 * decision.probability:.0f} %" if decision.probability < 0.995 else "more than 99 %"
     best = _named(decision.best)
-    if decision.verdict == "found":
+    if decision.verdict is Verdict.FOUND:
         below = f" ({', '.join(decision.below)} is detectable too, below the tolerance)" if decision.below else ""
         return f"{best} is missing from the model, with a probability of {percent}{below}."
-    if decision.verdict == "ambiguous":
+    if decision.verdict is Verdict.AMBIGUOUS:
         listed = [_named(names) for names in decision.listed]
         named = [*listed, "a drift with time"] if is_drift_possible(decision) else listed
         if decision.has_second_mode:
@@ -215,25 +217,25 @@ def sentence(decision: Decision, search: Search) -> str:
         sets = "; ".join(named[:_SPOKEN])
         exact = "; within the tolerance each follows the backbones, none is exact" if decision.is_approximate else ""
         return f"Something is missing, but these records do not tell apart: {sets}{rest}{exact}."
-    if decision.verdict == "unexplained" and decision.has_second_mode and decision.drift_probability <= 0.5:
+    if decision.verdict is Verdict.UNEXPLAINED and decision.has_second_mode and decision.drift_probability <= 0.5:
         partial = f"; beside it the best explanation is {best}" if decision.best else ""
         return f"Something is in the records that the model does not have: a second mode beats with it{partial}."
-    if decision.verdict == "unexplained":
+    if decision.verdict is Verdict.UNEXPLAINED:
         why = (
             "a drift with time explains the records better than any effect of amplitude"
             if decision.drift_probability > 0.5
             else f"what the best set ({best}) leaves is not noise ({decision.lack.share:.2%} of the motion)"
         )
         return f"Something is missing, and no set of known effects explains it: {why}."
-    if decision.adequate_by == "tolerance":
+    if decision.adequate_by is AdequateBy.TOLERANCE:
         what = _named(decision.below) if decision.below else "a drift with time"
         return f"The model is adequate: {what} is detectable, but changes the backbones by less than the tolerance."
     return f"Nothing is missing: model and records agree within measurement error (p = {decision.p_missing:.2g})."
 
 
-def with_checks(text: str, verdict: str, checks: Sequence[Check]) -> str:
+def with_checks(text: str, verdict: Verdict, checks: Sequence[Check]) -> str:
     """Return the sentence of the verdict, with a warning where a check on the data speaks against it."""
     failed = [check.check for check in checks if not check.passed]
-    if not failed or verdict not in ("adequate", "found"):
+    if not failed or verdict not in (Verdict.ADEQUATE, Verdict.FOUND):
         return text
     return f"{text} But a check on the data failed ({', '.join(failed)}): look at it first."

@@ -20,13 +20,15 @@ from ..measurement.reading.records import Record
 from ..oscillator import Oscillator
 from . import rivals, words
 from .batch import Batch, batch_of_backbones, batch_of_records
+from .candidate_table import candidates_of
 from .curves import level_chi_square, on_levels, simulate
-from .decide import Decision, candidates_of, decide, mind_second_mode
+from .decide import decide, mind_second_mode
 from .extend import estimates_from_draws, estimates_from_fit, mean_specimen, sample_extended
 from .layout import make_layout
 from .locate import where_different
 from .search import BUDGET, Search, is_heavy
 from .study import Check, Study
+from .verdict import Verdict
 from .verify import held_out_levels, held_out_specimens, shrink
 
 TOLERANCE: Mapping[str, float] = {"frequency": 0.001, "damping": 0.03}
@@ -65,7 +67,7 @@ def find_missing_effect(
     oscillator : Oscillator
         The model that is questioned: mass and the effects it holds already.
     data : sequence of Record or ConditionedRecord, or xarray.Dataset
-        Records, one per specimen; or backbones at levels with standard errors. Records are the better witness: their
+        Records, one per specimen; or backbones at levels with standard errors. Records tell more: their
         samples tell apart what backbones cannot.
     candidates : sequence of str or Effect, optional
         Effects that may be missing, by name or, of your own, as `Effect`; by default all of the library that fit the
@@ -126,12 +128,11 @@ def find_missing_effect(
     drifting = rivals.drift_fit(batch, search.fits[()])
     bonus = 0.0 if drifting is None else rivals.drift_bonus(drifting)
     decision = decide(search, drifting, rivals.DRIFT_KEY, limits, bonus)
-    _settle_listed(decision)
     second_mode = Check("no second mode", True, "not testable without records")
     if batch.has_records:
         second_mode = rivals.second_mode_check(batch, search.fits[decision.best])
         if not second_mode.passed:
-            mind_second_mode(decision)
+            decision = mind_second_mode(decision)
     extended = search.fits[decision.best] if decision.best else None
     say("verifying on held-out data", 0.0)
     base_levels = on_levels(batch, search.fits[()], free_effects=search.fits[()].layout.free.size > 0)
@@ -166,7 +167,7 @@ def find_missing_effect(
         rivals.drift_check(drifting, decision.drift_probability, bool(decision.best)),
         second_mode,
         rivals.alike_check(batch, search.fits[decision.best]),
-        rivals.witnesses_check(batch, search.fits[decision.best], reduced, _AGREE),
+        rivals.data_terms_check(batch, search.fits[decision.best], reduced, _AGREE),
     )
     factor, low, high = shrink(specimen_gap, level_gap, seed)
     before = simulate(batch, base_levels)
@@ -175,11 +176,11 @@ def find_missing_effect(
         sentence=words.with_checks(words.sentence(decision, search), decision.verdict, checks),
         base=oscillator,
         extended=None if extended is None else extended.layout.oscillator,
-        missing_effects=decision.best if decision.verdict == "found" else (),
+        missing_effects=decision.best if decision.verdict is Verdict.FOUND else (),
         probability=decision.probability,
         candidates=candidates_of(search, decision),
-        ambiguous_sets=decision.listed if decision.verdict == "ambiguous" else (),
-        advice=words.advice(search, decision) if decision.verdict == "ambiguous" else (),
+        ambiguous_sets=decision.listed if decision.verdict is Verdict.AMBIGUOUS else (),
+        advice=words.advice(search, decision) if decision.verdict is Verdict.AMBIGUOUS else (),
         reasons=words.reasons(batch, extended, decision.best) if extended is not None else (),
         below_tolerance=decision.below,
         where=where_different(batch, before),
@@ -191,7 +192,7 @@ def find_missing_effect(
         shrink_high=high,
         adequate_by=decision.adequate_by,
         tolerance=limits,
-        detectable=words.detectable(search) if decision.verdict == "adequate" else (),
+        detectable=words.detectable(search) if decision.verdict is Verdict.ADEQUATE else (),
         checks=checks,
         backbones=batch.backbones.sel(specimen=list(batch.specimens)),
         before=before,
@@ -255,11 +256,7 @@ def possible_effects(
     held = {effect.name for effect in oscillator.effects}
     unit = str(batch.backbones.attrs.get("amplitude_unit", "m"))
     if candidates is None:
-        names = [
-            name
-            for name, effect in LIBRARY.items()
-            if unit == "rad" or not any("rad" in parameter.unit for parameter in effect.parameters)
-        ]
+        names = [name for name, effect in LIBRARY.items() if unit == "rad" or not effect.needs_rotation]
     else:
         every = [item.name if isinstance(item, Effect) else str(item) for item in candidates]
         names = [check_choice("candidates", name, {**LIBRARY, **own}) for name in every]
@@ -319,12 +316,6 @@ def levels_within(cycles: Sequence[Cycles], levels: int | ArrayLike | None) -> F
         low = min(float(item.smoothed_amplitude.min()) for item in cycles)
         high = max(float(np.partition(item.smoothed_amplitude, -2)[-2]) for item in cycles)
         return np.geomspace(1.02 * low, 0.98 * high, count or _UNION_LEVELS)
-
-
-def _settle_listed(decision: Decision) -> None:
-    """Keep the most probable set first among those listed."""
-    if decision.verdict == "ambiguous" and decision.best not in decision.listed:
-        decision.listed = (decision.best, *decision.listed)
 
 
 def _judged(posterior: xr.DataTree, options: Mapping[str, Any]) -> tuple[tuple[str, ...], dict[str, float]]:

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from .._common.checks import InputError, check_choice
-from ._base import Effect, Parameter, Signature
+from ._base import ROLES, Effect, Parameter, Role, Signature
 
 BASE_EFFECTS: tuple[str, str] = ("linear_stiffness", "viscous_damping")
 """The effects that every oscillator has."""
@@ -67,4 +67,4 @@ def get_effect(name: str) -> Effect:
     return LIBRARY[check_choice("effect", name, LIBRARY)]
 
 
-__all__ = ["BASE_EFFECTS", "LIBRARY", "Effect", "Parameter", "Signature", "get_effect"]
+__all__ = ["BASE_EFFECTS", "LIBRARY", "ROLES", "Effect", "Parameter", "Role", "Signature", "get_effect"]

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Literal, get_args
 
 import numba
 import numpy as np
 
-from .._common.checks import InputError
+from .._common.checks import InputError, check_choice
 
 BoundsFunction = Callable[[float, float, float], tuple[float, float]]
 TypicalFunction = Callable[[float, float, float], tuple[float, ...]]
+Role = Literal["strength", "slip_force", "gap", "exponent", "power_coefficient", "shape", "plain"]
+ROLES: tuple[Role, ...] = get_args(Role)
 _NAME = re.compile(r"[a-z][a-z0-9_]*\Z")
 
 
@@ -36,6 +38,33 @@ class Parameter:
         prior, scaled with the record (kg, m, rad/s).
     minimum, maximum : float
         Physical limits; priors must lie inside.
+    role : {"plain", "strength", "slip_force", "gap", "exponent", "power_coefficient", "shape"}
+        What the parameter is to its effect; see Notes.
+
+    Notes
+    -----
+    Only the search for a missing effect asks for roles; units and symbols are for people and decide nothing.
+
+    ``strength``
+        The effect is gone where it is zero. Fits begin with it small, its prior is as wide as what is found asks for,
+        and the smallest strength that the data would show is reported. Every effect with parameters has exactly one;
+        where none is declared, it is the first plain parameter.
+    ``slip_force``
+        Force at which the spring, whose stiffness is the strength, slips. The two are fitted as slip force and slip
+        displacement over the amplitude of the records, so that a stiff slider and dry friction are neighbours. With
+        an exponent the slip is gradual, without it is sudden; the larger slip displacements are left out accordingly.
+    ``gap``
+        Displacement at which the force sets in; fitted as it stands.
+    ``exponent``
+        Without a unit; it does not leave its default bounds.
+    ``power_coefficient``
+        Multiplies displacement to the power of the effect's one exponent. Fitted as its product with that power of
+        the amplitude of the records, or it would change by orders of magnitude with the exponent. Its default bounds
+        are those at an exponent of one.
+    ``shape``
+        Says how, not how much; it does not leave its default bounds.
+    ``plain``
+        Fitted as it stands, and may leave its default bounds.
     """
 
     name: str
@@ -45,8 +74,10 @@ class Parameter:
     bounds: BoundsFunction
     minimum: float = 0.0
     maximum: float = np.inf
+    role: Role = "plain"
 
     def __post_init__(self) -> None:
+        check_choice("role", self.role, ROLES)
         if not _NAME.match(self.name):
             raise InputError(f"parameter name {self.name!r} must be lower-case letters, digits and underscores.")
         if not self.minimum < self.maximum:
@@ -131,6 +162,9 @@ class Effect:
         no longer bounded for a bounded motion.
     signature : Signature, optional
         How decays show it; every effect of the library has one.
+    needs_rotation : bool
+        Whether the law holds for an angle only, as that of a pendulum does: it is looked for where the motion is
+        measured in radians, and elsewhere only when it is named.
     """
 
     name: str
@@ -149,6 +183,7 @@ class Effect:
     redundant: tuple[tuple[str, float], ...] = ()
     opposed: tuple[tuple[str, str], ...] = ()
     signature: Signature | None = None
+    needs_rotation: bool = False
 
     def __post_init__(self) -> None:
         if not _NAME.match(self.name):
@@ -172,6 +207,36 @@ class Effect:
         for name in (*(name for name, _ in self.redundant), *(name for pair in self.opposed for name in pair)):
             if name not in names:
                 raise InputError(f"effect {self.name!r} has no parameter {name!r} to call redundant or opposed.")
+        self._settle_roles()
+
+    def _settle_roles(self) -> None:
+        """Make the first plain parameter the strength where none is declared, and refuse roles that do not fit."""
+        held = {name for name, _ in self.redundant}
+        strengths = [parameter.name for parameter in self.parameters if parameter.role == "strength"]
+        if not strengths and self.parameters:
+            plain = (q.name for q in self.parameters if q.role == "plain" and q.name not in held)
+            strengths = list(plain)[:1]
+            settled = (replace(q, role="strength") if q.name in strengths else q for q in self.parameters)
+            object.__setattr__(self, "parameters", tuple(settled))
+        if self.parameters and (len(strengths) != 1 or held & set(strengths)):
+            raise InputError(
+                f"effect {self.name!r} needs exactly one parameter with the role 'strength', not redundant; got "
+                f"{', '.join(strengths) or 'none'}."
+            )
+        once: tuple[Role, ...] = ("slip_force", "exponent")
+        for role in once:
+            several = self.with_role(role)
+            if len(several) > 1:
+                raise InputError(f"effect {self.name!r} can have one parameter with the role {role!r}, got {several}.")
+        if self.with_role("power_coefficient") and not self.with_role("exponent"):
+            raise InputError(
+                f"effect {self.name!r} has a parameter with the role 'power_coefficient': give the role 'exponent' to "
+                "the parameter that is the power."
+            )
+
+    def with_role(self, role: Role) -> tuple[str, ...]:
+        """Return the names of the parameters with this role."""
+        return tuple(parameter.name for parameter in self.parameters if parameter.role == role)
 
     @property
     def parameter_names(self) -> tuple[str, ...]:

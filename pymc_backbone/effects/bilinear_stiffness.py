@@ -42,6 +42,7 @@ EFFECT = Effect(
             unit="N/m",
             latex="k_b",
             summary="stiffness added on the positive side; negative takes away",
+            role="strength",
             bounds=lambda mass, amplitude, angular_frequency: (
                 -1.5 * mass * angular_frequency**2,
                 1.5 * mass * angular_frequency**2,

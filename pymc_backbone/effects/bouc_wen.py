@@ -81,6 +81,7 @@ EFFECT = Effect(
             unit="N/m",
             latex="k_z",
             summary="stiffness k of the hysteretic spring",
+            role="strength",
             bounds=lambda mass, amplitude, angular_frequency: (0.0, 2.0 * mass * angular_frequency**2),
         ),
         Parameter(
@@ -88,6 +89,7 @@ EFFECT = Effect(
             unit="-",
             latex=r"\bar A",
             summary="A: rate of z to x where the hysteresis starts",
+            role="shape",
             bounds=lambda mass, amplitude, angular_frequency: (0.1, 4.0),
         ),
         Parameter(
@@ -95,6 +97,7 @@ EFFECT = Effect(
             unit="-",
             latex=r"\alpha",
             summary="share of the hysteretic spring that is taken away; at 1 nothing of it is left",
+            role="shape",
             bounds=lambda mass, amplitude, angular_frequency: (0.0, 1.0),
             maximum=1.0,
         ),
@@ -103,6 +106,7 @@ EFFECT = Effect(
             unit="1/m^n",
             latex=r"\beta",
             summary="beta: how fast z saturates, dissipating",
+            role="power_coefficient",
             bounds=lambda mass, amplitude, angular_frequency: (0.0, 4.0 / amplitude),
         ),
         Parameter(
@@ -110,6 +114,7 @@ EFFECT = Effect(
             unit="1/m^n",
             latex=r"\gamma",
             summary="gamma: shape of the loop; softening when beta + gamma is positive, hardening when negative",
+            role="power_coefficient",
             bounds=lambda mass, amplitude, angular_frequency: (-2.0 / amplitude, 4.0 / amplitude),
             minimum=-np.inf,
         ),
@@ -118,6 +123,7 @@ EFFECT = Effect(
             unit="-",
             latex="n",
             summary="n: sharpness of the transition; usually fixed at 1 or 2",
+            role="exponent",
             bounds=lambda mass, amplitude, angular_frequency: (1.0, 2.0),
             minimum=1.0,
         ),

@@ -33,6 +33,7 @@ EFFECT = Effect(
             unit="N",
             latex="F_c",
             summary="magnitude of the dry friction force",
+            role="strength",
             bounds=lambda mass, amplitude, angular_frequency: (0.0, 0.1 * mass * angular_frequency**2 * amplitude),
         ),
     ),

@@ -33,6 +33,7 @@ EFFECT = Effect(
             unit="N s^3/m^3",
             latex="c_3",
             summary="coefficient of the cubic damper",
+            role="strength",
             bounds=lambda mass, amplitude, angular_frequency: (0.0, 0.3 * mass / (angular_frequency * amplitude**2)),
         ),
     ),

@@ -34,6 +34,7 @@ EFFECT = Effect(
             unit="N/m^3",
             latex="k_3",
             summary="coefficient of the cubic spring; negative softens",
+            role="strength",
             bounds=lambda mass, amplitude, angular_frequency: (
                 -1.5 * mass * angular_frequency**2 / amplitude**2,
                 1.5 * mass * angular_frequency**2 / amplitude**2,

@@ -33,6 +33,7 @@ EFFECT = Effect(
             unit="N s/m^3",
             latex="c_d",
             summary="coefficient of the displacement-dependent damper",
+            role="strength",
             bounds=lambda mass, amplitude, angular_frequency: (0.0, 0.8 * mass * angular_frequency / amplitude**2),
         ),
     ),

@@ -50,6 +50,7 @@ EFFECT = Effect(
             unit="N/m",
             latex="k_c",
             summary="stiffness of the stops",
+            role="strength",
             bounds=lambda mass, amplitude, angular_frequency: (0.0, 4.0 * mass * angular_frequency**2),
         ),
         Parameter(
@@ -57,6 +58,7 @@ EFFECT = Effect(
             unit="m",
             latex="g",
             summary="displacement at which a stop is touched, on either side",
+            role="gap",
             bounds=lambda mass, amplitude, angular_frequency: (0.0, amplitude),
         ),
     ),

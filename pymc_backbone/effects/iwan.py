@@ -85,6 +85,7 @@ EFFECT = Effect(
             unit="N/m",
             latex="K_T",
             summary="stiffness of the joint while no slider slips",
+            role="strength",
             bounds=lambda mass, amplitude, angular_frequency: (0.0, mass * angular_frequency**2),
         ),
         Parameter(
@@ -92,6 +93,7 @@ EFFECT = Effect(
             unit="N",
             latex="F_s",
             summary="force at which the whole joint slips",
+            role="slip_force",
             bounds=lambda mass, amplitude, angular_frequency: (0.0, mass * angular_frequency**2 * amplitude),
         ),
         Parameter(
@@ -99,6 +101,7 @@ EFFECT = Effect(
             unit="-",
             latex=r"\chi",
             summary="exponent of the distribution of slider strengths; at -1 the joint carries nothing",
+            role="exponent",
             bounds=lambda mass, amplitude, angular_frequency: (-0.9, 0.0),
             minimum=-1.0,
             maximum=0.0,

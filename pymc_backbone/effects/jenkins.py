@@ -54,6 +54,7 @@ EFFECT = Effect(
             unit="N/m",
             latex="k_j",
             summary="stiffness of the spring in series with the slider",
+            role="strength",
             bounds=lambda mass, amplitude, angular_frequency: (0.0, mass * angular_frequency**2),
         ),
         Parameter(
@@ -61,6 +62,7 @@ EFFECT = Effect(
             unit="N",
             latex="F_j",
             summary="force at which the slider slips",
+            role="slip_force",
             bounds=lambda mass, amplitude, angular_frequency: (0.0, mass * angular_frequency**2 * amplitude),
         ),
     ),

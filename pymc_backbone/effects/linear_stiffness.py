@@ -33,6 +33,7 @@ EFFECT = Effect(
             unit="N/m",
             latex="k",
             summary="stiffness of the linear spring",
+            role="strength",
             bounds=lambda mass, amplitude, angular_frequency: (
                 0.25 * mass * angular_frequency**2,
                 4.0 * mass * angular_frequency**2,

@@ -33,6 +33,7 @@ EFFECT = Effect(
             unit="N s^2/m^2",
             latex="c_2",
             summary="coefficient of the quadratic damper",
+            role="strength",
             bounds=lambda mass, amplitude, angular_frequency: (0.0, 0.5 * mass / amplitude),
         ),
     ),

@@ -34,6 +34,7 @@ EFFECT = Effect(
             unit="N/m^2",
             latex="k_2",
             summary="coefficient of the quadratic spring; the sign says to which side it stiffens",
+            role="strength",
             bounds=lambda mass, amplitude, angular_frequency: (
                 -0.5 * mass * angular_frequency**2 / amplitude,
                 0.5 * mass * angular_frequency**2 / amplitude,

@@ -34,6 +34,7 @@ EFFECT = Effect(
             unit="N/m^5",
             latex="k_5",
             summary="coefficient of the fifth-order spring; negative softens",
+            role="strength",
             bounds=lambda mass, amplitude, angular_frequency: (
                 -1.5 * mass * angular_frequency**2 / amplitude**4,
                 1.5 * mass * angular_frequency**2 / amplitude**4,

@@ -33,6 +33,7 @@ EFFECT = Effect(
             unit="N s/m",
             latex="c",
             summary="coefficient of the viscous damper",
+            role="strength",
             bounds=lambda mass, amplitude, angular_frequency: (0.0, 0.2 * mass * angular_frequency),
         ),
     ),

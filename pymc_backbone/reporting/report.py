@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ..discrepancy.study import Candidate, Detectable, Estimate, HeldOut, Study
+from ..discrepancy.verdict import Verdict
 from ..effects import LIBRARY
 from ..oscillator import Oscillator
 from .html import Raw, bullets, details, escape, image, number, page, paragraph, prose, section, table, tiles, unit
@@ -227,7 +228,7 @@ def _parameters(study: Study, figures: Mapping[str, Figure]) -> str:
     if study.posterior is None:
         note += " Nothing was sampled: intervals are those of the fit."
     title = "Parameters of the extended model" if added else "Parameters of the base model"
-    if study.verdict == "unexplained" and added:
+    if study.verdict == Verdict.UNEXPLAINED and added:
         note = f"This model explains a part of the gap only. {note}"
     if study.backbones.attrs.get("amplitude_unit") == "rad":
         note += " For a rotation read N as N m, and m as rad."

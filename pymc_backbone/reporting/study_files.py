@@ -133,7 +133,7 @@ def study_entries(study: Study, version: str) -> dict[str, Any]:
     falling = sorted(study.candidates, key=lambda item: -np.nan_to_num(item.probability, nan=-1.0))
     return {
         "version": version,
-        "verdict": study.verdict,
+        "verdict": str(study.verdict),
         "sentence": study.sentence,
         "base_effects": [effect.name for effect in study.base.effects],
         "missing_effects": [

@@ -19,6 +19,7 @@ from matplotlib.ticker import MaxNLocator, NullFormatter, NullLocator
 from .._common.checks import FloatArray
 from ..discrepancy.locate import mean_gap
 from ..discrepancy.study import HeldOut, Study
+from ..discrepancy.verdict import Status
 from .posterior_plots import plot_rank, plot_records, plot_trace
 from .style import (
     FEW,
@@ -39,7 +40,12 @@ from .style import (
 from .words import added_effects, percent, set_name
 
 BEFORE, AFTER = SIMULATED, TRUE
-STATUS_COLOURS = {"best": MEASURED, "possible": "#56B4E9", "rejected": QUIET, "failed": "#C9C9C9"}
+STATUS_COLOURS: dict[str, str] = {
+    Status.BEST: MEASURED,
+    Status.POSSIBLE: "#56B4E9",
+    Status.REJECTED: QUIET,
+    Status.FAILED: "#C9C9C9",
+}
 MOST_CANDIDATES = 12
 MOST_ROWS = 24  # of specimens or levels in one figure
 _WIDTH = 4.8
@@ -222,7 +228,7 @@ def plot_candidates(study: Study, *, most: int = MOST_CANDIDATES) -> Figure:
         share = candidate.probability if np.isfinite(candidate.probability) else 0.0
         axis.barh(row, share, height=0.34, color=colour)
         axis.barh(row, 1.0, height=0.34, color=QUIET, alpha=0.10, zorder=0)
-        weight = "bold" if candidate.status == "best" else "normal"
+        weight = "bold" if candidate.status == Status.BEST else "normal"
         axis.text(0.0, row - 0.24, set_name(candidate.effects), fontsize=8, va="bottom", weight=weight)
         axis.text(1.0, row - 0.24, percent(candidate.probability), fontsize=8, va="bottom", ha="right", weight=weight)
     axis.set_ylim(len(shown) - 0.6, -0.85)

@@ -7,26 +7,35 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..discrepancy.verdict import AdequateBy, Status, Verdict
+
 if TYPE_CHECKING:
     from ..discrepancy.study import Study
 
-VERDICT_WORDS = {
-    "adequate": "\N{CHECK MARK} Adequate",
-    "found": "\N{BLACK CIRCLE} Found",
-    "ambiguous": "? Ambiguous",
-    "unexplained": "! Unexplained",
+VERDICT_WORDS: dict[str, str] = {
+    Verdict.ADEQUATE: "\N{CHECK MARK} Adequate",
+    Verdict.FOUND: "\N{BLACK CIRCLE} Found",
+    Verdict.AMBIGUOUS: "? Ambiguous",
+    Verdict.UNEXPLAINED: "! Unexplained",
 }
-VERDICT_MEANS = {
-    "adequate": "The base model describes these records; no effect needs to be added.",
-    "found": "One set of effects explains the gap between base model and measurement, and the others do not.",
-    "ambiguous": "Several sets of effects explain the gap equally well; these records cannot tell them apart.",
-    "unexplained": "There is a gap that no effect known to the program explains; the best set explains a part of it.",
+VERDICT_MEANS: dict[str, str] = {
+    Verdict.ADEQUATE: "The base model describes these records; no effect needs to be added.",
+    Verdict.FOUND: "One set of effects explains the gap between base model and measurement, and the others do not.",
+    Verdict.AMBIGUOUS: "Several sets of effects explain the gap equally well; these records cannot tell them apart.",
+    Verdict.UNEXPLAINED: "There is a gap that no effect known to the program explains; "
+    "the best set explains a part of it.",
 }
-ADEQUATE_BY = {
-    "statistics": "Model and measurement agree within measurement error.",
-    "tolerance": "There is a difference beyond measurement error, and it is smaller than the tolerance that was set.",
+ADEQUATE_BY: dict[str, str] = {
+    AdequateBy.STATISTICS: "Model and measurement agree within measurement error.",
+    AdequateBy.TOLERANCE: "There is a difference beyond measurement error, "
+    "and it is smaller than the tolerance that was set.",
 }
-STATUS_WORDS = {"best": "best", "possible": "possible", "rejected": "rejected", "failed": "could not be fitted"}
+STATUS_WORDS: dict[str, str] = {
+    Status.BEST: "best",
+    Status.POSSIBLE: "possible",
+    Status.REJECTED: "rejected",
+    Status.FAILED: "could not be fitted",
+}
 
 
 def added_effects(study: Study) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from .._common.checks import FloatArray
+from ..discrepancy.verdict import Verdict
 from ..reporting.style import MEASURED, QUIET, SIMULATED, drawable, layout, parameter_axis
 from .outliers import Quantity, far
 from .structure import Structure
@@ -18,8 +19,13 @@ from .structure import Structure
 MOST_NAMED = 5  # structures that a panel names
 _WIDTH, _HEIGHT = 4.8, 3.1
 _ORDERED = ("frequency", "damping_ratio")
-_COLOURS = {"adequate": "#009E73", "found": "#0072B2", "ambiguous": "#E69F00", "unexplained": "#B00020"}
-_MARKS = {"adequate": "o", "found": "s", "ambiguous": "^", "unexplained": "D"}
+_COLOURS: dict[str, str] = {
+    Verdict.ADEQUATE: "#009E73",
+    Verdict.FOUND: "#0072B2",
+    Verdict.AMBIGUOUS: "#E69F00",
+    Verdict.UNEXPLAINED: "#B00020",
+}
+_MARKS: dict[str, str] = {Verdict.ADEQUATE: "o", Verdict.FOUND: "s", Verdict.AMBIGUOUS: "^", Verdict.UNEXPLAINED: "D"}
 
 
 def plot_quantity(quantity: Quantity, order: Sequence[str]) -> Figure:

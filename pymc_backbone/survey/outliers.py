@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .._common.checks import FloatArray
+from ..discrepancy.verdict import Verdict
 from ..reporting.words import set_name
 from .structure import Structure
 
@@ -116,7 +117,9 @@ def majority(structures: Sequence[Structure]) -> tuple[tuple[str, ...], int, int
     Counts are those that share it and those that are decided: ``adequate`` or ``found``. None: there is no such set,
     or fewer than three are decided.
     """
-    decided = [frozenset(item.missing_effects) for item in structures if item.verdict in ("adequate", "found")]
+    decided = [
+        frozenset(item.missing_effects) for item in structures if item.verdict in (Verdict.ADEQUATE, Verdict.FOUND)
+    ]
     if len(decided) < 3:
         return None
     chosen, count = Counter(decided).most_common(1)[0]
@@ -143,7 +146,7 @@ def stand_out(structures: Sequence[Structure]) -> dict[str, tuple[str, ...]]:
         said = _verdict_reason(item, most)
         if said:
             reasons.setdefault(item.name, []).append(said)
-            rank[item.name][0 if item.verdict == "unexplained" else 1] = 1.0
+            rank[item.name][0 if item.verdict == Verdict.UNEXPLAINED else 1] = 1.0
     for quantity in quantities(structures):
         for name, value, score in zip(quantity.structures, quantity.values, quantity.scores(), strict=True):
             if abs(score) > far(len(quantity.structures)):
@@ -159,13 +162,13 @@ def words(effects: Sequence[str]) -> str:
 
 
 def _verdict_reason(item: Structure, most: tuple[tuple[str, ...], int, int] | None) -> str:
-    if item.verdict == "unexplained":
+    if item.verdict == Verdict.UNEXPLAINED:
         return "no effect of the library explains it"
     if most is None or not item.is_done:
         return ""
     usual, count, decided = most
     said = f"{count} of {decided} lack {words(usual)}"
-    if item.verdict == "ambiguous":
+    if item.verdict == Verdict.AMBIGUOUS:
         sets = [frozenset(names) for names in item.ambiguous_sets]
         return "" if frozenset(usual) in sets else f"none of its possible sets is the usual one ({said})"
     return "" if frozenset(item.missing_effects) == frozenset(usual) else f"lacks {words(item.missing_effects)}; {said}"

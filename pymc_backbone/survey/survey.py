@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-from ..discrepancy.study import VERDICTS
+from ..discrepancy.verdict import Verdict
 from ..reporting.terminal import aligned, short
 from .outliers import majority, stand_out, words
 from .structure import Structure
@@ -89,7 +89,7 @@ class Survey:
     def counts(self) -> dict[str, int]:
         """Number of structures by verdict, and those that failed."""
         number = Counter(item.verdict for item in self.done)
-        return {**{verdict: number[verdict] for verdict in VERDICTS}, "failed": len(self.failed)}
+        return {**{verdict.value: number[verdict] for verdict in Verdict}, "failed": len(self.failed)}
 
     @cached_property
     def standing_out(self) -> dict[str, tuple[str, ...]]:
@@ -167,10 +167,10 @@ class Survey:
 
 def effects_in_words(item: Structure) -> str:
     """Return what is missing in a structure, as far as its verdict goes, in words."""
-    if item.verdict == "ambiguous":
+    if item.verdict == Verdict.AMBIGUOUS:
         named = " or ".join(words(names) for names in item.ambiguous_sets or (item.effects,))
         return named if len(item.ambiguous_sets) > 1 else f"perhaps {named}"
-    if item.verdict == "unexplained":
+    if item.verdict == Verdict.UNEXPLAINED:
         return "unknown"
     return words(item.missing_effects)
 

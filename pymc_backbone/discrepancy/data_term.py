@@ -1,6 +1,6 @@
 """What a model is compared with, specimen by specimen: level values, turning points, or the samples of the record.
 
-Each witness turns a simulated decay into standardised residuals and their derivatives, so that one fit serves all.
+Each data term turns a simulated decay into standardised residuals and their derivatives, so that one fit serves all.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ TOLERANCE = 1e-7  # of one integration step: waveforms to 3e-6 of the amplitude,
 _MARGIN = 60  # turning points beyond those of the record
 
 
-class Witness(Protocol):
+class DataTerm(Protocol):
     """One specimen's data: residuals of a model, and their derivatives.
 
     ``compare(simulator, parameters, nuisances)`` returns the standardised residuals (n,), measured minus simulated,
@@ -45,7 +45,7 @@ class Witness(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class LevelWitness:
+class LevelTerm:
     """The backbone of one specimen at levels, with its covariance.
 
     Attributes
@@ -87,8 +87,8 @@ class LevelWitness:
         return residuals, self.whitening @ slopes
 
 
-def level_witness(backbones: xr.Dataset, specimen: int, keep: Any = None) -> LevelWitness | None:
-    """Return the witness of one specimen of a Dataset of backbones, or None where it reaches none of the levels."""
+def level_term(backbones: xr.Dataset, specimen: int, keep: Any = None) -> LevelTerm | None:
+    """Return the data term of one specimen of a Dataset of backbones, or None where it reaches none of the levels."""
     chosen = backbones.isel(specimen=specimen)
     names = [str(name) for name in chosen["observable"].values]
     value, error = np.asarray(chosen["value"]), np.asarray(chosen["standard_error"])
@@ -114,11 +114,11 @@ def level_witness(backbones: xr.Dataset, specimen: int, keep: Any = None) -> Lev
         factor = np.linalg.cholesky(covariance / np.outer(scale, scale) + 1e-6 * np.eye(index.size))
         whitening[np.ix_(index, index)] = np.linalg.inv(factor) / scale
     rows = np.array([(OBSERVABLES.index(names[o]), place[int(k)]) for o, k in pairs])
-    return LevelWitness(np.asarray(chosen["level"])[reached], value[pairs[:, 0], pairs[:, 1]], rows, whitening)
+    return LevelTerm(np.asarray(chosen["level"])[reached], value[pairs[:, 0], pairs[:, 1]], rows, whitening)
 
 
 @dataclass(frozen=True, eq=False)
-class TurningWitness:
+class TurningTerm:
     """Times and values of the turning points of one record: no phase to lose, so fits find their way from afar.
 
     Attributes
@@ -179,7 +179,7 @@ class TurningWitness:
 
 
 @dataclass(frozen=True, eq=False)
-class WaveformWitness:
+class WaveformTerm:
     """The samples of one record.
 
     Attributes

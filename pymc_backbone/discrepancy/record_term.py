@@ -1,4 +1,4 @@
-"""Turning points and samples of a record as witnesses: which part of it counts, and how its noise is whitened."""
+"""Turning points and samples of a record as data terms: which part of it counts, and how its noise is whitened."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import numpy as np
 from .._common.checks import FloatArray
 from ..measurement.conditioning.conditioned import ConditionedRecord
 from ..measurement.cycles import Cycles
+from .data_term import TurningTerm, WaveformTerm
 from .whitening import EDGE, of_means, whitener
-from .witness import TurningWitness, WaveformWitness
 
 _COLLAPSED_HARMONICS = 3
 _DENSE = 24  # samples per cycle that hold all there is to know; more are averaged
@@ -23,13 +23,13 @@ def first_turning_point(record: ConditionedRecord, cycles: Cycles) -> int:
     return int(start * extreme > 0.0 and abs(start) > 0.5 * abs(extreme))
 
 
-def turning_witness(record: ConditionedRecord, cycles: Cycles) -> TurningWitness:
-    """Return the witness of the turning points of one record."""
+def turning_term(record: ConditionedRecord, cycles: Cycles) -> TurningTerm:
+    """Return the data term of the turning points of one record."""
     count = min(2 * len(cycles) + 1, cycles.turning_times.size)
     kept = slice(first_turning_point(record, cycles), count)
     times, values = cycles.turning_times[kept], cycles.turning_values[kept]
     time_errors, value_errors = cycles.turning_time_errors[kept], cycles.turning_value_errors[kept]
-    return TurningWitness(
+    return TurningTerm(
         times.copy(),
         values.copy(),
         np.maximum(time_errors, 1e-12 * np.abs(times).max() + 1e-300),
@@ -37,8 +37,8 @@ def turning_witness(record: ConditionedRecord, cycles: Cycles) -> TurningWitness
     )
 
 
-def waveform_witness(record: ConditionedRecord, cycles: Cycles) -> WaveformWitness:
-    """Return the witness of the samples of one record, from half a cycle before its first turning point on."""
+def waveform_term(record: ConditionedRecord, cycles: Cycles) -> WaveformTerm:
+    """Return the data term of the samples of one record, from half a cycle before its first turning point on."""
     half = float(np.median(np.diff(cycles.turning_times)))
     begin = cycles.turning_times[first_turning_point(record, cycles)]
     first = int(np.searchsorted(record.time, begin - 0.9 * half))
@@ -58,7 +58,7 @@ def waveform_witness(record: ConditionedRecord, cycles: Cycles) -> WaveformWitne
             return np.concatenate([basis.T @ columns[window] for window, basis in bases]) / record.noise
 
         size = sum(basis.shape[1] for _, basis in bases)
-        return WaveformWitness(time, values, reduce, size, [], signal)
+        return WaveformTerm(time, values, reduce, size, [], signal)
     together = int(per_cycle / _DENSE)
     autocovariance = record.noise_autocovariance
     is_averaged = together > 1
@@ -74,7 +74,7 @@ def waveform_witness(record: ConditionedRecord, cycles: Cycles) -> WaveformWitne
     harmonics = int(np.clip(0.5 * per_cycle - 1.5, 1, 4))
     subspace = [(window, _harmonics(phase[window], harmonics, 0, 1)) for window in windows]
     size = time.size - 2 * EDGE if is_averaged else time.size
-    return WaveformWitness(time, values, whitener(autocovariance), size, subspace, signal, max(together, 1))
+    return WaveformTerm(time, values, whitener(autocovariance), size, subspace, signal, max(together, 1))
 
 
 def _phase(time: FloatArray, cycles: Cycles) -> FloatArray:

@@ -1,0 +1,32 @@
+"""What a fit says of the effects' parameters, and the same fit with some effects turned off."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from . import starts
+from .joint_fit import Fit, State
+
+
+def estimates_of(found: Fit) -> dict[str, tuple[float, float]]:
+    """Return value over the batch and standard error of the effects' parameters."""
+    q = found.layout.free.size
+    if q == 0:
+        return {}
+    values, slopes = found.layout.physical(found.state.eta, np.zeros(q), 0.0)
+    variance = slopes @ np.nan_to_num(found.covariance) @ slopes.T
+    errors = np.sqrt(np.maximum(np.diag(variance), 0.0))
+    rows = zip(found.layout.names, values, errors, strict=True)
+    return {name: (float(value), float(error)) for name, value, error in rows}
+
+
+def without(found: Fit, names: Sequence[str]) -> Fit:
+    """Return a fit with some effects turned off, everything else as it was."""
+    eta = found.state.eta.copy()
+    for name in names:
+        where = starts.positions(found.layout, name)
+        eta[where[0]] = 0.0
+    return replace(found, state=State(eta, found.state.own))
