@@ -23,7 +23,7 @@ import pymc as pm
 
 from pymc_backbone import Oscillator, build_model, fit_density, sample, simulated_backbones
 from pymc_backbone.likelihood.native import call_log_likelihood, define_symbols
-from pymc_backbone.likelihood.op import _describe
+from pymc_backbone.likelihood.op import describe
 from pymc_backbone.simulation.response import make_response
 
 OSCILLATOR = Oscillator(1.0, ["cubic_stiffness"])
@@ -41,8 +41,8 @@ def make_density():
 
 def make_walk(density):
     define_symbols()
-    description = _describe(make_response(OSCILLATOR, LEVELS))
-    integers, floats, codes, table = description.integers, description.floats, density.codes, density.table
+    integers, numbers = describe(make_response(OSCILLATOR, LEVELS))
+    codes, table = density.codes, density.table
     low = np.array([interval[0] for interval in BOUNDS.values()])
     high = np.array([interval[1] for interval in BOUNDS.values()])
     nothing = np.empty(0)
@@ -53,7 +53,7 @@ def make_walk(density):
             if not low[j] < theta[j] < high[j]:
                 return -np.inf
         return call_log_likelihood(
-            0, integers.ctypes, floats.ctypes, theta.ctypes, 3, codes.ctypes, codes.size, table.ctypes, table.size,
+            integers.ctypes, numbers.ctypes, theta.ctypes, codes.ctypes, codes.size, table.ctypes, table.size,
             nothing.ctypes, 0, nothing.ctypes, 0,
         )  # fmt: skip
 

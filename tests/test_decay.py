@@ -380,13 +380,13 @@ def test_units_do_not_matter(effects, factors):
 
 
 @numba.njit
-def _steps(table, p, h, count, sensitivities):
+def _steps(integers, numbers, p, h, count, sensitivities):
     """Return displacement, velocity, and their derivatives to the start and to p[2], after steps of fixed length."""
-    run = kernels._prepare(0, table, 0, 1, 0, 1.0, False, p, sensitivities, 1e-9, 1.5)
-    place = memory.place_of(address(run.numbers))
-    numbers = address(run.memory)
-    model = memory.model_of(address(run.numbers), numbers, address(run.p), place)
-    y, y1 = shifted(numbers, place.now), shifted(numbers, place.next)
+    run = kernels._prepare(integers, numbers, p, sensitivities, 1.5)
+    place = memory.place_of(address(run.integers))
+    room = address(run.memory)
+    model = memory.model_of(address(run.integers), room, address(run.p), place)
+    y, y1 = shifted(room, place.now), shifted(room, place.next)
     S, S1 = shifted(y, 2), shifted(y1, 2)
     n = run.columns
     y[0], y[1], S[0] = 1.0, -0.5, 1.0
@@ -395,7 +395,7 @@ def _steps(table, p, h, count, sensitivities):
         force, fx, fv = forces.force_slopes(model, y[0], y[1], -1.0, shifted(y, 2))
         if sensitivities:
             stepper.step_sensitivity(
-                model, y, S, -force, fx, fv, -1.0, h, 1e-9, y1, S1, shifted(numbers, place.quadrature)
+                model, y, S, -force, fx, fv, -1.0, h, 1e-9, y1, S1, shifted(room, place.quadrature)
             )
         else:
             stepper.step_value(model, y, S, -force, fx, fv, -1.0, h, 1e-9, y1, S1)
@@ -406,7 +406,7 @@ def _steps(table, p, h, count, sensitivities):
 
 @pytest.mark.parametrize("sensitivities", [False, True])
 def test_steps_are_of_eighth_order(sensitivities):
-    table = Simulator(Oscillator(1.0, "cubic_stiffness")).description[1]
+    described = Simulator(Oscillator(1.0, "cubic_stiffness")).describe(tolerance=1e-9)
     p, length = np.array([1.0, 0.1, 0.7]), 3.2
 
     def slope(t, y):
@@ -419,7 +419,7 @@ def test_steps_are_of_eighth_order(sensitivities):
     exact = solve_ivp(slope, (0.0, length), start, "DOP853", rtol=3e-14, atol=1e-16).y[:, -1]
     quantities = 6 if sensitivities else 4
     errors = [
-        np.linalg.norm((_steps(table, p, length / count, count, sensitivities) - exact)[:quantities])
+        np.linalg.norm((_steps(*described, p, length / count, count, sensitivities) - exact)[:quantities])
         for count in (24, 40)
     ]
     # The order 8 of Dormand and Prince's formula, for the sensitivities as well.

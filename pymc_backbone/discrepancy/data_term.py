@@ -14,6 +14,7 @@ import xarray as xr
 
 from .._common.checks import OBSERVABLES, FloatArray
 from ..simulation.decay import Simulator
+from ..simulation.memory import Waveform
 from .whitening import EDGE, average
 
 DRIFT = 0.05  # relative change of frequency over a record that one unit of drift stands for
@@ -144,15 +145,11 @@ class TurningTerm:
         release, release_time, offset, drift, loss = nuisances
         maximum = self.times.size + 1
         columns = parameters.size + 1
-        turns, times = np.empty(maximum), np.empty(maximum)
-        slopes, time_slopes = np.empty((maximum, columns)), np.empty((maximum, columns))
-        none = np.empty(0)
-        count, _ = simulator.decay(
-            parameters, release, True, 0.0, True, TOLERANCE, maximum, turns, slopes, time_slopes, times,
-            none, none, np.empty((0, 1)),
-        )  # fmt: skip
+        turning = simulator.make_turns(maximum, True)
+        count, _ = simulator.decay(parameters, release, turning, tolerance=TOLERANCE)
         if count < maximum:
             return None
+        turns, times, slopes, time_slopes = turning
         n = self.times.size
         length = float(self.times[-1] - self.times[0])
         share = times[1:] / length
@@ -218,13 +215,9 @@ class WaveformTerm:
         slopes = np.zeros((n, columns))
         slopes[:before, 0] = 1.0
         if before < n:
-            maximum = self.most_turns
-            turns, times = np.empty(maximum), np.empty(maximum)
-            room, time_room = np.empty((maximum, columns)), np.empty((maximum, columns))
-            simulator.decay(
-                parameters, release, True, 0.0, True, TOLERANCE, maximum, turns, room, time_room, times,
-                np.ascontiguousarray(instants[before:]), displacement[before:], slopes[before:],
-            )  # fmt: skip
+            waveform = Waveform(np.ascontiguousarray(instants[before:]), displacement[before:], slopes[before:])
+            turns = simulator.make_turns(self.most_turns, True)
+            simulator.decay(parameters, release, turns, waveform, tolerance=TOLERANCE)
         if not np.isfinite(displacement[-1]):
             return None
         return displacement, slopes

@@ -15,48 +15,30 @@ import numba
 import numpy as np
 from numba import types
 from numba.core.ccallback import CFunc
-from numpy.typing import NDArray
 
-from .._common.checks import FloatArray
 from .._common.compiled import DigestCache
 from ..simulation import kernels
-from ..simulation.decay import MAXIMUM_TURNING_POINTS, Simulator
-from ..simulation.decay import TOLERANCE as TOLERANCE_OF_A_STEP
+from ..simulation.forces import ROW
+from ..simulation.memory import N_EFFECTS, N_LEVELS, N_NUMBERS, N_PARAMETERS, ROWS, TABLE
+from ..simulation.pointers import FLOATS, INTEGERS
 from .density_kernel import log_density
 
-_INTEGERS = types.CPointer(types.int64)
-_FLOATS = types.CPointer(types.float64)
-
-# Entries of the integer description of a simulation; the table of effects and the wanted rows follow.
-STIFFNESS, DAMPING, STATES, HAS_REGIME, VIRGIN, EFFECTS, LEVELS, MAXIMUM, ROWS, BY_DECAY = range(10)
-# Entries of the float description; the levels follow.
-MASS, RELEASE, TOLERANCE = range(3)
 # Entries of the memory of a log-likelihood: counts, then slots of (value, when last asked for, parameters). A walk asks
 # for the next point and the present one: of three slots, the one not asked for longest holds neither.
 EVALUATIONS, FAILURES, SIMULATIONS, GRADIENTS, FIRST_SLOT = range(5)
 SLOTS, BEFORE_PARAMETERS = 3, 2
 
 
-def _backbone(user, ci_pointer, cf_pointer, p_pointer, n, values_p, jacobian_p, status_p, wanted):
-    ci = numba.carray(ci_pointer, 1_000_000)
-    n_effects, n_levels = ci[EFFECTS], ci[LEVELS]
-    cf = numba.carray(cf_pointer, TOLERANCE + 1 + n_levels)
-    table = ci[BY_DECAY + 1 : BY_DECAY + 1 + 6 * n_effects].reshape((n_effects, 6))
-    levels = cf[TOLERANCE + 1 :]
-    p = numba.carray(p_pointer, n)
-    values = numba.carray(values_p, (3, n_levels))
-    jacobian = numba.carray(jacobian_p, (3 * wanted, n_levels * wanted, n * wanted))
-    status = numba.carray(status_p, n_levels)
-    if ci[BY_DECAY] == 0:
-        kernels.backbone_by_cycles(
-            user, table, ci[STIFFNESS], ci[DAMPING], ci[STATES], cf[MASS], ci[HAS_REGIME] != 0, p, levels,
-            cf[RELEASE], ci[VIRGIN] != 0, wanted != 0, cf[TOLERANCE], ci[MAXIMUM], values, jacobian, status,
-        )  # fmt: skip
-    else:
-        kernels.backbone_by_decay(
-            user, table, ci[STIFFNESS], ci[DAMPING], ci[STATES], cf[MASS], ci[HAS_REGIME] != 0, p, levels,
-            cf[RELEASE], ci[VIRGIN] != 0, wanted != 0, cf[TOLERANCE], ci[MAXIMUM], values, jacobian, status,
-        )  # fmt: skip
+def _backbone(to_integers, to_numbers, to_p, to_values, to_jacobian, to_status, wanted):
+    head = numba.carray(to_integers, TABLE)
+    n, n_levels = head[N_PARAMETERS], head[N_LEVELS]
+    integers = numba.carray(to_integers, TABLE + ROW * head[N_EFFECTS])
+    numbers = numba.carray(to_numbers, N_NUMBERS + n_levels)
+    p = numba.carray(to_p, n)
+    values = numba.carray(to_values, (3, n_levels))
+    jacobian = numba.carray(to_jacobian, (3 * wanted, n_levels * wanted, n * wanted))
+    status = numba.carray(to_status, n_levels)
+    kernels.backbone(integers, numbers, p, values, jacobian, status)
 
 
 @numba.njit
@@ -106,9 +88,9 @@ def count_gradient(memory):
 
 
 @numba.njit
-def judge_backbone(ci, status, values, jacobian, codes, table, memory, gradient):
+def judge_backbone(integers, status, values, jacobian, codes, table, memory, gradient):
     """Return the log density of a simulated backbone, -inf where a level failed, and write its gradient."""
-    levels = ci[LEVELS]
+    levels = integers[N_LEVELS]
     for k in range(levels):
         if status[k] != 0:
             if memory.size > FAILURES:
@@ -118,12 +100,12 @@ def judge_backbone(ci, status, values, jacobian, codes, table, memory, gradient)
             return -np.inf
     wanted = 0
     for row in range(3):
-        wanted += (ci[ROWS] >> row) & 1
+        wanted += (integers[ROWS] >> row) & 1
     y = np.empty(wanted * levels)
     slope = np.empty(wanted * levels)
     i = 0
     for row in range(3):
-        if (ci[ROWS] >> row) & 1:
+        if (integers[ROWS] >> row) & 1:
             for k in range(levels):
                 y[i] = values[row, k]
                 i += 1
@@ -132,7 +114,7 @@ def judge_backbone(ci, status, values, jacobian, codes, table, memory, gradient)
         total = 0.0
         i = 0
         for row in range(3):
-            if (ci[ROWS] >> row) & 1:
+            if (integers[ROWS] >> row) & 1:
                 for k in range(levels):
                     total += slope[i] * jacobian[row, k, j]
                     i += 1
@@ -140,35 +122,35 @@ def judge_backbone(ci, status, values, jacobian, codes, table, memory, gradient)
     return value
 
 
-def _log_likelihood(user, ci_p, cf, p, n, codes_p, n_codes, table_p, n_table, memory_p, n_memory, gradient_p, wanted):  # noqa: E501
-    theta = numba.carray(p, n)
-    memory = numba.carray(memory_p, n_memory)
+def _log_likelihood(
+    to_integers, to_numbers, to_p, to_codes, n_codes, to_table, n_table, to_memory, n_memory, to_gradient, wanted
+):
+    integers = numba.carray(to_integers, TABLE)
+    n, n_levels = integers[N_PARAMETERS], integers[N_LEVELS]
+    theta = numba.carray(to_p, n)
+    memory = numba.carray(to_memory, n_memory)
     if wanted == 0:
         found = remembered(memory, theta)
         if found >= 0:
             return memory[found]
     else:
         count_gradient(memory)
-    ci = numba.carray(ci_p, 1_000_000)
-    values = np.empty((3, ci[LEVELS]))
-    jacobian = np.empty((3 * wanted, ci[LEVELS] * wanted, n * wanted))
-    status = np.zeros(ci[LEVELS], np.int64)
-    call_backbone(user, ci_p, cf, p, n, values.ctypes, jacobian.ctypes, status.ctypes, wanted)
-    codes, table = numba.carray(codes_p, n_codes), numba.carray(table_p, n_table)
-    gradient = numba.carray(gradient_p, n * wanted)
-    value = judge_backbone(ci, status, values, jacobian, codes, table, memory, gradient)
+    values = np.empty((3, n_levels))
+    jacobian = np.empty((3 * wanted, n_levels * wanted, n * wanted))
+    status = np.zeros(n_levels, np.int64)
+    call_backbone(to_integers, to_numbers, to_p, values.ctypes, jacobian.ctypes, status.ctypes, wanted)
+    codes, table = numba.carray(to_codes, n_codes), numba.carray(to_table, n_table)
+    gradient = numba.carray(to_gradient, n * wanted)
+    value = judge_backbone(integers, status, values, jacobian, codes, table, memory, gradient)
     if wanted == 0:
         remember(memory, theta, value)
     return value
 
 
-_BACKBONE_SIGNATURE = types.void(
-    types.int64, _INTEGERS, _FLOATS, _FLOATS, types.int64, _FLOATS, _FLOATS, _INTEGERS, types.int64
-)
+_BACKBONE_SIGNATURE = types.void(INTEGERS, FLOATS, FLOATS, FLOATS, FLOATS, INTEGERS, types.int64)
 _LIKELIHOOD_SIGNATURE = types.float64(
-    types.int64, _INTEGERS, _FLOATS, _FLOATS, types.int64, _INTEGERS, types.int64, _FLOATS, types.int64,
-    _FLOATS, types.int64, _FLOATS, types.int64,
-)  # fmt: skip
+    INTEGERS, FLOATS, FLOATS, INTEGERS, types.int64, FLOATS, types.int64, FLOATS, types.int64, FLOATS, types.int64
+)
 call_backbone = types.ExternalFunction("pymc_backbone_backbone", _BACKBONE_SIGNATURE)
 call_log_likelihood = types.ExternalFunction("pymc_backbone_log_likelihood", _LIKELIHOOD_SIGNATURE)
 
@@ -189,32 +171,3 @@ def define_symbols() -> None:
 
 
 _KEPT: list[Any] = []  # compiled code lives as long as its CFunc
-
-
-class Description:
-    """A simulation in the flat form that the native functions read.
-
-    Parameters
-    ----------
-    simulator : Simulator
-        The prepared oscillator.
-    levels : ndarray, shape (l,)
-        Amplitudes [m or rad].
-    rows : tuple of int
-        Which of frequency (0), damping (1), offset (2) are judged.
-    release_amplitude : float
-        Release [m or rad]; 0 for the default.
-    virgin : bool
-        Whether hysteretic states start loaded from rest.
-    """
-
-    def __init__(
-        self, simulator: Simulator, levels: FloatArray, rows: tuple[int, ...], release_amplitude: float, virgin: bool
-    ) -> None:
-        user, table, stiffness, damping, n_states, mass, has_regime = simulator.description
-        by_decay = simulator.needs_decay or release_amplitude > 0.0
-        head = [stiffness, damping, n_states, has_regime, virgin, len(table), levels.size, MAXIMUM_TURNING_POINTS,
-                sum(1 << row for row in rows), by_decay]  # fmt: skip
-        self.user = int(user)
-        self.integers: NDArray[np.int64] = np.concatenate([np.array(head, dtype=np.int64), table.ravel()])
-        self.floats: FloatArray = np.concatenate([[mass, release_amplitude, TOLERANCE_OF_A_STEP], levels])

@@ -25,6 +25,7 @@ from pytensor.tensor.rewriting.basic import register_specialize
 from pytensor.tensor.variable import TensorConstant
 
 from .._common.checks import FloatArray, IntArray
+from ..simulation.memory import Description
 from ..simulation.response import OscillatorResponse, Response, simulator_of
 from . import native
 from .density_kernel import log_density
@@ -225,8 +226,7 @@ def _funcify_log_likelihood(op: BackboneLogLikelihood, node: Apply, **kwargs: An
     if not isinstance(op.response, OscillatorResponse):
         return _fallback(op, node), None
     response = op.response
-    description = _describe(response)
-    integers, floats, user = description.integers, description.floats, description.user
+    integers, numbers = describe(response)
     call, wanted = native.call_log_likelihood, int(op.with_gradient)
 
     @numba.njit
@@ -238,12 +238,12 @@ def _funcify_log_likelihood(op: BackboneLogLikelihood, node: Apply, **kwargs: An
         density = np.ascontiguousarray(table)
         gradient = np.zeros(point.size * wanted)
         value = call(
-            user, integers.ctypes, floats.ctypes, point.ctypes, point.size, density_codes.ctypes, codes.size,
+            integers.ctypes, numbers.ctypes, point.ctypes, density_codes.ctypes, codes.size,
             density.ctypes, density.size, memory.ctypes, memory.size, gradient.ctypes, wanted,
         )  # fmt: skip
         return np.asarray(value), gradient
 
-    return log_likelihood, _cache_key("log_likelihood-2", op, user)
+    return log_likelihood, _cache_key("log_likelihood-3", op)
 
 
 @register_funcify_and_cache_key(SimulatedBackbone)
@@ -251,8 +251,7 @@ def _funcify_backbone(op: SimulatedBackbone, node: Apply, **kwargs: Any) -> tupl
     if not isinstance(op.response, OscillatorResponse):
         return _fallback(op, node), None
     response = op.response
-    description = _describe(response)
-    integers, floats, user = description.integers, description.floats, description.user
+    integers, numbers = describe(response)
     call, wanted = native.call_backbone, int(op.with_gradient)
     rows, levels = np.array(response.rows), len(response.levels)
 
@@ -264,8 +263,8 @@ def _funcify_backbone(op: SimulatedBackbone, node: Apply, **kwargs: Any) -> tupl
         jacobian = np.empty((3 * wanted, levels * wanted, n * wanted))
         status = np.zeros(levels, np.int64)
         call(
-            user, integers.ctypes, floats.ctypes, point.ctypes, n, values.ctypes, jacobian.ctypes, status.ctypes, wanted
-        )
+            integers.ctypes, numbers.ctypes, point.ctypes, values.ctypes, jacobian.ctypes, status.ctypes, wanted
+        )  # fmt: skip
         chosen = np.empty((rows.size, levels))
         slopes = np.zeros((rows.size * wanted, levels * wanted, n * wanted))
         for i in range(rows.size):
@@ -276,20 +275,22 @@ def _funcify_backbone(op: SimulatedBackbone, node: Apply, **kwargs: Any) -> tupl
                         slopes[i, k, j] = jacobian[rows[i], k, j]
         return chosen, slopes
 
-    return backbone, _cache_key("backbone-2", op, user)
+    return backbone, _cache_key("backbone-3", op)
 
 
-def _describe(response: OscillatorResponse) -> native.Description:
-    return native.Description(
-        simulator_of(response.oscillator), np.array(response.levels), response.rows, response.release_amplitude,
-        response.virgin,
-    )  # fmt: skip
+def describe(response: OscillatorResponse) -> Description:
+    """Return what the native functions simulate for ``response``."""
+    return simulator_of(response.oscillator).describe(
+        np.array(response.levels), response.release_amplitude, response.virgin, rows=response.rows
+    )
 
 
-def _cache_key(version: str, op: _BackboneOp, user: int) -> str | None:
+def _cache_key(version: str, op: _BackboneOp) -> str | None:
     """Return the key under which compiled code is kept; None where it holds the address of a user's force."""
     assert isinstance(op.response, OscillatorResponse)
-    return None if user else f"pymc_backbone-{version}-{op.with_gradient}-{op.response.key}"
+    if simulator_of(op.response.oscillator).user:
+        return None
+    return f"pymc_backbone-{version}-{op.with_gradient}-{op.response.key}"
 
 
 def _fallback(op: Op, node: Apply) -> Any:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,9 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 from .._common.checks import FloatArray, InputError, check_finite_array, check_levels, check_positive
 from ..oscillator import Oscillator
 from . import kernels
+from . import memory as layout
 from .curves import cycles_of_decay
 from .forces import KIND, OWN_EQUATION, describe_effects
 from .halfcycle import COMPLETED, NO_RETURN, OUT_OF_REACH, RUNAWAY, STUCK
+from .memory import Description, Turns, Waveform
 from .user_effects import compose_user_effects
 
 TOLERANCE = 2e-9  # of one step, relative to amplitude and speed; set by the decrement, not by the frequency
@@ -146,10 +148,61 @@ class Simulator:
         kernels.define()
         self.oscillator = oscillator
         table, stiffness, damping, n_states, has_regime, users = describe_effects(oscillator.effects)
-        user = compose_user_effects(users)
-        self.description = (user, table, stiffness, damping, n_states, float(oscillator.mass), has_regime)
+        self.user = compose_user_effects(users)
         self.needs_decay = n_states > 0
         self.has_own_equation = bool(np.any(table[:, KIND] == OWN_EQUATION))
+        self._integers = np.zeros(layout.TABLE + table.size, dtype=np.int64)
+        self._integers[layout.USER] = self.user
+        self._integers[layout.N_EFFECTS] = len(table)
+        self._integers[layout.STIFFNESS] = stiffness
+        self._integers[layout.DAMPING] = damping
+        self._integers[layout.N_STATES] = n_states
+        self._integers[layout.N_PARAMETERS] = len(oscillator.parameter_names)
+        self._integers[layout.HAS_REGIME] = has_regime
+        self._integers[layout.MAXIMUM] = MAXIMUM_TURNING_POINTS
+        self._integers[layout.TABLE :] = table.ravel()
+
+    def describe(
+        self,
+        levels: FloatArray | None = None,
+        release: float = 0.0,
+        virgin: bool = True,
+        *,
+        rows: Iterable[int] = (0, 1, 2),
+        stop: float = 0.0,
+        tolerance: float | None = None,
+    ) -> Description:
+        """Return a simulation in the layout that compiled code reads.
+
+        Parameters
+        ----------
+        levels : ndarray, shape (l,), optional
+            Amplitudes of a backbone [m or rad]; none for a decay.
+        release : float, default 0.0
+            Release [m or rad]; 0 lets the simulator choose, where a backbone is asked for.
+        virgin : bool, default True
+            Whether hysteretic states start loaded from rest.
+        rows : iterable of int
+            Which of frequency (0), damping (1), offset (2) are judged, where that is asked for.
+        stop : float, default 0.0
+            Amplitude at which a decay ends [m or rad]; 0 for never.
+        tolerance : float, optional
+            Of one step; default `TOLERANCE`.
+        """
+        count = 0 if levels is None else levels.size
+        integers = self._integers.copy()
+        integers[layout.BY_DECAY] = self.needs_decay or release > 0.0
+        integers[layout.VIRGIN] = virgin
+        integers[layout.N_LEVELS] = count
+        integers[layout.ROWS] = sum(1 << row for row in rows)
+        numbers = np.zeros(layout.N_NUMBERS + count)
+        numbers[layout.MASS] = self.oscillator.mass
+        numbers[layout.TOLERANCE] = TOLERANCE if tolerance is None else tolerance
+        numbers[layout.RELEASE] = release
+        numbers[layout.STOP] = stop
+        if levels is not None:
+            numbers[layout.N_NUMBERS :] = levels
+        return Description(integers, numbers)
 
     def backbone(
         self,
@@ -162,16 +215,37 @@ class Simulator:
         status: NDArray[np.int64],
     ) -> None:
         """Run the compiled backbone into ``values``, ``jacobian`` (empty: not wanted) and ``status``."""
-        run = kernels.backbone_by_decay if self.needs_decay or release > 0.0 else kernels.backbone_by_cycles
-        run(
-            *self.description, parameters, levels, release, virgin, jacobian.size > 0, TOLERANCE,
-            MAXIMUM_TURNING_POINTS, values, jacobian, status,
-        )  # fmt: skip
+        kernels.backbone(*self.describe(levels, release, virgin), parameters, values, jacobian, status)
 
-    def decay(self, *arguments: Any) -> tuple[int, int]:
-        """Run the compiled whole decay."""
-        count, code = kernels.decay(*self.description, *arguments)
+    def decay(
+        self,
+        parameters: FloatArray,
+        release: float,
+        turns: Turns,
+        waveform: Waveform | None = None,
+        *,
+        virgin: bool = True,
+        stop: float = 0.0,
+        tolerance: float | None = None,
+    ) -> tuple[int, int]:
+        """Run the compiled whole decay into ``turns`` and ``waveform``; return how many turning points, and the status.
+
+        Derivatives with respect to the parameters are carried where `make_turns` was asked for them.
+        """
+        description = self.describe(None, release, virgin, stop=stop, tolerance=tolerance)
+        count, code = kernels.decay(*description, parameters, turns, _NO_WAVEFORM if waveform is None else waveform)
         return int(count), int(code)
+
+    def make_turns(self, maximum: int, sensitivities: bool) -> Turns:
+        """Return room for so many turning points, and for derivatives with respect to the parameters if wanted."""
+        columns = 0 if self.has_own_equation else 1
+        if sensitivities:
+            columns = len(self.oscillator.parameter_names) + 1
+        shape = (maximum, columns)
+        return Turns(np.empty(maximum), np.empty(maximum), np.empty(shape), np.empty(shape))
+
+
+_NO_WAVEFORM = Waveform(np.empty(0), np.empty(0), np.empty((0, 0)))
 
 
 def simulate_backbone(
@@ -284,27 +358,24 @@ def simulate_decay(
         maximum = 2 * int(n_cycles) + 1
         stop = 0.0 if stop_amplitude is None else stop
     simulator = Simulator(oscillator)
-    columns = 0 if simulator.has_own_equation else 1
-    turns, times = np.empty(maximum), np.empty(maximum)
-    slopes, time_slopes = np.empty((maximum, columns)), np.empty((maximum, columns))
-    empty = np.empty(0)
-    count, code = simulator.decay(
-        vector, release, virgin, stop, False, TOLERANCE, maximum, turns, slopes, time_slopes, times,
-        empty, empty, np.empty((0, 0)),
-    )  # fmt: skip
+    turns = simulator.make_turns(maximum, False)
+    count, code = simulator.decay(vector, release, turns, virgin=virgin, stop=stop)
     cycles = np.empty((maximum // 2 + 1, 4))
     found = 0
     if count >= 3:
-        found = cycles_of_decay(turns, times, slopes, time_slopes, count, 0, cycles, np.empty((maximum // 2 + 1, 4, 0)))
-    peaks = times[0:count:2]
+        found = cycles_of_decay(
+            turns.values, turns.times, turns.slopes, turns.time_slopes, count, 0, cycles,
+            np.empty((maximum // 2 + 1, 4, 0)),
+        )  # fmt: skip
+    peaks = turns.times[0:count:2]
     return DecayResult(
         time=0.5 * (peaks[:found] + peaks[1 : found + 1]),
         amplitude=cycles[:found, 0].copy(),
         frequency=cycles[:found, 1].copy(),
         damping=cycles[:found, 2].copy(),
         offset=cycles[:found, 3].copy(),
-        turning_times=times[:count].copy(),
-        turning_values=turns[:count].copy(),
+        turning_times=turns.times[:count].copy(),
+        turning_values=turns.values[:count].copy(),
         status=Status(code),
     )
 
@@ -364,19 +435,14 @@ def simulate_waveform(
     simulator = Simulator(oscillator)
     before = int(np.searchsorted(instants, 0.0, side="left"))
     displacement = np.full(instants.size, release)
-    columns = vector.size + 1 if sensitivities else (0 if simulator.has_own_equation else 1)
-    slopes = np.zeros((instants.size, columns if sensitivities else 0))
+    slopes = np.zeros((instants.size, vector.size + 1 if sensitivities else 0))
     if sensitivities:
         slopes[:before, 0] = 1.0
-    maximum = MAXIMUM_TURNING_POINTS
-    turns, times = np.empty(maximum), np.empty(maximum)
-    turn_slopes, time_slopes = np.empty((maximum, columns)), np.empty((maximum, columns))
     code = int(COMPLETED)
     if before < instants.size:
-        _, code = simulator.decay(
-            vector, release, virgin, 0.0, sensitivities, TOLERANCE, maximum, turns, turn_slopes, time_slopes, times,
-            np.ascontiguousarray(instants[before:]), displacement[before:], slopes[before:],
-        )  # fmt: skip
+        waveform = Waveform(np.ascontiguousarray(instants[before:]), displacement[before:], slopes[before:])
+        turns = simulator.make_turns(MAXIMUM_TURNING_POINTS, sensitivities)
+        _, code = simulator.decay(vector, release, turns, waveform, virgin=virgin)
     return WaveformResult(
         displacement=displacement,
         jacobian=np.ascontiguousarray(slopes[:, 1:]) if sensitivities else None,

@@ -12,7 +12,7 @@ import numpy as np
 
 from .._common.compiled import cached
 from .curves import carry_jacobian, compiled, curve_at, cycle_quantities, cycle_slope, cycles_of_decay, hermite
-from .forces import KIND, OWN_EQUATION
+from .forces import KIND, OWN_EQUATION, ROW
 from .halfcycle import (
     COMPLETED,
     HALF_CYCLE,
@@ -26,27 +26,30 @@ from .halfcycle import (
 )
 from .memory import (
     AMPLITUDE,
+    BY_DECAY,
     COLUMNS,
     CURSOR,
-    DAMPING,
     HAS_REGIME,
     LARGEST_STEP,
-    MASS,
+    MAXIMUM,
     MODE,
     N_EFFECTS,
-    N_PARAMETERS,
+    N_NUMBERS,
     N_SAMPLES,
     N_STATES,
     OWN_STATES,
+    RELEASE,
     SAMPLE_SLOPES,
     SENSITIVITY,
     STEP,
-    STIFFNESS,
+    STOP,
     TABLE,
     TIME,
     TOLERANCE,
-    USER,
     VALUE,
+    VIRGIN,
+    Turns,
+    Waveform,
     memory_of,
 )
 from .pointers import address
@@ -62,7 +65,7 @@ _COARSE, _LARGEST_COARSE_STEP = 1e-8, 1.0  # where less is asked for, it is good
 _RELEASE_GROWTH = 1.25
 _CHECK_PROGRESS = 400  # after so many turning points, and then each time so many
 
-Run = namedtuple("Run", ["numbers", "memory", "p", "y", "slopes", "dt", "columns", "n_states"])
+Run = namedtuple("Run", ["integers", "memory", "p", "y", "slopes", "dt", "columns", "n_states"])
 Run.__doc__ = "A simulation: its description, its memory, and views of what lies in that memory."
 
 
@@ -73,39 +76,31 @@ def define() -> None:
 
 
 @compiled
-def _prepare(user, table, stiffness, damping, n_states, mass, has_regime, p, sensitivities, tolerance, largest_step):
+def _prepare(integers, numbers, p, sensitivities, largest_step):
+    """Return a run of what is described, with a copy of the description and memory of its own."""
     mode = SENSITIVITY if sensitivities else VALUE
-    for i in range(table.shape[0]):
-        if table[i, KIND] == OWN_EQUATION:
+    for i in range(integers[N_EFFECTS]):
+        if integers[TABLE + ROW * i + KIND] == OWN_EQUATION:
             mode = OWN_STATES
     columns = p.size + 1 if sensitivities else (0 if mode == OWN_STATES else 1)
-    numbers = np.zeros(TABLE + table.size, np.int64)
-    numbers[USER] = user
-    numbers[N_EFFECTS] = table.shape[0]
-    numbers[STIFFNESS] = stiffness
-    numbers[DAMPING] = damping
-    numbers[N_STATES] = n_states
-    numbers[N_PARAMETERS] = p.size
-    numbers[HAS_REGIME] = 1 if has_regime else 0
-    numbers[MODE] = mode
-    numbers[COLUMNS] = columns
-    for i in range(table.shape[0]):
-        for j in range(table.shape[1]):
-            numbers[TABLE + i * table.shape[1] + j] = table[i, j]
+    n_states = integers[N_STATES]
+    under_way = integers.copy()
+    under_way[MODE] = mode
+    under_way[COLUMNS] = columns
     place = memory_of(p.size, n_states, columns, mode)
     memory = np.zeros(place.size)
-    memory[MASS] = mass
-    memory[TOLERANCE] = tolerance
+    for i in range(N_NUMBERS):
+        memory[i] = numbers[i]
     memory[LARGEST_STEP] = largest_step
     y = memory[place.now : place.next]
     rows = 2 + n_states
     slopes = memory[place.now + rows : place.now + rows + columns]
-    return Run(numbers, memory, p, y, slopes, memory[place.dt : place.dt + columns], columns, n_states)
+    return Run(under_way, memory, p, y, slopes, memory[place.dt : place.dt + columns], columns, n_states)
 
 
 @compiled
-def _release(run, amplitude, virgin):
-    """Put the oscillator at ``amplitude``, at rest, its states as loaded from rest (``virgin``) or relaxed."""
+def _release(run, amplitude):
+    """Put the oscillator at ``amplitude``, at rest, its states as loaded from rest (virgin) or relaxed."""
     for i in range(run.y.size):
         run.y[i] = 0.0
     for c in range(run.columns):
@@ -116,14 +111,14 @@ def _release(run, amplitude, virgin):
     run.memory[TIME] = 0.0
     run.memory[AMPLITUDE] = abs(amplitude)
     if run.n_states > 0:
-        load_states(address(run.numbers), address(run.memory), address(run.p), 1 if virgin else 0)
+        load_states(address(run.integers), address(run.memory), address(run.p), run.integers[VIRGIN])
 
 
 @compiled
 def _swing(run, direction):
     """Run to the next turning point, without sampling."""
     memory = address(run.memory)
-    return half_cycle(address(run.numbers), memory, address(run.p), direction, memory, memory, memory)
+    return half_cycle(address(run.integers), memory, address(run.p), direction, memory, memory, memory)
 
 
 @compiled
@@ -154,19 +149,17 @@ def _no_answer(k, values, jacobian):
             jacobian[i, k, j] = np.nan
 
 
-@cached
-def backbone_by_cycles(
-    user, table, stiffness, damping, n_states, mass, has_regime,
-    p, levels, release, virgin, sensitivities, tolerance, maximum, values, jacobian, status,
-):  # fmt: skip
-    """Write the backbone at ``levels`` from one cycle each; for oscillators without internal states.
+@compiled
+def _backbone_by_cycles(integers, numbers, p, values, jacobian, status):
+    """Write the backbone at the levels from one cycle each; for oscillators without internal states.
 
     The starting peak of a cycle is found by Newton's method on its amplitude. The derivative along the starting
     amplitude, which the integrator carries anyway, predicts the next start and takes a cycle onto its level.
     """
-    run = _prepare(
-        user, table, stiffness, damping, n_states, mass, has_regime, p, sensitivities, tolerance, _LARGEST_STEP
-    )
+    levels = numbers[N_NUMBERS:]
+    has_regime = integers[HAS_REGIME] != 0
+    sensitivities = jacobian.size > 0
+    run = _prepare(integers, numbers, p, sensitivities, _LARGEST_STEP)
     memory = run.memory
     trough = np.zeros(run.columns)
     quantity = (0.0, 0.0, 0.0, 0.0)
@@ -198,7 +191,7 @@ def backbone_by_cycles(
             if not usable:
                 code = RUNAWAY
                 break
-            _release(run, start, True)
+            _release(run, start)
             code = _swing(run, -1.0)
             if code == COMPLETED:
                 q = run.y[0]
@@ -259,102 +252,101 @@ def backbone_by_cycles(
 
 
 @compiled
-def _whole_decay(
-    run, release, virgin, stop, more, maximum, turns, slopes, times, time_slopes, sample_times, displacement,
-    sample_slopes,
-):  # fmt: skip
+def _whole_decay(run, release, stop, more, maximum, turns, waveform):
     """Run a decay turning point by turning point until a cycle is smaller than ``stop``, then ``more`` of them.
 
-    Writes displacement and time of each turning point (the release first) into ``turns``, ``times`` and their
-    derivatives into ``slopes``, ``time_slopes``. Returns how many there are and the status that ended the decay.
+    Writes `Turns` and, at the instants of the `Waveform`, what it has room for. Returns how many turning points there
+    are and the status that ended the decay.
     """
-    _release(run, release, virgin)
-    run.numbers[N_SAMPLES] = sample_times.size
-    run.numbers[SAMPLE_SLOPES] = 1 if sample_slopes.shape[1] > 0 else 0
-    run.numbers[CURSOR] = 0
+    n_samples = waveform.times.size
+    _release(run, release)
+    run.integers[N_SAMPLES] = n_samples
+    run.integers[SAMPLE_SLOPES] = 1 if waveform.slopes.shape[1] > 0 else 0
+    run.integers[CURSOR] = 0
     memory = run.memory
     memory[STEP] = 0.0
     direction = -1.0 if release > 0.0 else 1.0
-    turns[0] = release
-    times[0] = 0.0
+    values = turns.values
+    values[0] = release
+    turns.times[0] = 0.0
     for c in range(run.columns):
-        slopes[0, c] = run.slopes[c]
-        time_slopes[0, c] = 0.0
+        turns.slopes[0, c] = run.slopes[c]
+        turns.time_slopes[0, c] = 0.0
     count = 1
     code = COMPLETED if _all_finite(run.p) else RUNAWAY
     while count < maximum and code == COMPLETED:
         code = half_cycle(
-            address(run.numbers), address(memory), address(run.p), direction,
-            address(sample_times), address(displacement), address(sample_slopes),
+            address(run.integers), address(memory), address(run.p), direction,
+            address(waveform.times), address(waveform.displacement), address(waveform.slopes),
         )  # fmt: skip
         if code != COMPLETED:
             break
-        turns[count] = run.y[0]
-        times[count] = memory[TIME]
+        values[count] = run.y[0]
+        turns.times[count] = memory[TIME]
         for c in range(run.columns):
-            slopes[count, c] = run.slopes[c]
-            time_slopes[count, c] = run.dt[c]
+            turns.slopes[count, c] = run.slopes[c]
+            turns.time_slopes[count, c] = run.dt[c]
         count += 1
         direction = -direction
-        if sample_times.size > 0 and run.numbers[CURSOR] >= sample_times.size:
+        if n_samples > 0 and run.integers[CURSOR] >= n_samples:
             break
-        if count > 2 and 0.25 * abs(turns[count - 3] + turns[count - 1] - 2.0 * turns[count - 2]) < stop:
+        amplitude = np.inf
+        if count > 2:
+            amplitude = 0.25 * abs(values[count - 3] + values[count - 1] - 2.0 * values[count - 2])
+        if amplitude < stop:
             maximum = min(maximum, count + more)
             stop = 0.0
         if stop > 0.0 and count % _CHECK_PROGRESS == 1:
-            before = abs(turns[count - _CHECK_PROGRESS] - turns[count - _CHECK_PROGRESS + 1]) * 0.5
+            before = abs(values[count - _CHECK_PROGRESS] - values[count - _CHECK_PROGRESS + 1]) * 0.5
             # At ten times this pace of decay it would still take more turning points than there may be.
             pace = math.log(before / memory[AMPLITUDE]) / _CHECK_PROGRESS
             if not 10.0 * pace * (maximum - count) > math.log(memory[AMPLITUDE] / stop):
                 break
     # What sticks stays where it is; after any other end there is no answer.
     held = code == STUCK
-    for i in range(run.numbers[CURSOR], sample_times.size):
-        displacement[i] = run.y[0] if held else np.nan
-        for c in range(sample_slopes.shape[1]):
-            sample_slopes[i, c] = run.slopes[c] if held else np.nan
+    for i in range(run.integers[CURSOR], n_samples):
+        waveform.displacement[i] = run.y[0] if held else np.nan
+        for c in range(waveform.slopes.shape[1]):
+            waveform.slopes[i, c] = run.slopes[c] if held else np.nan
     return count, code
 
 
-@cached
-def backbone_by_decay(
-    user, table, stiffness, damping, n_states, mass, has_regime,
-    p, levels, release, virgin, sensitivities, tolerance, maximum, values, jacobian, status,
-):  # fmt: skip
-    """Write the backbone at ``levels`` from the whole decay, by local cubics in log amplitude between its cycles.
+@compiled
+def _backbone_by_decay(integers, numbers, p, values, jacobian, status):
+    """Write the backbone at the levels from the whole decay, by local cubics in log amplitude between its cycles.
 
     Without a release (0) it is raised in fixed steps, so that it does not slide with the parameters, until the first
     cycle reaches the highest level.
     """
-    run = _prepare(
-        user, table, stiffness, damping, n_states, mass, has_regime, p, sensitivities, tolerance, _LARGEST_STEP
-    )
-    none = np.empty(0)
+    levels = numbers[N_NUMBERS:]
+    maximum = integers[MAXIMUM]
+    release = numbers[RELEASE]
+    sensitivities = jacobian.size > 0
+    run = _prepare(integers, numbers, p, sensitivities, _LARGEST_STEP)
     carried = run.columns if sensitivities else 0
     cycles = np.empty((maximum // 2 + 1, 4))
     cycle_slopes = np.empty((maximum // 2 + 1, 4, carried))
-    turns = np.empty(maximum)
-    times = np.empty(maximum)
-    slopes = np.empty((maximum, run.columns))
-    time_slopes = np.empty((maximum, run.columns))
+    turns = Turns(
+        np.empty(maximum), np.empty(maximum), np.empty((maximum, run.columns)), np.empty((maximum, run.columns))
+    )
+    none = Waveform(np.empty(0), np.empty(0), np.empty((0, 0)))
     count, found, code = 0, 0, COMPLETED
     given = release > 0.0
     if not given:
         release = _RELEASE_GROWTH * levels[-1]
     stop = 0.8 * levels[0]  # and one cycle more: the local cubic wants two below the lowest level
     for _ in range(1 if given else 12):
-        count, code = _whole_decay(
-            run, release, virgin, stop, 0, 3, turns, slopes, times, time_slopes, none, none, np.empty((0, 0))
-        )
-        if given or code != COMPLETED or 0.25 * (turns[0] + turns[2] - 2.0 * turns[1]) >= levels[-1]:
+        count, code = _whole_decay(run, release, stop, 0, 3, turns, none)
+        first = turns.values
+        if given or code != COMPLETED or 0.25 * (first[0] + first[2] - 2.0 * first[1]) >= levels[-1]:
             break
         release *= _RELEASE_GROWTH
     if code == COMPLETED:
-        count, code = _whole_decay(
-            run, release, virgin, stop, 2, maximum, turns, slopes, times, time_slopes, none, none, np.empty((0, 0))
-        )
+        count, code = _whole_decay(run, release, stop, 2, maximum, turns, none)
     if count > 2:
-        found = cycles_of_decay(turns, times, slopes, time_slopes, count, carried, cycles, cycle_slopes)
+        found = cycles_of_decay(
+            turns.values, turns.times, turns.slopes, turns.time_slopes, count, carried, cycles, cycle_slopes
+        )
     weights = np.empty(4)
     tilts = np.empty(4)
     for k in range(levels.size):
@@ -367,17 +359,23 @@ def backbone_by_decay(
 
 
 @cached
-def decay(
-    user, table, stiffness, damping, n_states, mass, has_regime,
-    p, release, virgin, stop, sensitivities, tolerance, maximum, turns, slopes, time_slopes, times,
-    sample_times, displacement, sample_slopes,
-):  # fmt: skip
-    """Run a whole decay, writing displacement and sensitivities at the sample times on the way."""
+def backbone(integers, numbers, p, values, jacobian, status):
+    """Write the backbone that is described into ``values`` (3, l), ``jacobian`` (3, l, p or all 0), ``status`` (l,)."""
+    if integers[BY_DECAY] != 0:
+        _backbone_by_decay(integers, numbers, p, values, jacobian, status)
+    else:
+        _backbone_by_cycles(integers, numbers, p, values, jacobian, status)
+
+
+@cached
+def decay(integers, numbers, p, turns, waveform):
+    """Run the whole decay that is described, up to as many turning points as there is room for.
+
+    Derivatives are carried with respect to the parameters where ``turns`` has columns for them. Returns the number of
+    turning points and the status.
+    """
     largest = _LARGEST_STEP
-    if sample_times.size > 0:
-        largest = _LARGEST_SAMPLED_STEP if tolerance < _COARSE else _LARGEST_COARSE_STEP
-    run = _prepare(user, table, stiffness, damping, n_states, mass, has_regime, p, sensitivities, tolerance, largest)
-    return _whole_decay(
-        run, release, virgin, stop, 0, maximum, turns, slopes, times, time_slopes, sample_times, displacement,
-        sample_slopes,
-    )  # fmt: skip
+    if waveform.times.size > 0:
+        largest = _LARGEST_SAMPLED_STEP if numbers[TOLERANCE] < _COARSE else _LARGEST_COARSE_STEP
+    run = _prepare(integers, numbers, p, turns.slopes.shape[1] > 1, largest)
+    return _whole_decay(run, numbers[RELEASE], numbers[STOP], 0, turns.values.size, turns, waveform)

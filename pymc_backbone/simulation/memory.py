@@ -1,20 +1,60 @@
-"""What a run of the integrator is described by, and how its memory is divided. Arguments but numbers are pointers."""
+"""The one layout of what a simulation is described by, and of the memory of a run. Arguments but numbers are pointers.
+
+Who simulates writes a `Description` once: integers and numbers. Everything compiled reads these two, here and behind
+the native functions; a run takes a copy of the integers and notes in it how it stands.
+"""
 
 from __future__ import annotations
 
 from collections import namedtuple
+from typing import NamedTuple
 
+from .._common.checks import FloatArray, IntArray
 from .forces import Model, plain
 from .pointers import shifted
 from .stepper import STAGES
 
 VALUE, SENSITIVITY, OWN_STATES = range(3)  # which stepper; with OWN_STATES as many columns as wanted, or none
 
-# The integers that describe a run (rows of the table of effects follow) ...
-USER, N_EFFECTS, STIFFNESS, DAMPING, N_STATES, N_PARAMETERS, HAS_REGIME, MODE, COLUMNS = range(9)
-N_SAMPLES, CURSOR, SAMPLE_SLOPES, TABLE = range(9, 13)
-# ... and the numbers at the start of its memory: what lies behind them is placed by `memory_of`.
-MASS, TOLERANCE, TIME, STEP, LARGEST_STEP, AMPLITUDE, N_NUMBERS = range(7)
+# The integers: of the oscillator ...
+USER, N_EFFECTS, STIFFNESS, DAMPING, N_STATES, N_PARAMETERS, HAS_REGIME = range(7)
+# ... what is asked: whole decay or one cycle per level, states loaded from rest or relaxed, most turning points, number
+# of levels, and of the rows frequency, damping, offset those that are judged, a bit each ...
+BY_DECAY, VIRGIN, MAXIMUM, N_LEVELS, ROWS = range(7, 12)
+# ... and of a run under way, 0 before; the rows of the table of effects follow.
+MODE, COLUMNS, N_SAMPLES, CURSOR, SAMPLE_SLOPES, TABLE = range(12, 18)
+# The numbers: of the oscillator and what is asked (tolerance of a step; release, 0 for the default; amplitude at which
+# a decay ends), then of a run under way. Behind them follow the levels in a description, in the memory of a run what
+# `memory_of` places there.
+MASS, TOLERANCE, RELEASE, STOP, TIME, STEP, LARGEST_STEP, AMPLITUDE, N_NUMBERS = range(9)
+
+
+class Description(NamedTuple):
+    """A simulation in the layout above; not written to once it is made."""
+
+    integers: IntArray
+    numbers: FloatArray
+
+
+class Turns(NamedTuple):
+    """Turning points of a decay, the release first, one entry or row for each of the most there may be.
+
+    Derivatives have columns for release amplitude and parameters, or for the former alone, or none at all.
+    """
+
+    values: FloatArray
+    times: FloatArray
+    slopes: FloatArray
+    time_slopes: FloatArray
+
+
+class Waveform(NamedTuple):
+    """Instants [s] after release, not decreasing, room for displacement, and for derivatives where it has columns."""
+
+    times: FloatArray
+    displacement: FloatArray
+    slopes: FloatArray
+
 
 Memory = namedtuple(
     "Memory",
