@@ -13,10 +13,8 @@ import pymc as pm
 import xarray as xr
 
 import pymc_backbone as pb
-from pymc_backbone.paper.beam import PAPER_BEAM
-from pymc_backbone.paper.case_study import run_case
-from pymc_backbone.simulation.forced_response import ForcedOscillator, frequency_response
 
+BEAM = pb.paper.PAPER_BEAM
 FORCE = 5e-5  # N; the paper gives none
 
 
@@ -30,13 +28,13 @@ def main() -> None:
     settings = {"draws": draws, "tune": draws // 2, "random_seed": 1}
 
     print(f"Forced response at {1e6 * FORCE:.0f} uN")
-    for number, (stiffness, softening) in enumerate(zip(PAPER_BEAM.stiffness, PAPER_BEAM.softening, strict=True), 1):
-        forced = ForcedOscillator(PAPER_BEAM.mass, PAPER_BEAM.damping, stiffness, softening, force=FORCE)
-        folds = frequency_response(forced, np.linspace(4.0, 9.0, 200)).fold_frequencies
+    for number, (stiffness, softening) in enumerate(zip(BEAM.stiffness, BEAM.softening, strict=True), 1):
+        forced = pb.ForcedOscillator(BEAM.mass, BEAM.damping, stiffness, softening, force=FORCE)
+        folds = pb.frequency_response(forced, np.linspace(4.0, 9.0, 200)).fold_frequencies
         words = " and ".join(f"{fold:.2f}" for fold in folds) + " Hz" if folds.size else "none"
         print(f"  setting {number}: {stiffness:.2f} N/m, {softening / 1e9:5.2f} GN/m^3, folds: {words}")
 
-    result = run_case("beam", "joint", **settings)
+    result = pb.paper.run_case("beam", "joint", **settings)
     print(f"\nPosterior from the {len(result.vectors)} settings, joint likelihood")
     print(result.table[["mean", "sd", "hdi_low", "hdi_high", "r_hat"]].to_string(float_format="{:.4g}".format))
     print(f"posterior is prior: {', '.join(result.undetermined) or 'for no parameter'}")

@@ -10,7 +10,6 @@ import argparse
 import logging
 
 import pymc_backbone as pb
-from pymc_backbone.paper.case_study import run_case
 
 
 def main() -> None:
@@ -22,7 +21,7 @@ def main() -> None:
 
     draws = max(int(options.draws * 4000), 100)
     for observables in (("frequency",), ("frequency", "damping")):
-        result = run_case("2", "joint", draws=draws, tune=draws // 2, observables=observables)
+        result = pb.paper.run_case("2", "joint", draws=draws, tune=draws // 2, observables=observables)
         print(f"\n{' and '.join(observables)} of {len(result.vectors)} specimens")
         print(f"{'':<26}{'population':>18}{'prior':>18}{'posterior':>18}")
         for record in result.records:

@@ -10,7 +10,9 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from . import paper, plots
     from ._common.checks import InputError
+    from ._common.citation import citation
     from .discrepancy.study import Study
     from .discrepancy.workflow import find_missing_effect
     from .effects import LIBRARY, Effect, Parameter, Signature, get_effect
@@ -40,10 +42,13 @@ if TYPE_CHECKING:
         simulate_decay,
         simulate_waveform,
     )
+    from .simulation.forced_response import ForcedOscillator, FrequencyResponse, frequency_response
+    from .simulation.harmonic_balance import PeriodicMotion, periodic_motion
+    from .simulation.response_fit import ResponseFit, fit_frequency_response
     from .survey.structure import Structure
     from .survey.survey import Survey
     from .survey.workflow import diagnose_many
-    from .workflows.demo import demo_folder
+    from .workflows.demo import demo_folder, demo_parameters
 
 try:
     __version__ = version("pymc-backbone")
@@ -52,6 +57,7 @@ except PackageNotFoundError:  # run from a source tree that was not installed
 
 _WHERE = {
     "_common.checks": ("InputError",),
+    "_common.citation": ("citation",),
     "measurement.levels": ("backbones_at_levels",),
     "simulation.backbones": ("simulated_backbones",),
     "measurement.conditioning.condition": ("ConditionedRecord", "condition"),
@@ -66,7 +72,10 @@ _WHERE = {
         "simulate_decay",
         "simulate_waveform",
     ),
-    "workflows.demo": ("demo_folder",),
+    "simulation.forced_response": ("ForcedOscillator", "FrequencyResponse", "frequency_response"),
+    "simulation.harmonic_balance": ("PeriodicMotion", "periodic_motion"),
+    "simulation.response_fit": ("ResponseFit", "fit_frequency_response"),
+    "workflows.demo": ("demo_folder", "demo_parameters"),
     "likelihood.density": ("Density",),
     "likelihood.density_fit": ("fit_density",),
     "reporting.study_files": ("write_study",),
@@ -86,6 +95,8 @@ _WHERE = {
     "survey.survey": ("Survey",),
     "survey.workflow": ("diagnose_many",),
 }
+# Modules that are public themselves: each passes on what its own `__all__` lists.
+_NAMESPACES = ("paper", "plots")
 _MODULE_OF = {name: module for module, names in _WHERE.items() for name in names}
 
 __all__ = [
@@ -97,10 +108,14 @@ __all__ = [
     "DecayResult",
     "Density",
     "Effect",
+    "ForcedOscillator",
+    "FrequencyResponse",
     "InputError",
     "Oscillator",
     "Parameter",
+    "PeriodicMotion",
     "Record",
+    "ResponseFit",
     "Signature",
     "SimulatedBackbone",
     "Status",
@@ -112,15 +127,22 @@ __all__ = [
     "backbones_at_levels",
     "build_hierarchical_model",
     "build_model",
+    "citation",
     "condition",
     "demo_folder",
+    "demo_parameters",
     "diagnose_many",
     "extract_cycles",
     "find_missing_effect",
     "findings",
     "fit_data_consistent",
     "fit_density",
+    "fit_frequency_response",
+    "frequency_response",
     "get_effect",
+    "paper",
+    "periodic_motion",
+    "plots",
     "read_backbones",
     "read_records",
     "sample",
@@ -139,6 +161,9 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     """Load a public name from its module when it is first used."""
+    if name in _NAMESPACES:
+        globals()[name] = module = importlib.import_module(f".{name}", __name__)
+        return module
     if name not in _MODULE_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = getattr(importlib.import_module(f".{_MODULE_OF[name]}", __name__), name)

@@ -8,93 +8,35 @@ import inspect
 import re
 import subprocess
 import sys
-from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
 
+from scripts.count_imports import (
+    Table,
+    count,
+    count_walk,
+    imports_of,
+    is_against,
+    modules_of,
+    read_table,
+    where_they_part,
+)
+
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "pymc_backbone"
 NAME = "pymc_backbone"
-
-
-def folder_table() -> tuple[dict[str, list[str]], list[set[str]]]:
-    """Read the table: what stands in each folder in the order of import ("" is the package), and what stands beside."""
-    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
-    section = text.split("\n## Folders", 1)[1].split("\n## ", 1)[0]
-    rows = re.findall(r"^\| (`[^|\n]*) \|([^|\n]*)\|([^|\n]*)\|$", section, flags=re.MULTILINE)
-    inside: dict[str, list[str]] = {"": []}
-    beside: list[set[str]] = []
-    for first, _, entries in rows:
-        names = [name.removesuffix("/").removesuffix(".py") for name in re.findall(r"`([\w/.]+)`", first)]
-        if len(names) > 1:
-            beside.append(set(names))
-            continue
-        (name,) = names
-        if "/" not in name:
-            inside[""].append(name)
-        if not first.endswith(".py`"):
-            inside[name] = [entry.removesuffix("/") for entry in re.findall(r"`([\w/.]+)`", entries)]
-    return inside, beside
-
-
-def is_type_checking(node: ast.AST) -> bool:
-    return isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
-
-
-def modules() -> dict[str, Path]:
-    """Files of the package by their place, ``measurement/reading/records``; a folder's own is its ``__init__``."""
-    return {path.relative_to(PACKAGE).with_suffix("").as_posix(): path for path in sorted(PACKAGE.rglob("*.py"))}
-
-
-def imports_of(name: str, path: Path, known: Iterable[str]) -> set[str]:
-    """Modules of the package that a file imports, wherever the statement stands, except for type checkers only."""
-    here = [NAME, *name.split("/")[:-1]]
-    found: set[str] = set()
-
-    def visit(node: ast.AST) -> None:
-        if is_type_checking(node):
-            for child in node.orelse:  # type: ignore[attr-defined]
-                visit(child)
-            return
-        targets: list[list[str]] = []
-        if isinstance(node, ast.Import):
-            targets = [alias.name.split(".") for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            base = here[: len(here) - node.level + 1] if node.level else []
-            base = [*base, *(node.module.split(".") if node.module else [])]
-            # `from . import run` imports a module, `from .run import update` a name of it: look at both.
-            targets = [[*base, alias.name] for alias in node.names]
-        for target in targets:
-            if target[0] == NAME:
-                places = ["/".join(target[1:k]) for k in range(len(target), 0, -1)]
-                options = [option for place in places for option in (place, f"{place}/__init__".lstrip("/"))]
-                found.add(next(option for option in options if option in known))
-        for child in ast.iter_child_nodes(node):
-            visit(child)
-
-    visit(ast.parse(path.read_text(encoding="utf-8")))
-    return found - {name}
-
-
-MODULES = modules()
+MODULES = modules_of(PACKAGE)
 GRAPH = {name: imports_of(name, path, MODULES) for name, path in MODULES.items()}
 
 
-def where_they_part(one: str, other: str) -> tuple[str, str, str]:
-    """Return the folder that holds both modules, and what each of them stands in there."""
-    a, b = one.split("/"), other.split("/")
-    k = next(k for k, (left, right) in enumerate(zip(a, b, strict=False)) if left != right)
-    return "/".join(a[:k]), a[k], b[k]
-
-
 @pytest.fixture(scope="module")
-def table() -> tuple[dict[str, list[str]], list[set[str]]]:
-    return folder_table()
+def table() -> Table:
+    return read_table(ROOT)
 
 
 def test_table_names_exactly_the_folders_and_modules_there_are(table):
-    inside, _ = table
+    inside = table.inside
     folders: dict[str, set[str]] = {"": set()}
     for name in MODULES:
         *parents, stem = name.split("/")
@@ -115,7 +57,7 @@ def test_table_names_exactly_the_folders_and_modules_there_are(table):
 @pytest.mark.parametrize("name", sorted(MODULES))
 def test_imports_go_up_only(name, table):
     """A module imports from a row above; inside a folder from what stands to the left."""
-    inside, beside = table
+    inside, beside = table.inside, table.beside
     for target in GRAPH[name]:
         if target == "__init__":
             # Only the version may be asked of the package itself, by the program around it.
@@ -155,10 +97,45 @@ def test_reader_of_imports_sees_lazy_and_relative_ones(tmp_path):
 
 def test_table_forbids_what_it_should(table):
     """Negative control: the order that was read forbids the arrows it is there to forbid."""
-    inside, beside = table
+    inside, beside = table.inside, table.beside
     assert {"simulation", "measurement"} in beside
     assert inside[""].index("likelihood") < inside[""].index("inference") < inside[""].index("cli")
     assert where_they_part("measurement/reading/tables", "measurement/cycles") == ("measurement", "reading", "cycles")
+    assert is_against(table, "measurement/cycles", "likelihood/density")
+    assert is_against(table, "measurement/cycles", "simulation/decay")
+    assert not is_against(table, "likelihood/density", "measurement/cycles")
+
+
+def test_counts_of_the_tree_are_those_of_its_imports():
+    """`scripts/count_imports.py` speaks of the imports that the tests above look at."""
+    counts = count(ROOT)
+    assert counts["imports against the table"] == 0
+    assert counts["imports between modules"] == sum(map(len, GRAPH.values()))
+    assert counts["modules in the hall"] <= 3 and counts["rooms"] == len(table_folders())
+
+
+def table_folders() -> set[str]:
+    return {name.rpartition("/")[0] for name in MODULES if name.rpartition("/")[2] not in ("__init__", "__main__")}
+
+
+def test_counts_of_a_small_tree(tmp_path):
+    """Both forms of the table, an import against it, and a walk that turns back once."""
+    package = tmp_path / NAME
+    (package / "early").mkdir(parents=True)
+    for name, source in {"early/one": "from ..late import two\n", "late": "from .early.one import x\n"}.items():
+        (package / f"{name}.py").write_text(source)
+    (tmp_path / "docs").mkdir()
+    page = tmp_path / "docs" / "architecture.md"
+    page.write_text("\n## Folders\n\n| `early/` | first | `one` |\n| `late.py` | last | |\n")
+    expected = {
+        "modules": 2, "rooms": 2, "modules in the hall": 1, "modules in the largest room": 1,
+        "imports between modules": 2, "imports between rooms": 2, "imports against the table": 1,
+    }  # fmt: skip
+    assert count(tmp_path) == expected
+    walk = count_walk(read_table(tmp_path), ["early/one", "late", "early/one"])
+    assert walk["steps that climb"] == 1 and walk["steps into another row"] == 2 and walk["rows entered"] == 2
+    page.write_text("\n## Modules\n\n| module | lives there |\n|---|---|\n| `early/` | a |\n| `late.py` | b\n")
+    assert count(tmp_path) == expected
 
 
 @pytest.mark.parametrize("statement", ["import pymc_backbone", "import pymc_backbone.cli.main"])
@@ -190,17 +167,6 @@ def test_public_names_are_documented_and_there():
         if name != "__version__" and (inspect.isclass(value) or callable(value)):
             assert inspect.getdoc(value), f"{name} has no docstring"
     assert set(names) <= set(dir(pymc_backbone))
-
-
-EXAMPLES = sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "examples").glob("*.py"))
-
-
-@pytest.mark.parametrize("name", ["README.md", *EXAMPLES])
-def test_names_that_the_documentation_uses_are_public(name):
-    import pymc_backbone
-
-    used = set(re.findall(r"\bpb\.(\w+)", (ROOT / name).read_text(encoding="utf-8")))
-    assert used and used <= set(pymc_backbone.__all__), sorted(used - set(pymc_backbone.__all__))
 
 
 @pytest.mark.slow

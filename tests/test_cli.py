@@ -266,7 +266,7 @@ def test_update_for_real(capsys, tmp_path):
     assert code == 0 and str(out) in text, error
     result = read_result(out)
     stiffness = result["parameters"]["linear_stiffness"]["mean"]
-    truth = demo.true_parameters()[1]["linear_stiffness"][:2]
+    truth = demo.demo_parameters()[1]["linear_stiffness"][:2]
     assert truth.min() - 100.0 < stiffness < truth.max() + 100.0  # N/m; one value for two specimens
     assert any("never moved" in s or "effective draws" in s or "R-hat" in s for s in result["findings"])  # too short
 
@@ -340,7 +340,7 @@ def test_demo_recovers_the_truth(capsys, tmp_path):
     code, text, error = run_cli(capsys, "demo", "--out", str(tmp_path / "out"))
     assert code == 0 and "Where to look" in text
     result = read_result(tmp_path / "out")
-    for name, values in demo.true_parameters()[1].items():
+    for name, values in demo.demo_parameters()[1].items():
         entry = result["parameters"][name]
         # About 2000 effective draws and 24 specimens measured well: means within 0.15 sd, spreads within 15 %.
         assert abs(entry["mean"] - values.mean()) < 0.15 * values.std(ddof=1)

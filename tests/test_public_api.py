@@ -6,6 +6,7 @@ import ast
 import dataclasses
 import enum
 import inspect
+import json
 import re
 import subprocess
 import sys
@@ -18,9 +19,24 @@ import pymc_backbone
 
 ROOT = Path(__file__).resolve().parents[1]
 SECTIONS = ("Parameters", "Attributes", "Returns", "Yields", "Raises", "Notes", "Examples", "References", "See Also")
-CALLABLES = sorted(name for name in pymc_backbone.__all__ if callable(getattr(pymc_backbone, name)))
-FUNCTIONS = [name for name in CALLABLES if not inspect.isclass(getattr(pymc_backbone, name))]
-CLASSES = [name for name in CALLABLES if inspect.isclass(getattr(pymc_backbone, name))]
+
+
+def public_values() -> dict[str, object]:
+    """All public values by the name that stands after ``pb.``: of the package, and of its public modules."""
+    found: dict[str, object] = {}
+    for name in pymc_backbone.__all__:
+        value = getattr(pymc_backbone, name)
+        if inspect.ismodule(value):
+            found |= {f"{name}.{inner}": getattr(value, inner) for inner in value.__all__}
+        else:
+            found[name] = value
+    return found
+
+
+PUBLIC = public_values()
+MODULES = [name for name in pymc_backbone.__all__ if inspect.ismodule(getattr(pymc_backbone, name))]
+CLASSES = sorted(name for name, value in PUBLIC.items() if inspect.isclass(value))
+FUNCTIONS = sorted(name for name, value in PUBLIC.items() if callable(value) and name not in CLASSES)
 
 
 def sections_of(text: str) -> dict[str, str]:
@@ -70,14 +86,14 @@ def missing_words(name: str, function: object, documented: str) -> list[str]:
 
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_functions_are_documented_by_their_signature(name):
-    function = getattr(pymc_backbone, name)
+    function = PUBLIC[name]
     assert missing_words(name, function, inspect.getdoc(function) or "") == []
 
 
 @pytest.mark.parametrize("name", CLASSES)
 def test_classes_are_documented_by_their_fields_or_arguments(name):
     """Arguments of the constructor stand in the docstring of the class; results list their attributes."""
-    cls = getattr(pymc_backbone, name)
+    cls = PUBLIC[name]
     text = inspect.getdoc(cls) or ""
     assert text.split("\n\n")[0].rstrip().endswith("."), name
     if issubclass(cls, Exception | enum.Enum):
@@ -93,7 +109,7 @@ def test_classes_are_documented_by_their_fields_or_arguments(name):
 
 @pytest.mark.parametrize("name", CLASSES)
 def test_public_methods_are_documented(name):
-    cls = getattr(pymc_backbone, name)
+    cls = PUBLIC[name]
     if cls.__module__.startswith("pymc_backbone") and not issubclass(cls, Exception | enum.Enum):
         for attribute, value in vars(cls).items():
             if attribute.startswith("_") or not (inspect.isfunction(value) or isinstance(value, property)):
@@ -127,7 +143,7 @@ def test_the_check_sees_what_is_missing():
 def test_nothing_public_is_left_out_of_the_list():
     """Names without an underscore that the package itself holds are the documented ones."""
     named = {name for names in pymc_backbone._WHERE.values() for name in names}
-    assert named == set(pymc_backbone.__all__)
+    assert named | set(pymc_backbone._NAMESPACES) == set(pymc_backbone.__all__) and set(MODULES) == {"paper", "plots"}
     for name in pymc_backbone.__all__:
         getattr(pymc_backbone, name)
     extra = {name for name in vars(pymc_backbone) if not name.startswith("_")} - set(pymc_backbone.__all__)
@@ -153,12 +169,82 @@ def test_import_loads_nothing_beside_itself(first):
     assert foreign == set()
 
 
-def test_only_writing_a_report_loads_the_plotting():
-    """All other names leave matplotlib, nutpie and pyuff alone."""
-    names = [name for name in pymc_backbone.__all__ if name != "write_study"]
+def test_only_figures_and_reports_load_the_plotting():
+    """All names but these leave matplotlib, nutpie and pyuff alone."""
+    names = [name for name in pymc_backbone.__all__ if name not in ("write_study", "plots")]
     code = "import pymc\nbefore = set(sys.modules)\nimport pymc_backbone\n"
     code += "".join(f"pymc_backbone.{name}\n" for name in names)
     tops = {name.partition(".")[0] for name in loaded_by(code)}
     assert not tops & {"matplotlib", "arviz_plots", "nutpie", "pyuff", "dask", "IPython"}
-    found = loaded_by("import pymc_backbone\nbefore = set(sys.modules)\npymc_backbone.write_study")
-    assert "matplotlib" in found  # negative control: the check above would see it
+    for name in ("write_study", "plots"):  # negative control: the check above would see it
+        assert "matplotlib" in loaded_by(f"import pymc_backbone\nbefore = set(sys.modules)\npymc_backbone.{name}")
+
+
+def test_public_modules_can_be_imported_by_their_names():
+    from pymc_backbone.paper import CASES
+    from pymc_backbone.plots import plot_pair
+
+    assert pymc_backbone.paper.CASES is CASES and pymc_backbone.plots.plot_pair is plot_pair
+    assert set(pymc_backbone.paper.__all__) <= set(dir(pymc_backbone.paper))
+    for module in (pymc_backbone, pymc_backbone.paper):
+        with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+            _ = module.nothing
+
+
+def code_of(path: Path) -> str:
+    """Return the Python that a script, a notebook or a page holds, without the magic commands of notebooks."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix == ".py":
+        return text
+    if path.suffix == ".ipynb":
+        blocks = ["".join(cell["source"]) for cell in json.loads(text)["cells"] if cell["cell_type"] == "code"]
+    else:
+        begin = r"^```(?:python|\{code-cell\} ipython3)\n"
+        blocks = re.findall(rf"{begin}(.*?)^```", text, flags=re.DOTALL | re.MULTILINE)
+    return "\n".join(line for block in blocks for line in block.splitlines() if not line.startswith(("%", ":")))
+
+
+def not_public(code: str) -> list[str]:
+    """Return what code takes from the package that is not public: imports, and names after ``pb.``."""
+    wrong = []
+    for node in ast.walk(ast.parse(code)):
+        if isinstance(node, ast.Import):
+            wrong += [a.name for a in node.names if a.name.startswith("pymc_backbone.") and a.name[14:] not in MODULES]
+        elif isinstance(node, ast.ImportFrom) and str(node.module).partition(".")[0] == "pymc_backbone":
+            inside = str(node.module).partition(".")[2]
+            full = [f"{inside}.{alias.name}".lstrip(".") for alias in node.names]
+            wrong += [name for name in full if name not in (*PUBLIC, *MODULES)]
+        elif isinstance(node, ast.Attribute):
+            parts = ast.unparse(node).split(".")
+            if parts[0] == "pb" and all(map(str.isidentifier, parts)) and parts[1] not in ("__version__", "__file__"):
+                depth = 3 if parts[1] in MODULES else 2
+                if len(parts) >= depth and ".".join(parts[1:depth]) not in PUBLIC:
+                    wrong.append(".".join(parts))
+    return wrong
+
+
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("[!_]*/*.md"))]
+SHOWN = [path for path in PAGES if "pb." in code_of(path)] + sorted((ROOT / "examples").rglob("*.py"))
+SHOWN += sorted((ROOT / "examples" / "notebooks").glob("*.ipynb"))
+
+
+@pytest.mark.parametrize("path", SHOWN, ids=[path.relative_to(ROOT).as_posix() for path in SHOWN])
+def test_what_readers_copy_takes_only_public_names(path):
+    code = code_of(path)
+    assert "pymc_backbone" in code or "pb." in code
+    assert not_public(code) == []
+
+
+def test_what_is_not_public_is_found():
+    """Negative controls."""
+    assert not_public("import pymc_backbone as pb\npb.sample; pb.paper.CASES['1'].draw; pb.plots.plot_pair(x)") == []
+    assert not_public("from pymc_backbone.paper import CASES\nfrom pymc_backbone import plots, Record") == []
+    for code in (
+        "from pymc_backbone.paper.cases import CASES",
+        "import pymc_backbone.oscillator",
+        "from pymc_backbone import oscillator",
+        "from pymc_backbone.paper import uniform_bounds",
+        "pb.nothing",
+        "pb.plots.Figure",
+    ):
+        assert len(not_public(code)) == 1, code

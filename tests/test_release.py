@@ -85,7 +85,7 @@ def test_wheel_holds_the_package_and_nothing_else(built):
         for path in (ROOT / "pymc_backbone").rglob("*")
         if path.is_file() and "__pycache__" not in path.parts and path.suffix not in (".nbi", ".nbc")
     }
-    assert {name for name in names if not name.startswith(INFO)} == source
+    assert {name for name in names if not name.startswith(INFO)} == {*source, "pymc_backbone/data/CITATION.cff"}
     assert "pymc_backbone/py.typed" in names and "pymc_backbone/data/demo/true_parameters.json" in names
     assert f"{INFO}/licenses/LICENSE" in names
     assert sum(len(content) for content in contents(built / WHEEL).values()) < 5_000_000
@@ -131,6 +131,7 @@ def test_installed_program_answers(installed, tmp_path):
     place = run(python, "-c", "import pymc_backbone as pb; print(pb.__file__, pb.__version__)", cwd=tmp_path)
     assert str(installed.parent) in place and place.split()[-1] == VERSION
     assert "cubic_stiffness" in run(program, "effects", cwd=tmp_path)
+    assert VERSION in run(python, "-c", "import pymc_backbone as pb; print(pb.citation())", cwd=tmp_path)
 
 
 def test_installed_package_works(installed, tmp_path):

@@ -210,7 +210,7 @@ def test_tables_are_read_at_as_many_levels_as_asked_for(rng, tmp_path):
 
 
 def test_demo_data_are_as_documented():
-    mass, truth = demo.true_parameters()
+    mass, truth = demo.demo_parameters()
     names = sorted(path.stem for path in demo.demo_folder().glob("*.csv"))
     data = json.loads((demo.demo_folder() / demo.TRUTH).read_text())
     assert mass == 1.0 and list(truth) == list(OSCILLATOR.parameter_names)

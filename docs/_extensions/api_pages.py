@@ -1,29 +1,27 @@
-"""The reference of the Python interface and of the command line, written from the package."""
+"""The reference of the Python interface and of the command line, written from the package.
+
+Public is what `__all__` lists, in the package and in its public modules: these names are shown, as they are written in
+a script, and nothing else.
+"""
 
 from __future__ import annotations
 
-import ast
-import importlib
 import inspect
 import io
 import os
 import re
-import textwrap
 from contextlib import redirect_stdout
 from pathlib import Path
-from types import ModuleType
 
 from freshness import write_if_new
 
 import pymc_backbone
 from pymc_backbone.cli.main import build_parser
 
-ROOT = Path(__file__).resolve().parents[2]
-PACKAGE = ROOT / "pymc_backbone"
-
-# The public names of the package in the order of the work. A name that is missing here is put under "Others".
+# The public names in the order of the work: a page for each group. A test says when one is missing.
 GROUPS = {
-    "Records": ("Record", "read_records", "write_records", "demo_folder", "condition", "ConditionedRecord"),
+    "Records": ("Record", "read_records", "write_records", "demo_folder", "demo_parameters", "condition",
+                "ConditionedRecord"),
     "Backbones": (
         "extract_cycles", "Cycles", "backbones_at_levels", "simulated_backbones", "read_backbones", "write_backbones",
     ),
@@ -32,127 +30,112 @@ GROUPS = {
         "simulate_backbone", "BackboneResult", "simulate_decay", "DecayResult", "simulate_waveform", "WaveformResult",
         "Status",
     ),
+    "Forced response": (
+        "ForcedOscillator", "frequency_response", "FrequencyResponse", "periodic_motion", "PeriodicMotion",
+        "fit_frequency_response", "ResponseFit",
+    ),
     "Densities": ("fit_density", "fit_data_consistent", "Density"),
     "Inference": (
         "build_model", "build_hierarchical_model", "backbone_likelihood", "simulated_backbone",
         "BackboneLogLikelihood", "SimulatedBackbone", "sample", "findings", "summarise", "unidentified_parameters",
     ),
     "The missing effect": ("find_missing_effect", "Study", "write_study"),
-    "Errors": ("InputError",),
+    "Many structures": ("diagnose_many", "Structure", "Survey"),
+    "Errors and citation": ("InputError", "citation"),
 }  # fmt: skip
 
 
-def public_modules() -> list[str]:
-    """Return the modules without a leading underscore, by their full names; effects by their package only."""
-    found = []
-    for path in sorted(PACKAGE.rglob("*.py")):
-        parts = path.relative_to(PACKAGE).with_suffix("").parts
-        is_package = parts[-1] == "__init__"
-        parts = parts[:-1] if is_package else parts
-        if not parts or any(part.startswith("_") for part in parts) or (parts[0] == "effects" and not is_package):
-            continue
-        found.append(".".join(("pymc_backbone", *parts)))
-    return sorted(found)
+def groups() -> dict[str, tuple[str, ...]]:
+    """Return all groups, the public modules last: names as they are written after ``pb.``."""
+    found = dict(GROUPS)
+    for module in pymc_backbone._NAMESPACES:
+        names = sorted(getattr(pymc_backbone, module).__all__, key=str.lower)
+        found[f"pb.{module}"] = tuple(f"{module}.{name}" for name in names)
+    return found
 
 
-def public_names(module_name: str) -> list[str]:
-    """Return what a module passes on in its ``__all__``, and the functions and classes that its source defines."""
-    module = importlib.import_module(module_name)
-    chosen = list(getattr(module, "__all__", ()))
-    return chosen + [name for name in _definitions(module) if name not in chosen]
+def public_names() -> list[str]:
+    """Return every public name as it is written after ``pb.``."""
+    own = [name for name in pymc_backbone.__all__ if name not in pymc_backbone._NAMESPACES]
+    below = [f"{module}.{name}" for module in pymc_backbone._NAMESPACES for name in _module(module).__all__]
+    return own + below
 
 
-def _definitions(module: ModuleType) -> dict[str, str]:
-    """Return the public functions and classes in the source of a module, decorated or not, with their docstrings."""
-    nodes = ast.parse(inspect.getsource(module)).body
-    kinds = (ast.FunctionDef, ast.ClassDef)
-    found = [node for node in nodes if isinstance(node, kinds) and not node.name.startswith("_")]
-    return {node.name: ast.get_docstring(node) or "" for node in found}
+def _module(name: str):
+    return getattr(pymc_backbone, name)
 
 
-def where(name: str) -> str:
-    """Return the full name under which a public name of the package is described."""
-    module = f"pymc_backbone.{pymc_backbone._MODULE_OF[name]}"
-    return f"pymc_backbone._common.checks.{name}" if module.endswith("._checks") else f"{module}.{name}"
+def value_of(name: str) -> object:
+    """Return what a public name stands for."""
+    value: object = pymc_backbone
+    for part in name.split("."):
+        value = getattr(value, part)
+    return value
 
 
 def write(folder: Path) -> None:
-    """Write the overview, a page for each public module and the page of the command line."""
+    """Write the overview, a page for each group and the page of the command line."""
     folder.mkdir(parents=True, exist_ok=True)
-    described = [*public_modules(), "pymc_backbone._common.checks"]
-    for name in described:
-        write_if_new(folder / f"{name}.rst", _module_page(name))
-    write_if_new(folder / "index.rst", _overview(described))
-    write_if_new(folder / "command_line.md", command_line())
+    written = {"index.rst": _overview(), "command_line.md": command_line()}
+    written |= {f"{_slug(group)}.rst": _page(group, names) for group, names in groups().items()}
+    for name, text in written.items():
+        write_if_new(folder / name, text)
+    for path in folder.iterdir():
+        if path.name not in written:
+            path.unlink()  # of an earlier build: a page without a way to it is a warning
 
 
-def _module_page(name: str) -> str:
-    heading = name.removeprefix("pymc_backbone.").removeprefix("_checks") or "errors"
-    lines = [heading, "=" * len(heading), "", f".. automodule:: {name}", ""]
-    if name == "pymc_backbone._common.checks":
-        lines[3] = f".. currentmodule:: {name}"
-        return "\n".join([*lines, f".. autoexception:: {name}.InputError", ""])
-    module = importlib.import_module(name)
-    definitions = _definitions(module)
-    for member in public_names(name):
-        value = getattr(module, member)
-        if member in definitions and not (inspect.isfunction(value) or inspect.isclass(value)):
-            # a decorator made something else of the function
-            lines += [
-                f".. py:function:: {name}.{member}",
-                "",
-                *textwrap.indent(definitions[member], "   ").splitlines(),
-                "",
-            ]
-            continue
+def _slug(group: str) -> str:
+    return re.sub(r"\W+", "_", group.lower())
+
+
+def _page(group: str, names: tuple[str, ...]) -> str:
+    lines = [group, "=" * len(group), ""]
+    if group.startswith("pb."):
+        lines += [f".. automodule:: pymc_backbone.{group.removeprefix('pb.')}", "   :no-members:", ""]
+    for name in names:
+        value = value_of(name)
         kind = "autodata" if not callable(value) else "autoclass" if inspect.isclass(value) else "autofunction"
         if inspect.isclass(value) and issubclass(value, Exception):
             kind = "autoexception"
-        lines += [f".. {kind}:: {name}.{member}"]
+        lines += [f".. {kind}:: pymc_backbone.{name}"]
         if kind == "autodata":
-            lines.append("   :no-value:")
+            lines += ["   :no-value:", "", f"   {DATA[name]}"]
         if kind == "autoclass":
             lines.append("   :members:")
         lines.append("")
     return "\n".join(lines)
 
 
-def _overview(described: list[str]) -> str:
+# What the public names are that are neither functions nor classes.
+DATA = {
+    "LIBRARY": "All effects by name.",
+    "paper.CASES": "The source paper's systems by name: a mapping of `Case`.",
+    "paper.PAPER_BEAM": "The beam of the source paper as published: a `BeamExperiment`.",
+}
+
+
+def _overview() -> str:
     heading = "Python interface"
     lines = [".. _api:", "", heading, "=" * len(heading), ""]
     lines += [
-        "``import pymc_backbone as pb`` gives the names of the first part; they load when they are first used. The",
-        "second part holds every public name of every public module.",
+        "``import pymc_backbone as pb`` gives all of these names; they load when they are first used. What is not",
+        "here is not public and may change at any time.",
         "",
     ]
-    taken = {name for names in GROUPS.values() for name in names}
-    groups = dict(GROUPS)
-    rest = tuple(name for name in pymc_backbone.__all__ if name not in taken)
-    if rest:
-        groups["Others"] = rest
-    for group, names in groups.items():
+    for group, names in groups().items():
         lines += [group, "-" * len(group), "", ".. list-table::", "   :widths: 32 68", ""]
         for name in names:
-            summary = _summary(getattr(pymc_backbone, name), name)
-            lines += [f"   * - :py:obj:`pb.{name} <{where(name)}>`", f"     - {summary}"]
+            lines += [f"   * - :py:obj:`pb.{name} <pymc_backbone.{name}>`", f"     - {_summary(name)}"]
         lines.append("")
-    lines += [
-        "Modules",
-        "-------",
-        "",
-        ".. toctree::",
-        "   :maxdepth: 1",
-        "",
-        *(f"   {name}" for name in described),
-        "",
-    ]
+    lines += [".. toctree::", "   :hidden:", "", *(f"   {_slug(group)}" for group in groups()), ""]
     return "\n".join(lines)
 
 
-def _summary(value: object, name: str) -> str:
-    if name == "LIBRARY":
-        return "All effects by name."
-    text = inspect.getdoc(value) or ""
+def _summary(name: str) -> str:
+    if name in DATA:
+        return DATA[name]
+    text = inspect.getdoc(value_of(name)) or ""
     return " ".join(text.split("\n\n", 1)[0].split())
 
 

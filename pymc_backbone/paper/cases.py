@@ -305,6 +305,15 @@ CASES: dict[str, Case] = {
 def get_case(name: str) -> Case:
     """Return a case by its name.
 
+    Parameters
+    ----------
+    name : str
+        As on the command line.
+
+    Returns
+    -------
+    Case
+
     Raises
     ------
     InputError

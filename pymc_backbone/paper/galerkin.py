@@ -205,6 +205,16 @@ def half_sine(beam: CantileverBeam) -> Shape:
 
     It belongs to a beam on two hinges: it turns at the clamp and stays at rest at the tip, where a cantilever's moves
     most and where the magnets are.
+
+    Parameters
+    ----------
+    beam : CantileverBeam
+        Gives the length L.
+
+    Returns
+    -------
+    callable
+        ``shape(position, derivative=0)``: the shape at positions [m], or a derivative of it [1/m to its order].
     """
     wavenumber = np.pi / beam.length
 

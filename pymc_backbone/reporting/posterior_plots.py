@@ -58,6 +58,11 @@ def plot_records(records: Sequence[Any], *, most: int = MOST_PANELS) -> Figure:
     Returns
     -------
     matplotlib.figure.Figure
+
+    Raises
+    ------
+    InputError
+        If there is no record.
     """
     if not len(records):
         raise InputError("`records` must hold at least one record, got none.")
@@ -138,6 +143,11 @@ def plot_predictive(measured: xr.Dataset, simulated: xr.Dataset, *, probability:
     matplotlib.figure.Figure
         A column for each observable: above, the backbones; below, the spread at the lowest, middle and highest level.
         Error bars span 95 %.
+
+    Raises
+    ------
+    InputError
+        If ``simulated`` is at other levels.
     """
     levels, scale, amplitude_label = amplitude_axis(measured)
     names = [str(name) for name in measured["observable"].values]
@@ -321,7 +331,22 @@ def plot_prior_posterior(
 def plot_trace(
     posterior: xr.DataTree, names: Sequence[str] | None = None, *, units: Mapping[str, str] | None = None
 ) -> Figure:
-    """Draw each parameter's density and trace, chain by chain (ArviZ's ``plot_trace_dist``)."""
+    """Draw each parameter's density and trace, chain by chain (ArviZ's ``plot_trace_dist``).
+
+    Parameters
+    ----------
+    posterior : xarray.DataTree
+        What `sample` returned.
+    names : sequence of str, optional
+        Parameters drawn; by default all that are scalars, up to twelve.
+    units : mapping of str to str, optional
+        Units of the parameters.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        A row for each parameter.
+    """
     import arviz as az
 
     draws, arguments = _for_arviz(posterior, names, units)
@@ -346,6 +371,20 @@ def plot_rank(
 
     The draws are thinned to independent ones first: the test takes correlated draws of one chain for disagreement.
     Where they are worth fewer than 100 independent ones, thinning would leave nothing to see: they stay as they are.
+
+    Parameters
+    ----------
+    posterior : xarray.DataTree
+        What `sample` returned.
+    names : sequence of str, optional
+        Parameters drawn; by default all that are scalars, up to twelve.
+    units : mapping of str to str, optional
+        Units of the parameters.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        A panel for each parameter.
     """
     import arviz as az
 
@@ -364,7 +403,22 @@ def plot_rank(
 def plot_pair(
     posterior: xr.DataTree, names: Sequence[str] | None = None, *, units: Mapping[str, str] | None = None
 ) -> Figure:
-    """Draw every pair of parameters against each other, thinned to 2000 draws (ArviZ's ``plot_pair``)."""
+    """Draw every pair of parameters against each other, thinned to 2000 draws (ArviZ's ``plot_pair``).
+
+    Parameters
+    ----------
+    posterior : xarray.DataTree
+        What `sample` returned.
+    names : sequence of str, optional
+        Parameters drawn; by default all that are scalars, up to twelve.
+    units : mapping of str to str, optional
+        Units of the parameters.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        A panel for each pair, densities on the diagonal.
+    """
     import arviz as az
 
     draws, arguments = _for_arviz(posterior, names, units, most=2000)

@@ -37,8 +37,22 @@ def demo_folder() -> Path:
     return Path(str(resources.files("pymc_backbone"))) / "data" / "demo"
 
 
-def true_parameters() -> tuple[float, dict[str, FloatArray]]:
-    """Return the mass [kg] and, by name, the true parameters of the demo's specimens in SI units."""
+def demo_parameters() -> tuple[float, dict[str, FloatArray]]:
+    """Return what the demo's records were simulated with: the mass, and the true parameters of every specimen.
+
+    Returns
+    -------
+    mass : float
+        [kg], the same for all specimens.
+    parameters : dict of str to (n,) array
+        By name of the parameter, in SI units, one value for each specimen.
+
+    Examples
+    --------
+    >>> mass, parameters = demo_parameters()
+    >>> mass, len(parameters["cubic_stiffness"])
+    (1.0, 24)
+    """
     data = json.loads((demo_folder() / TRUTH).read_text(encoding="utf-8"))
     specimens = data["specimens"]
     return float(data["mass"]), {
@@ -67,7 +81,7 @@ def run_demo(
     dict
         What ``result.json`` holds.
     """
-    mass, truth = true_parameters()
+    mass, truth = demo_parameters()
     say("24 ring-down records of nominally equal specimens, simulated with known parameters (not by this program).\n")
     chosen = {
         "effects": ["cubic_stiffness"],
