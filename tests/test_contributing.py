@@ -13,7 +13,18 @@ import pytest
 
 import pymc_backbone as pb
 
-from .discrepancy_cases import AMPLITUDE, DAMPING, MASS, RELEASE_TIME, STIFFNESS, TIME, noisy
+from .discrepancy_cases import (
+    AMPLITUDE,
+    DAMPING,
+    MASS,
+    RELEASE_TIME,
+    STIFFNESS,
+    TIME,
+    Force,
+    force_of,
+    free_decay,
+    noisy,
+)
 
 ROOT = Path(__file__).resolve().parents[1]
 TEXT = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
@@ -34,7 +45,7 @@ def example(tmp_path_factory) -> ModuleType:
 
 def records_of(effect: pb.Effect, rng: np.random.Generator) -> list[pb.Record]:
     """Two specimens with the effect: 40 % of the linear force at the largest amplitude, noise at -45 dB."""
-    oscillator = pb.Oscillator(MASS, [effect])
+    law = effect.force.py_func  # the force as it is written, integrated by SciPy
     records = []
     for number, release in ((1, AMPLITUDE), (2, 0.75 * AMPLITUDE)):
         truth = {
@@ -42,7 +53,13 @@ def records_of(effect: pb.Effect, rng: np.random.Generator) -> list[pb.Record]:
             "viscous_damping": DAMPING,
             "rubber_stop_stiffness": 0.4 * STIFFNESS / AMPLITUDE**6,
         }
-        exact = pb.simulate_waveform(oscillator, truth, TIME, release, release_time=RELEASE_TIME).displacement
+        p = np.array([truth["rubber_stop_stiffness"]])
+        linear = force_of((), truth)
+
+        def force(x: float, v: float, direction: float, p: np.ndarray = p, linear: Force = linear) -> float:
+            return linear(x, v, direction) + law(x, v, direction, None, p)
+
+        exact = free_decay(force, release, TIME - RELEASE_TIME)
         records.append(noisy(rng, f"specimen {number}", TIME, exact))
     return records
 

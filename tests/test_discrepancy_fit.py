@@ -20,6 +20,7 @@ from pymc_backbone.effects import BASE_EFFECTS, LIBRARY, Effect, Parameter
 from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.measurement.cycles import extract_cycles
 from pymc_backbone.oscillator import Oscillator
+from pymc_backbone.simulation.decay import simulate_waveform
 
 from .discrepancy_cases import (
     AMPLITUDE,
@@ -32,11 +33,15 @@ from .discrepancy_cases import (
     STIFFNESS,
     TIME,
     batch_of,
+    decaying_sinusoid,
+    force_of,
+    free_decay,
     make_records,
     truth_of,
 )
 
 EFFECTS = [name for name in LIBRARY if name not in BASE_EFFECTS]
+CASES = (("cubic_stiffness",), ("coulomb_friction", "quadratic_damping"))
 NUISANCE_NAMES = ("release amplitude", "release instant", "offset", "drift of frequency", "drift of damping")
 
 
@@ -174,6 +179,36 @@ def test_roles_and_not_units_make_a_slider():
     assert bounded.high[1] == pytest.approx(0.1 * STIFFNESS * AMPLITUDE, rel=1e-12) and plain.high[1] > bounded.high[1]
 
 
+# the records themselves
+
+
+def test_records_without_effects_are_the_exact_decay():
+    exact = decaying_sinusoid(AMPLITUDE, FREQUENCY)
+    found = free_decay(force_of((), truth_of(())), AMPLITUDE, TIME - RELEASE_TIME)
+    np.testing.assert_allclose(found, exact, atol=1e-7 * AMPLITUDE)  # a ten-thousandth of the least noise here
+
+
+def test_records_with_friction_alone_lose_the_same_in_every_half_cycle_and_stick():
+    """By hand: a half cycle takes pi sqrt(m/k) and 2 F/k of the amplitude, until the spring no longer moves it."""
+    half, loss = 0.5 / FREQUENCY, 0.09 * AMPLITUDE
+    friction = {"linear_stiffness": STIFFNESS, "viscous_damping": 0.0, "friction_force": 0.5 * loss * STIFFNESS}
+    instants = half * np.arange(0, 20)
+    found = free_decay(force_of(("coulomb_friction",), friction), AMPLITUDE, instants)
+    turns = np.arange(20)
+    expected = (-1.0) ** turns * (AMPLITUDE - loss * turns)
+    # eleven half cycles bring it to 0.01 of the release, within the 0.045 where friction holds
+    expected[12:] = expected[11]
+    np.testing.assert_allclose(found, expected, atol=1e-7 * AMPLITUDE)
+
+
+@pytest.mark.parametrize("effects", CASES)
+def test_the_simulator_of_the_package_agrees_with_the_records(effects):
+    truth = truth_of(effects)
+    ours = simulate_waveform(Oscillator(MASS, effects), truth, TIME, AMPLITUDE, release_time=RELEASE_TIME).displacement
+    other = free_decay(force_of(effects, truth), AMPLITUDE, TIME - RELEASE_TIME)
+    np.testing.assert_allclose(ours, other, atol=1e-5 * AMPLITUDE)  # steps of the package: waveforms to 3e-6
+
+
 # derivatives of the data terms
 
 
@@ -193,9 +228,6 @@ def differences(chosen, simulator, vector, nuisances, steps):
             sides.append(compared[0])
         columns.append((sides[1] - sides[0]) / (2.0 * steps[j]))  # residuals fall where simulated values rise
     return np.column_stack(columns)
-
-
-CASES = (("cubic_stiffness",), ("coulomb_friction", "quadratic_damping"))
 
 
 def point(effects):

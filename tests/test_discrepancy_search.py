@@ -347,10 +347,9 @@ def test_specimens_alike_or_not(cubic, linear, rng):
 
 
 def test_data_terms_agree_or_not(cubic):
-    found = cubic.fits[("cubic_stiffness",)]
-    assert rivals.data_terms_check(cubic.batch, found, 1.2, 5.0).passed
-    assert not rivals.data_terms_check(cubic.batch, found, 12.0, 5.0).passed
-    assert not rivals.data_terms_check(cubic.batch, found, float("nan"), 5.0).passed
+    assert rivals.data_terms_check(cubic.batch, 1.2, 5.0).passed
+    assert not rivals.data_terms_check(cubic.batch, 12.0, 5.0).passed
+    assert not rivals.data_terms_check(cubic.batch, float("nan"), 5.0).passed
 
 
 # the search itself

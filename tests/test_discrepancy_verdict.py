@@ -13,8 +13,8 @@ from scipy.integrate import solve_ivp
 
 import pymc_backbone as pb
 from pymc_backbone.discrepancy import decide, words
+from pymc_backbone.discrepancy.question import TOLERANCE
 from pymc_backbone.discrepancy.verdict import AdequateBy, Status, Verdict
-from pymc_backbone.discrepancy.workflow import TOLERANCE
 from pymc_backbone.effects import BASE_EFFECTS, LIBRARY
 
 from .discrepancy_cases import (

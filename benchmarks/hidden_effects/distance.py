@@ -19,9 +19,9 @@ import numpy as np
 
 from pymc_backbone import InputError, Oscillator, Record, condition, extract_cycles
 from pymc_backbone.discrepancy.batch import Batch, batch_of_records
+from pymc_backbone.discrepancy.question import levels_within, possible_effects
 from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.discrepancy.starts import embedded
-from pymc_backbone.discrepancy.workflow import levels_within, possible_effects
 from pymc_backbone.measurement.levels import backbones_at_levels
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 import xarray as xr
@@ -15,11 +15,13 @@ from .curves import curve, measured, on_levels
 from .estimates import estimates_of
 from .joint_fit import Fit
 from .layout import SHAPES
+from .search import is_heavy
 from .study import Estimate
 
 _REACH = 10.0  # standard deviations between an estimate and the ends of its prior
 _LEAST = {"linear_stiffness": 0.02, "viscous_damping": 0.5}
 _LEAST_SHARE = 0.5
+_HEAVY_SHARE = 4  # fewer draws for models that take so much longer
 
 
 def mean_specimen(batch: Batch, found: Fit) -> tuple[xr.Dataset, FloatArray]:
@@ -96,16 +98,83 @@ def prior_bounds(batch: Batch, found: Fit, mean: FloatArray) -> tuple[dict[str, 
     return bounds, held
 
 
-def sample_extended(
-    batch: Batch, found: Fit, backbone: xr.Dataset, mean: FloatArray, options: Mapping[str, Any]
-) -> tuple[xr.DataTree, dict[str, tuple[float, float]], dict[str, float]]:
-    """Sample the extended model on the backbone of the mean specimen; return draws, bounds and held parameters."""
+@dataclass(frozen=True)
+class Sampling:
+    """How draws are taken: as in `sample`."""
+
+    draws: int
+    tune: int
+    chains: int
+    step: str
+    random_seed: int
+
+    def for_model(self, found: Fit) -> Sampling:
+        """Return the same with fewer draws where the model takes much longer."""
+        share = _HEAVY_SHARE if is_heavy(found.layout) else 1
+        return replace(self, draws=max(self.draws // share, 100), tune=max(self.tune // share, 100))
+
+
+@dataclass(frozen=True, eq=False)
+class Inference:
+    """What is known of the parameters of a model.
+
+    Attributes
+    ----------
+    estimates : mapping of str to mapping of str to Estimate
+        By effect, then by parameter.
+    posterior : xarray.DataTree or None
+        Draws; None where nothing was sampled, as are the next.
+    backbone : xarray.Dataset or None
+        That of the mean specimen.
+    bounds : mapping of str to (float, float)
+        Of the Uniform priors.
+    held : mapping of str to float
+        Values of the redundant parameters.
+    findings : tuple of str
+        What is wrong with the draws, in words.
+    convergence : mapping of str to float
+        Its figures, and how many draws were taken.
+    """
+
+    estimates: Mapping[str, Mapping[str, Estimate]]
+    posterior: xr.DataTree | None = None
+    backbone: xr.Dataset | None = None
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    held: Mapping[str, float] = field(default_factory=dict)
+    findings: tuple[str, ...] = ()
+    convergence: Mapping[str, float] = field(default_factory=dict)
+
+
+def infer(batch: Batch, found: Fit, sampling: Sampling | None) -> Inference:
+    """Return the parameters of a model from draws or, without ``sampling``, from the curvature of the fit."""
+    if sampling is None:
+        return Inference(estimates_from_fit(batch, found))
+    # PyMC takes seconds to import, and quick studies do without
+    from ..inference.diagnostics import findings, summarise
     from ..inference.model import build_model
     from ..inference.sampling import sample
 
+    backbone, mean = mean_specimen(batch, found)
     bounds, held = prior_bounds(batch, found, mean)
     model = build_model(found.layout.oscillator, backbone, bounds=bounds, fixed=held, likelihood="pooled")
-    return sample(model, progressbar=False, **options), bounds, held
+    chosen = sampling.for_model(found)
+    posterior = sample(model, progressbar=False, **asdict(chosen))
+    table = summarise(posterior)
+    return Inference(
+        estimates=estimates_from_draws(found, posterior, held),
+        posterior=posterior,
+        backbone=backbone,
+        bounds=bounds,
+        held=held,
+        findings=tuple(findings(posterior)),
+        convergence={
+            "r_hat": float(table["r_hat"].max()),
+            "ess_bulk": float(table["ess_bulk"].min()),
+            "draws": chosen.draws,
+            "tune": chosen.tune,
+            "chains": chosen.chains,
+        },
+    )
 
 
 def estimates_from_draws(

@@ -155,7 +155,7 @@ def alike_check(batch: Batch, best: Fit) -> Check:
     return Check(name, True, f"the frequency curves agree in shape within {scatter:.2%}")
 
 
-def data_terms_check(batch: Batch, best: Fit, reduced: float, limit: float) -> Check:
+def data_terms_check(batch: Batch, reduced: float, limit: float) -> Check:
     """Say whether the backbones agree with what the waveform names."""
     name = "data terms agree"
     if not batch.has_records:

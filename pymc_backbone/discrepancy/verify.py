@@ -2,16 +2,67 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
 
 from .._common.checks import OBSERVABLES, FloatArray
 from .batch import Batch
-from .curves import curve, measured, one_on_levels, prediction_errors
+from .curves import curve, level_chi_square, measured, on_levels, one_on_levels, prediction_errors
 from .data_term import level_term
 from .joint_fit import NUISANCES, SCATTER, Fit, State, fit, parameters_of
 from .study import HeldOut
 
+MOST_HELD_OUT = 6
+"""Specimens that are left out in turn, by default."""
 _RESAMPLES = 2000
+
+
+@dataclass(frozen=True, eq=False)
+class Verification:
+    """Base and extended model on the backbones, and the gap on what a fit has not seen.
+
+    Attributes
+    ----------
+    before, after : Fit
+        Base and extended model brought to the backbones; None where there is no extended one.
+    reduced : float
+        Reduced chi-square of the backbones at the model that is believed.
+    held_out_levels, held_out_specimens : HeldOut or None
+        The gap on each, before and after; None where it cannot be measured.
+    shrink : (float, float, float)
+        By which factor it shrank, with a 95 % interval.
+    """
+
+    before: Fit
+    after: Fit | None
+    reduced: float
+    held_out_levels: HeldOut | None
+    held_out_specimens: HeldOut | None
+    shrink: tuple[float, float, float]
+
+
+def verify(
+    batch: Batch, base: Fit, extended: Fit | None, most: int, seed: int, say: Callable[[str, float], None]
+) -> Verification:
+    """Return what the extended model explains of data that it was not fitted to; ``most`` specimens are left out."""
+    say("verifying on held-out data", 0.0)
+    before = on_levels(batch, base, free_effects=base.layout.free.size > 0)
+    after = None if extended is None else on_levels(batch, extended)
+    by_level = by_specimen = None
+    if most > 0:
+        by_level = held_out_levels(batch, before, after)
+        say("verifying on held-out data", 0.5)
+        by_specimen = held_out_specimens(batch, before, extended, most)
+    return Verification(
+        before=before,
+        after=after,
+        reduced=level_chi_square(batch, before if after is None else after),
+        held_out_levels=by_level,
+        held_out_specimens=by_specimen,
+        shrink=shrink(by_specimen, by_level, seed),
+    )
 
 
 def held_out_levels(batch: Batch, before: Fit, after: Fit | None) -> HeldOut | None:

@@ -1,0 +1,205 @@
+"""What is asked of which data: every argument of a study checked, and the batch that the search looks at."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike
+
+from .._common.checks import FloatArray, InputError, check_choice
+from ..effects import BASE_EFFECTS, LIBRARY, Effect
+from ..measurement.conditioning.conditioned import ConditionedRecord
+from ..measurement.cycles import Cycles
+from ..measurement.extraction import extract_all
+from ..measurement.levels import backbones_at_levels, default_levels
+from ..measurement.reading.records import Record
+from ..oscillator import Oscillator
+from .batch import Batch, batch_of_backbones, batch_of_records
+from .layout import make_layout
+from .search import is_heavy
+
+Data = xr.Dataset | Sequence[Record] | Sequence[ConditionedRecord]
+
+TOLERANCE: Mapping[str, float] = {"frequency": 0.001, "damping": 0.03}
+"""Relative change of the backbones below which a missing effect does not matter, by default."""
+WAVEFORM_SHARE = 0.1
+"""Part of the tolerance on damping, as a share of the motion, that waveforms may depart by unexplained."""
+MOST_EFFECTS = 3
+"""Effects that can be missing together."""
+_UNION_LEVELS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """What is asked, of which data.
+
+    Attributes
+    ----------
+    base : Oscillator
+        The model that is questioned.
+    batch : Batch
+        The data.
+    candidates : tuple of str
+        Effects that may be missing, the costly ones last.
+    own : mapping of str to Effect
+        Those that the library does not hold.
+    max_effects : int
+        Largest number of effects that may be missing together.
+    tolerance : mapping of str to float
+        Relative, by observable, and on the waveform.
+    notes : tuple of str
+        What was assumed or done with the data.
+    """
+
+    base: Oscillator
+    batch: Batch
+    candidates: tuple[str, ...]
+    own: Mapping[str, Effect]
+    max_effects: int
+    tolerance: Mapping[str, float]
+    notes: tuple[str, ...]
+
+
+def ask(
+    oscillator: Oscillator,
+    data: Data,
+    *,
+    candidates: Sequence[str | Effect] | None,
+    max_effects: int,
+    tolerance: Mapping[str, float] | float | None,
+    band: tuple[float, float] | None,
+    start: float | None,
+    levels: int | ArrayLike | None,
+) -> Question:
+    """Return the question, every argument checked; arguments as in `find_missing_effect`."""
+    limits = tolerances(tolerance)
+    batch, notes = batch_of(oscillator, data, band, start, levels)
+    chosen = possible_effects(oscillator, candidates, batch)
+    if not 1 <= int(max_effects) <= MOST_EFFECTS:
+        raise InputError(f"`max_effects` must be 1, 2 or 3, got {max_effects}; look for more in a second study.")
+    return Question(
+        base=oscillator,
+        batch=batch,
+        candidates=chosen,
+        own=own_effects(candidates),
+        max_effects=int(max_effects),
+        tolerance=limits,
+        notes=(*notes, *batch.notes),
+    )
+
+
+def tolerances(tolerance: Mapping[str, float] | float | None) -> dict[str, float]:
+    """Return the tolerance by observable, and that on the waveform which follows from it."""
+    given: dict[str, Any] = dict(TOLERANCE)
+    if isinstance(tolerance, Mapping):
+        for key in tolerance:
+            check_choice("tolerance", str(key), ("frequency", "damping", "offset", "waveform"))
+        given = {str(key): value for key, value in tolerance.items()}
+    elif tolerance is not None:
+        given = dict.fromkeys(TOLERANCE, tolerance)
+    limits = {}
+    for key, value in given.items():
+        try:
+            limits[key] = float(value)
+        except (TypeError, ValueError):
+            limits[key] = float("nan")
+        if not (np.isfinite(limits[key]) and limits[key] >= 0.0):
+            raise InputError(f"`tolerance` of {key} must be a number from 0 on, got {value!r}; 0: statistics alone.")
+    limits.setdefault("waveform", WAVEFORM_SHARE * limits.get("damping", 0.0))
+    return limits
+
+
+def own_effects(candidates: Sequence[str | Effect] | None) -> dict[str, Effect]:
+    """Return the candidates that are not the library's, by name."""
+    own: dict[str, Effect] = {}
+    for effect in candidates or ():
+        if isinstance(effect, Effect) and LIBRARY.get(effect.name) is not effect:
+            if effect.name in LIBRARY or own.get(effect.name, effect) is not effect:
+                raise InputError(f"`candidates` hold another effect named {effect.name!r}; give yours another name.")
+            own[effect.name] = effect
+    return own
+
+
+def possible_effects(
+    oscillator: Oscillator, candidates: Sequence[str | Effect] | None, batch: Batch
+) -> tuple[str, ...]:
+    """Return the names of the effects that may be missing, the costly ones last."""
+    own = own_effects(candidates)
+    held = {effect.name for effect in oscillator.effects}
+    unit = str(batch.backbones.attrs.get("amplitude_unit", "m"))
+    if candidates is None:
+        names = [name for name, effect in LIBRARY.items() if unit == "rad" or not effect.needs_rotation]
+    else:
+        every = [item.name if isinstance(item, Effect) else str(item) for item in candidates]
+        names = [check_choice("candidates", name, {**LIBRARY, **own}) for name in every]
+    names = [name for name in dict.fromkeys(names) if name not in held and name not in BASE_EFFECTS]
+    if not names:
+        raise InputError("no candidate is left: the model holds all of them; name others with `candidates`.")
+
+    def cost(name: str) -> tuple[bool, int]:
+        effect = own.get(name) or LIBRARY[name]
+        layout = make_layout(oscillator + effect, batch.amplitude, batch.angular_frequency)
+        return is_heavy(layout), effect.n_states
+
+    return tuple(sorted(names, key=cost))
+
+
+def batch_of(
+    oscillator: Oscillator,
+    data: Data,
+    band: tuple[float, float] | None,
+    start: float | None,
+    levels: int | ArrayLike | None,
+) -> tuple[Batch, list[str]]:
+    """Return the batch of records or backbones, and notes on it."""
+    if isinstance(data, xr.Dataset):
+        return _of_backbones(oscillator, data)
+    items = _as_records(data)
+    extraction = extract_all(items, band=band, start=start, is_strict=False)
+    observables = ["frequency", "damping"]
+    if all(record.offset_is_measured for record in extraction.records):
+        observables.append("offset")
+    chosen = levels_within(extraction.cycles, levels)
+    backbones = backbones_at_levels(extraction.cycles, chosen, observables, amplitude_unit=extraction.unit)
+    batch = batch_of_records(oscillator.mass, backbones, extraction.records, extraction.cycles)
+    return batch, extraction.notes()
+
+
+def _of_backbones(oscillator: Oscillator, backbones: xr.Dataset) -> tuple[Batch, list[str]]:
+    """Return the batch of backbones that were measured directly, and their notes."""
+    lacking = [name for name in ("value", "standard_error") if name not in backbones]
+    if lacking:
+        raise InputError(f"the backbones in `data` lack `{lacking[0]}`; give values with their standard errors.")
+    notes = [str(note) for note in backbones.attrs.get("notes", [])]
+    return batch_of_backbones(oscillator.mass, backbones), notes
+
+
+def _as_records(data: Sequence[Record] | Sequence[ConditionedRecord]) -> list[Record | ConditionedRecord]:
+    """Return ``data`` as a list of records, or say what it should have been."""
+    is_list = isinstance(data, Sequence) and not isinstance(data, str)
+    items = [item for item in data if isinstance(item, Record | ConditionedRecord)] if is_list else []
+    if not is_list or len(items) != len(data):
+        raise InputError(
+            f"`data` must be a list of records or a Dataset of backbones, got {type(data).__name__}; `read_records` "
+            "reads a folder."
+        )
+    if not items:
+        raise InputError("`data` must hold at least one record; check the folder.")
+    return items
+
+
+def levels_within(cycles: Sequence[Cycles], levels: int | ArrayLike | None) -> FloatArray:
+    """Return the levels: those that all specimens reach or, where there are none, over all that any reaches."""
+    if levels is not None and np.ndim(levels) > 0:
+        return np.asarray(levels, dtype=np.float64)
+    count = None if levels is None else int(np.asarray(levels))
+    try:
+        return default_levels(cycles, count)
+    except InputError:
+        low = min(float(item.smoothed_amplitude.min()) for item in cycles)
+        high = max(float(np.partition(item.smoothed_amplitude, -2)[-2]) for item in cycles)
+        return np.geomspace(1.02 * low, 0.98 * high, count or _UNION_LEVELS)
