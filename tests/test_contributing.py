@@ -85,6 +85,8 @@ def test_the_example_is_named_where_it_is_hidden(example, rng):
     study = pb.find_missing_effect(pb.Oscillator(MASS), records, candidates=[*springs, example.EFFECT], **options)
     assert study.verdict == "found", study.sentence
     assert study.missing_effects == ("rubber_stop",) and study.probability > 0.9
+    (reason,) = study.reasons
+    assert reason.startswith("rubber_stop: ") and reason.endswith(example.EFFECT.summary)
     estimate = study.parameters["rubber_stop"]["rubber_stop_stiffness"]
     assert estimate.mean == pytest.approx(0.4 * STIFFNESS / AMPLITUDE**6, rel=0.1)
     # Negative control: without it among the candidates, nothing else is taken for it.

@@ -318,7 +318,7 @@ def test_words_of_each_verdict():
         ),
     ):
         decision = decision_of(verdict, **{"best": ("cubic_stiffness",), **options})
-        assert said in words.sentence(decision, None)
+        assert said in words.sentence(decision)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -71,7 +70,7 @@ class Batch:
         """Return the batch of some of its specimens."""
         index = list(specimens)
 
-        def pick(items: tuple[Any, ...]) -> tuple[Any, ...]:
+        def pick[T](items: tuple[T, ...]) -> tuple[T, ...]:
             return tuple(items[i] for i in index) if items else ()
 
         return Batch(

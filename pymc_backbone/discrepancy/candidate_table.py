@@ -33,7 +33,7 @@ def candidates_of(search: Search, decision: Decision) -> tuple[Candidate, ...]:
                 if status is not Status.REJECTED or len(names) < 2
                 else float("nan"),
                 status=status,
-                reason=_reason(names, found, decision, search, best_cost, status),
+                reason=_reason(names, found, decision, best_cost, status),
                 parameters=estimates_of(found),
             )
         )
@@ -45,7 +45,7 @@ def candidates_of(search: Search, decision: Decision) -> tuple[Candidate, ...]:
     return (*rows, *failed)
 
 
-def _reason(names: Set, found: Fit, decision: Decision, search: Search, best_cost: float, status: Status) -> str:
+def _reason(names: Set, found: Fit, decision: Decision, best_cost: float, status: Status) -> str:
     if status is Status.BEST:
         return "the most probable set"
     extra = set(names) - set(decision.best)

@@ -100,7 +100,7 @@ def level_chi_square(batch: Batch, found: Fit) -> float:
     return total / max(count - 2 * len(batch.levels), 1)
 
 
-def prediction_errors(batch: Batch, found: Fit, terms: list[LevelTerm], levels: FloatArray) -> FloatArray:
+def prediction_errors(found: Fit, terms: list[LevelTerm], levels: FloatArray) -> FloatArray:
     """Return standard errors (specimen, 3, l) of what a fit to ``terms`` predicts at ``levels``."""
     q = found.layout.free.size
     scatter = SCATTER if len(terms) > 1 else 0.0

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import xarray as xr
 
-from .._common.checks import OBSERVABLES, FloatArray
+from .._common.checks import OBSERVABLES, BoolArray, FloatArray, IntArray
 from ..simulation.decay import Simulator
 from ..simulation.memory import Waveform
 from .whitening import EDGE, average
@@ -63,7 +63,7 @@ class LevelTerm:
 
     levels: FloatArray
     values: FloatArray
-    rows: Any
+    rows: IntArray
     whitening: FloatArray
 
     @property
@@ -88,7 +88,7 @@ class LevelTerm:
         return residuals, self.whitening @ slopes
 
 
-def level_term(backbones: xr.Dataset, specimen: int, keep: Any = None) -> LevelTerm | None:
+def level_term(backbones: xr.Dataset, specimen: int, keep: BoolArray | None = None) -> LevelTerm | None:
     """Return the data term of one specimen of a Dataset of backbones, or None where it reaches none of the levels."""
     chosen = backbones.isel(specimen=specimen)
     names = [str(name) for name in chosen["observable"].values]

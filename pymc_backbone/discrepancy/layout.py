@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from .._common.checks import FloatArray
+from .._common.checks import BoolArray, FloatArray, IntArray
 from ..effects import BASE_EFFECTS, Role
 from ..oscillator import Oscillator
 from ..simulation.decay import Simulator
@@ -58,12 +57,12 @@ class Layout:
 
     oscillator: Oscillator
     simulator: Simulator
-    free: Any
+    free: IntArray
     template: FloatArray
     low: FloatArray
     high: FloatArray
     width: FloatArray
-    is_strength: Any
+    is_strength: BoolArray
     powers: tuple[tuple[int, int], ...]
     slips: tuple[tuple[int, int], ...]
     opposed: tuple[tuple[int, int], ...]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -94,7 +93,7 @@ def ask(
 
 def tolerances(tolerance: Mapping[str, float] | float | None) -> dict[str, float]:
     """Return the tolerance by observable, and that on the waveform which follows from it."""
-    given: dict[str, Any] = dict(TOLERANCE)
+    given: dict[str, float] = dict(TOLERANCE)
     if isinstance(tolerance, Mapping):
         for key in tolerance:
             check_choice("tolerance", str(key), ("frequency", "damping", "offset", "waveform"))

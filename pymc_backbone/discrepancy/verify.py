@@ -87,7 +87,7 @@ def held_out_levels(batch: Batch, before: Fit, after: Fit | None) -> HeldOut | N
             solved = fit(model.layout, terms, model.state, iterations=12, nuisances=(0, 1), tolerance=0.1)
             if solved is None:
                 continue
-            own = prediction_errors(batch, solved, terms, levels[[k]])[:, rows, 0]
+            own = prediction_errors(solved, terms, levels[[k]])[:, rows, 0]
             predicted = np.array([curve(solved, solved.parameters(r), levels[[k]])[rows, 0] for r in range(len(terms))])
             results[m, k] = _reduced(values[:, :, k] - predicted, errors[:, :, k], own)
     if not np.isfinite(results[0]).any():

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from .._common.checks import OBSERVABLES, FloatArray
-from ..effects import LIBRARY
 from . import starts
 from .batch import Batch
 from .curves import curve, measured, on_levels
@@ -27,11 +26,11 @@ def reasons(batch: Batch, found: Fit, names: Set) -> tuple[str, ...]:
     """Say for each effect how frequency and damping depart from the model without it, with the power of amplitude."""
     sentences = []
     brought = on_levels(batch, found)
+    summaries = {effect.name: effect.summary.rstrip(".") for effect in found.layout.oscillator.effects}
     for name in names:
         parts = [sentence for sentence in (_power_law(batch, brought, name, row) for row in (0, 1, 2)) if sentence]
-        summary = LIBRARY[name].summary.rstrip(".") if name in LIBRARY else ""
         text = "; ".join(parts) if parts else "too small to be seen in the backbones; the waveforms show it"
-        sentences.append(f"{name}: {text}. {summary}." if summary else f"{name}: {text}.")
+        sentences.append(f"{name}: {text}. {summaries[name]}." if summaries[name] else f"{name}: {text}.")
     return tuple(sentences)
 
 
@@ -191,7 +190,7 @@ def _named(names: Set) -> str:
     return " + ".join(names) if names else "no missing effect"
 
 
-def sentence(decision: Decision, search: Search) -> str:
+def sentence(decision: Decision) -> str:
     """Return the verdict in one sentence."""
     percent = f"{100.0 * decision.probability:.0f} %" if decision.probability < 0.995 else "more than 99 %"
     best = _named(decision.best)

@@ -135,7 +135,7 @@ def find_missing_effect(
     evidence is Laplace's, with the level of the noise left free. See ``docs/naming.md``.
     """
     begun = time.perf_counter()
-    say = progress or (lambda stage, share: None)
+    say = progress or (lambda _stage, _share: None)
     seed = int(np.random.default_rng().integers(2**31)) if random_seed is None else int(random_seed)
     say("reading backbones", 0.0)
     question = ask(
@@ -216,7 +216,7 @@ def _study(
     drawn = {key: inference.convergence[key] for key in ("draws", "tune") if key in inference.convergence}
     return Study(
         verdict=decision.verdict,
-        sentence=words.with_checks(words.sentence(decision, search), decision.verdict, checks),
+        sentence=words.with_checks(words.sentence(decision), decision.verdict, checks),
         base=question.base,
         extended=None if extended is None else extended.layout.oscillator,
         missing_effects=decision.best if decision.verdict is Verdict.FOUND else (),
