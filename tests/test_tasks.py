@@ -123,7 +123,8 @@ def test_a_careless_workflow_is_found(tmp_path):
 
 def direct_requirements() -> list[str]:
     groups = PYPROJECT["dependency-groups"]
-    listed = [*PYPROJECT["project"]["dependencies"], *sum(PYPROJECT["project"]["optional-dependencies"].values(), [])]
+    extras = PYPROJECT["project"]["optional-dependencies"].values()
+    listed = [*PYPROJECT["project"]["dependencies"], *(entry for extra in extras for entry in extra)]
     return listed + [entry for group in groups.values() for entry in group if isinstance(entry, str)]
 
 

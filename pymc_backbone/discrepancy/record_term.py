@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from .._common.checks import FloatArray
@@ -89,10 +91,10 @@ def _phase(time: FloatArray, cycles: Cycles) -> FloatArray:
 
 def _windows(phase: FloatArray, length: float) -> list[slice]:
     """Return windows of about ``length`` cycles."""
-    count = max(1, int(round((phase[-1] - phase[0]) / length)))
+    count = max(1, round((phase[-1] - phase[0]) / length))
     edges = np.searchsorted(phase, np.linspace(phase[0], phase[-1], count + 1))
     edges[-1] = phase.size
-    return [slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True) if b - a >= 4]
+    return [slice(int(a), int(b)) for a, b in itertools.pairwise(edges) if b - a >= 4]
 
 
 def _harmonics(phase: FloatArray, harmonics: int, first_order: int, degree: int) -> FloatArray:

@@ -157,7 +157,7 @@ def simulated_backbone(
     parameters: Mapping[str, Any],
     *,
     observables: Sequence[str] = ("frequency", "damping"),
-) -> Any:  # noqa: E501
+) -> Any:
     """Add the simulated backbone at ``levels`` to the current PyMC model as a deterministic, for predictions.
 
     Parameters

@@ -142,7 +142,7 @@ class BackboneLogLikelihood(_BackboneOp):
 
     def pullback(
         self, inputs: Sequence[Variable], outputs: Sequence[Variable], cotangents: Sequence[Variable]
-    ) -> list[Variable]:  # noqa: E501
+    ) -> list[Variable]:
         """Return the cotangent of the parameters: the node's own second output, times that of the value."""
         self.require_gradient()
         gradient = outputs[1] if self.with_gradient else BackboneLogLikelihood(self.response)(*inputs)[1]
@@ -180,7 +180,7 @@ class SimulatedBackbone(_BackboneOp):
     def perform(self, node: Apply, inputs: Sequence[Any], output_storage: Any) -> None:
         """Evaluate in Python."""
         theta = np.ascontiguousarray(inputs[0], dtype=np.float64)
-        values, jacobian, completed = self.response.evaluate(theta, self.with_gradient)
+        values, jacobian, _completed = self.response.evaluate(theta, self.with_gradient)
         output_storage[0][0] = values
         output_storage[1][0] = np.nan_to_num(jacobian, nan=0.0, posinf=0.0, neginf=0.0)
 
@@ -190,7 +190,7 @@ class SimulatedBackbone(_BackboneOp):
 
     def pullback(
         self, inputs: Sequence[Variable], outputs: Sequence[Variable], cotangents: Sequence[Variable]
-    ) -> list[Variable]:  # noqa: E501
+    ) -> list[Variable]:
         """Return the cotangent of the parameters through the node's own second output."""
         self.require_gradient()
         jacobian = outputs[1] if self.with_gradient else SimulatedBackbone(self.response)(*inputs)[1]

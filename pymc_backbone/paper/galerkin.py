@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -263,7 +264,7 @@ def reduce_to_one_mode(beam: CantileverBeam, shape: Shape) -> OneMode:
         def integrand(x: float) -> float:
             return float(shape(np.array([x]), derivative=derivative)[0] ** power)
 
-        pieces = zip(edges[:-1], edges[1:], strict=True)
+        pieces = itertools.pairwise(edges)
         return sum(quad(integrand, low, high, epsabs=0.0, epsrel=1e-9, limit=200)[0] for low, high in pieces)
 
     points = [(point.mass, float(shape(np.array([point.position]))[0])) for point in beam.point_masses]
