@@ -77,6 +77,11 @@ class BackboneLogLikelihood(_BackboneOp):
     with_gradient : bool, optional
         Whether the second output is computed; default: whether the response can.
 
+    See Also
+    --------
+    backbone_likelihood : adds it to a PyMC model.
+    SimulatedBackbone : the simulation alone.
+
     Notes
     -----
     ``memory`` is written in place. It changes how fast the value is found, never which value, so the Op is pure in
@@ -160,6 +165,11 @@ class SimulatedBackbone(_BackboneOp):
         What is simulated.
     with_gradient : bool, optional
         Whether the second output is computed; default: whether the response can.
+
+    See Also
+    --------
+    simulated_backbone : calls it with named parameters.
+    BackboneLogLikelihood : the simulation under a density.
     """
 
     gufunc_signature = "(p)->(o,l),(u,w,q)"
