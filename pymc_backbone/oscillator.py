@@ -37,6 +37,12 @@ class Oscillator:
     InputError
         If the mass is not positive, an effect is unknown or there twice, or two effects share a parameter name.
 
+    See Also
+    --------
+    LIBRARY : effects by name.
+    Effect : an effect of one's own.
+    build_model : infers its parameters.
+
     Notes
     -----
     Equal oscillators have equal masses and the same effects in the same order. Pickles hold effects of the library,

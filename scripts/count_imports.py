@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import itertools
 import json
 import re
 import subprocess
@@ -174,7 +175,7 @@ def count(tree: Path) -> dict[str, int]:
 def count_walk(table: Table, steps: list[str]) -> dict[str, int]:
     """Return the counts of a walk through these modules, in this order."""
     rows = [row for step in steps if (row := table.row(step)) is not None]
-    pairs = list(zip(rows, rows[1:], strict=False))
+    pairs = list(itertools.pairwise(rows))
     rooms = [room(step) for step in steps]
     return {
         "modules entered": len(steps),

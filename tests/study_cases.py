@@ -247,12 +247,8 @@ def _candidates(verdict: str) -> tuple[Candidate, ...]:
                 else "leaves damping below the measurement at low amplitudes",
             )
         )
-    for name in others[:6]:
-        rows.append(
-            Candidate(
-                ("coulomb_friction", name), 0.003, 809.0, 1.0, 0.96, "rejected", "no better than coulomb_friction"
-            )
-        )
+    reason = "no better than coulomb_friction"
+    rows += [Candidate(("coulomb_friction", name), 0.003, 809.0, 1.0, 0.96, "rejected", reason) for name in others[:6]]
     rows.sort(key=lambda row: -row.probability)
     best = rows[0]
     rows[0] = Candidate(

@@ -170,11 +170,17 @@ def test_public_names_are_documented_and_there():
 
 
 @pytest.mark.slow
-def test_script_in_the_readme_runs():
-    (script,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), flags=re.DOTALL)
+def test_scripts_in_the_readme_run():
+    """One after the other, as a reader would: the second goes on where the first ended."""
+    scripts = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), flags=re.DOTALL)
+    assert len(scripts) == 2
     scope: dict = {}
-    exec(compile(script, "README.md", "exec"), scope)
-    assert dict(scope["posterior"]["posterior"].sizes) == {"chain": 4, "draw": 2000}
+    means = []
+    for script in scripts:
+        exec(compile(script, "README.md", "exec"), scope)
+        assert dict(scope["posterior"]["posterior"].sizes) == {"chain": 4, "draw": 2000}
+        means.append(float(scope["posterior"]["posterior"]["cubic_stiffness"].mean()))
+    assert means[1] == pytest.approx(means[0], rel=0.05)  # other priors on the other two move it little
 
 
 @pytest.mark.parametrize("folder", ["benchmarks", "examples"])

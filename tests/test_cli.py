@@ -337,7 +337,7 @@ def test_completion_for_other_shells_names_every_option(capsys, shell):
 
 @pytest.mark.slow
 def test_demo_recovers_the_truth(capsys, tmp_path):
-    code, text, error = run_cli(capsys, "demo", "--out", str(tmp_path / "out"))
+    code, text, _error = run_cli(capsys, "demo", "--out", str(tmp_path / "out"))
     assert code == 0 and "Where to look" in text
     result = read_result(tmp_path / "out")
     for name, values in demo.demo_parameters()[1].items():

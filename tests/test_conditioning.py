@@ -221,7 +221,7 @@ def before(kind: str, quantity: int, per_cycle: int, cycles: float) -> Array:
 def test_release_is_found(kind: str, quantity: int, per_cycle: int, noise: float, rng: np.random.Generator) -> None:
     # a drive at the frequency and amplitude of the first free cycle
     force = "hardening" if kind in ("held", "impact") else "linear"
-    time, motion = simulated(force, 0.01, 30, per_cycle, impact=kind == "impact")
+    _time, motion = simulated(force, 0.01, 30, per_cycle, impact=kind == "impact")
     lead = before(kind, quantity, per_cycle, 20.3)
     values = np.concatenate([lead, motion[quantity]])
     values = values + (noise * rng.normal(size=values.size) + 0.4) * np.abs(motion[quantity]).max()
@@ -238,7 +238,7 @@ def test_release_is_found(kind: str, quantity: int, per_cycle: int, noise: float
 
 
 def test_held_position_is_dropped_and_first_turning_point_kept() -> None:
-    time, (x, _, _) = simulated(damping=0.02, per_cycle=80)
+    _time, (x, _, _) = simulated(damping=0.02, per_cycle=80)
     values = np.concatenate([np.full(800, 1.0), x])
     decay = condition(record(np.arange(values.size) / 800.0, values))
     first = decay.time[np.argmin(decay.displacement)]
@@ -296,7 +296,7 @@ def test_start_and_stop_are_obeyed() -> None:
 @pytest.mark.parametrize("impact", [True, False])
 def test_softening_acceleration_that_stays_level_is_not_taken_for_forcing(impact: bool) -> None:
     """The displacement decays while the acceleration, omega^2 A, does not fall yet."""
-    time, motion = simulated("softening", 0.004, 60, 40, impact=impact)
+    _time, motion = simulated("softening", 0.004, 60, 40, impact=impact)
     lead = np.zeros(400) if impact else np.zeros(0)
     values = np.concatenate([lead, motion[2]])
     decay = condition(record(np.arange(values.size) / 400.0, values, "acceleration"))
@@ -309,7 +309,7 @@ def test_softening_acceleration_that_stays_level_is_not_taken_for_forcing(impact
 
 
 def test_second_impact_ends_the_record_with_a_warning() -> None:
-    time, (x, _, _) = simulated(cycles=25, impact=True)
+    _time, (x, _, _) = simulated(cycles=25, impact=True)
     values = np.concatenate([np.zeros(100), x, 0.8 * x])
     decay = condition(record(np.arange(values.size) / 500.0, values))
     assert decay.time[-1] < (100 + x.size) / 500.0 + 0.15
@@ -537,7 +537,7 @@ def test_bad_bands_are_refused(band: object, words: tuple[str, ...]) -> None:
 
 def test_band_pass_longer_than_the_record_is_refused() -> None:
     time, (x, _, _) = simulated(cycles=10)
-    with pytest.raises(InputError, match="widen the band|cycles left by the band-pass"):
+    with pytest.raises(InputError, match=r"widen the band|cycles left by the band-pass"):
         condition(record(time, x), band=(8.8, 11.5))
 
 

@@ -223,7 +223,7 @@ def test_waveform_is_as_exact_however_densely_it_is_sampled(effects, per_cycle):
     oscillator = oscillator_of(effects)
     p = parameters_of(oscillator)
     oracle = Decay(oscillator, p)
-    times, turns = oracle.turning_points(-AMPLITUDE, 6)
+    times, _turns = oracle.turning_points(-AMPLITUDE, 6)
     time = np.arange(0.0, times[-1], 2.0 * np.pi / OMEGA / per_cycle)
     wave = simulate_waveform(oscillator, p, time, -AMPLITUDE).displacement
     np.testing.assert_allclose(wave, oracle.displacement(time), atol=1e-7 * AMPLITUDE)  # asked for; measured 2e-8

@@ -242,7 +242,7 @@ def test_diagnose_for_real(capsys, tmp_path):
         name = f"specimen_0{number}.csv"
         (records / name).write_bytes((demo.demo_folder() / name).read_bytes())
     out = tmp_path / "out"
-    code, text, error = run_cli(
+    code, _text, error = run_cli(
         capsys, "diagnose", str(records), *MASS, "--seed", "1", "--draws", "200", "--tune", "200", "--chains", "2",
         "--out", str(out),
     )  # fmt: skip

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import itertools
 import re
 from pathlib import Path
 
@@ -56,7 +57,7 @@ def differentiate(function, at: float, step: float) -> np.ndarray:
     """Differentiate by central differences at three steps, extrapolated to an error of order step^6 (Richardson)."""
     table = [(function(at + h) - function(at - h)) / (2.0 * h) for h in (step, step / 2, step / 4)]
     for factor in (4.0, 16.0):
-        table = [(factor * fine - coarse) / (factor - 1.0) for coarse, fine in zip(table, table[1:], strict=False)]
+        table = [(factor * fine - coarse) / (factor - 1.0) for coarse, fine in itertools.pairwise(table)]
     return table[0]
 
 
@@ -356,7 +357,7 @@ def test_an_unknown_role_is_named_with_its_nearest():
 
 
 def test_uncompiled_force_is_refused():
-    with pytest.raises(InputError, match="numba.njit"):
+    with pytest.raises(InputError, match=r"numba\.njit"):
         Effect("mine", "", "", "", (), force=lambda x, v, direction, z, p: 0.0)
 
 

@@ -591,7 +591,7 @@ def test_numbers_survive_every_dialect(tmp_path: Path, values: list[float], grou
     try:
         np.testing.assert_array_equal(one(tmp_path / "a.csv").values, expected)
     except InputError as error:
-        assert not grouped and "contradict" in str(error) or "thousands" in str(error)
+        assert (not grouped and "contradict" in str(error)) or "thousands" in str(error)
 
 
 # ---- units ------------------------------------------------------------------------------------

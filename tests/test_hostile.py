@@ -208,5 +208,5 @@ def test_files_that_are_too_large_are_refused(tmp_path):
                 }[name]
             )
             stream.truncate(3_000_000_000)
-        with pytest.raises(InputError, match="GB|MB|large"):
+        with pytest.raises(InputError, match=r"GB|MB|large"):
             read_records(tmp_path / name)

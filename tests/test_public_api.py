@@ -122,6 +122,21 @@ def test_public_methods_are_documented(name):
                 assert entries_of(sections_of(text)["Parameters"]) == parameters_of(value), f"{name}.{attribute}"
 
 
+def related(text: str) -> list[str]:
+    """Return the names in the *See Also* of a docstring, each with words on why."""
+    lines = [line for line in sections_of(text).get("See Also", "").splitlines() if line.strip()]
+    assert all(re.fullmatch(r"[\w.]+ : .+\.|    .+", line) for line in lines), lines
+    return [line.partition(" : ")[0] for line in lines if not line.startswith(" ")]
+
+
+@pytest.mark.parametrize("name", [*FUNCTIONS, *CLASSES])
+def test_public_names_lead_to_each_other(name):
+    names = related(inspect.getdoc(PUBLIC[name]) or "")
+    assert names, f"{name} has no See Also"
+    assert set(names) <= set(PUBLIC), f"{name} leads to {sorted(set(names) - set(PUBLIC))}, which is not public"
+    assert name not in names
+
+
 def test_the_check_sees_what_is_missing():
     """Negative controls."""
 

@@ -405,7 +405,7 @@ def test_what_is_written_reads_back_unchanged(tmp_path: Path, rng: np.random.Gen
 def test_writing_refuses_to_overwrite_or_to_mix(tmp_path: Path) -> None:
     record = Record("a", TIME, VALUES)
     write_records([record], tmp_path)
-    with pytest.raises(InputError, match="already holds a.csv"):
+    with pytest.raises(InputError, match=r"already holds a\.csv"):
         write_records([record], tmp_path)
     write_records([Record("a", TIME, 2.0 * VALUES)], tmp_path, overwrite=True)
     np.testing.assert_array_equal(one(tmp_path).values, 2.0 * VALUES)
@@ -564,7 +564,7 @@ def test_two_time_columns_are_refused(tmp_path: Path) -> None:
 def test_backbones_that_cannot_be_compared(tmp_path: Path) -> None:
     table(tmp_path / "a.csv", "amplitude [mm],frequency", AMPLITUDE, FREQUENCY)
     table(tmp_path / "b.csv", "amplitude [m],frequency", AMPLITUDE, FREQUENCY)
-    with pytest.raises(InputError, match="share no range of amplitudes: b.csv begins .* a.csv ends"):
+    with pytest.raises(InputError, match=r"share no range of amplitudes: b\.csv begins .* a\.csv ends"):
         read_backbones(tmp_path)
     table(tmp_path / "a.csv", "amplitude [deg],frequency", AMPLITUDE, FREQUENCY)
     with pytest.raises(InputError, match="amplitude is in m but in rad"):

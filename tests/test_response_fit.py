@@ -38,8 +38,8 @@ def test_standard_errors_are_honest_and_chi_square_is_one():
     misses, p_values = [], []
     for seed in range(12):
         fit = fit_frequency_response(START, frequency, noisy(amplitude, seed + 100), standard_error=ERROR)
-        for name in ("stiffness", "softening"):
-            misses.append((fit.values[name] - getattr(TRUTH, name)) / fit.standard_errors[name])
+        names = ("stiffness", "softening")
+        misses += [(fit.values[name] - getattr(TRUTH, name)) / fit.standard_errors[name] for name in names]
         p_values.append(fit.p_value)
         assert fit.degrees_of_freedom == 78
     within = np.count_nonzero(np.abs(misses) < 1.0)

@@ -17,11 +17,11 @@ from pymc_backbone.inference.sampling import _counts
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks" / "samplers"))
 
-import algorithms  # noqa: E402
-import compare  # noqa: E402
-import table  # noqa: E402
-from agreement import Reference, find_reference, integrate_grid, judge, weighted  # noqa: E402
-from problems import BEAM, LogDensity, Problem, make_problem  # noqa: E402
+import algorithms
+import compare
+import table
+from agreement import Reference, find_reference, integrate_grid, judge, weighted
+from problems import BEAM, LogDensity, Problem, make_problem
 
 
 @pytest.fixture(scope="module")
@@ -127,7 +127,7 @@ def test_right_draws_pass_and_wrong_ones_are_flagged(rng: np.random.Generator) -
     figures = judge(run_of(draws), standard_normal(2))
     assert figures.is_converged and not figures.is_flagged
     assert figures.effective_worst == pytest.approx(8000 / 3, rel=0.25)
-    shifted, narrow = draws + [0.0, 0.2], draws * [1.0, 0.85]
+    shifted, narrow = draws + np.array([0.0, 0.2]), draws * [1.0, 0.85]
     assert all(judge(run_of(wrong), standard_normal(2)).is_flagged for wrong in (shifted, narrow))
     apart = draws + np.array([0.0, 0.0, 0.0, 2.0])[:, None, None]
     assert not judge(run_of(apart), standard_normal(2)).is_converged

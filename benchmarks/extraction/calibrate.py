@@ -191,9 +191,8 @@ def table(rows, key):
                 f"{np.mean([row[name]['rms_z'] for row in own]):.2f}"
             )
         for label in ("bare", "published"):
-            cells.append(
-                ", ".join(f"{np.exp(np.mean([np.log(row[o][label]) for row in own])):.3f}" for o in OBSERVABLES[:2])
-            )
+            means = (np.exp(np.mean([np.log(row[o][label]) for row in own])) for o in OBSERVABLES[:2])
+            cells.append(", ".join(f"{mean:.3f}" for mean in means))
         lines.append(
             f"| {group} | "
             + " | ".join(cells)
@@ -222,9 +221,9 @@ def main():
     began = clock.perf_counter()
     if options.workers > 1:
         with ProcessPoolExecutor(options.workers) as pool:
-            rows = sum(pool.map(run_effect, jobs), [])
+            rows = [row for rows in pool.map(run_effect, jobs) for row in rows]
     else:
-        rows = sum(map(run_effect, jobs), [])
+        rows = [row for rows in map(run_effect, jobs) for row in rows]
     control = calibrate(("linear", 0.005, 40, 50, 40, draws, 1.0), halved=True)
     seconds = clock.perf_counter() - began
     parts = ["# Extraction, calibrated", ""]

@@ -169,9 +169,8 @@ def make_dense_truth(name: str, **options) -> Truth:
     if name in MEMORY:
         return truth
     ratio = truth.turning_values[2] / truth.turning_values[0]
-    tables = [truth.cycles]
-    for share in (0.2, 0.4, 0.6, 0.8):
-        tables.append(make_truth(name, **options, release=ratio**share).cycles)
+    shares = (0.2, 0.4, 0.6, 0.8)
+    tables = [truth.cycles, *(make_truth(name, **options, release=ratio**share).cycles for share in shares)]
     dense = {key: np.concatenate([table[key] for table in tables]) for key in truth.cycles}
     return replace(truth, dense=dense)
 

@@ -256,14 +256,14 @@ CELL = st.one_of(
     st.integers(-9999, 9999).map(str),
     st.text(max_size=6),
     st.sampled_from(["1,5", "1,234", "1.234,5", "", "nan", "time", "acc (g)", "m/s", '"', "#", "-1"]),
-)  # noqa: E402
+)
 HEADER = st.sampled_from(["time", "time [ms]", "displacement [mm]", "acc [g]", "specimen", "x", "vel", "n"])
 NUMBERS = st.one_of(
     st.lists(st.one_of(st.floats(), st.none(), st.text(max_size=2)), max_size=40),
     st.integers(0, 60).map(lambda n: [0.01 * k for k in range(n)]),
     st.none(),
     st.integers(),
-)  # noqa: E402
+)
 CHANGES = st.dictionaries(
     st.sampled_from(["name", "data", "unit_str", "fs", "time", "quantity", "group", "start_timestamp"]),
     st.one_of(NUMBERS, st.text(max_size=5), st.sampled_from(["m", "mm", "g", "a", "d", 100.0, float("inf")])),
@@ -277,7 +277,7 @@ LEAF = st.one_of(
     st.tuples(st.integers(0, 5), st.integers(0, 40)).map(lambda shape: np.ones(shape)),
     st.just(np.array([1j, 2.0])),
     st.just(np.array([True, False])),
-)  # noqa: E402
+)
 NAME = st.sampled_from(
     ["t", "time", "acc", "vel_mm", "fs", "dt", "data", "unit", "units", "names", "x_values", "y_values"]
 )
@@ -343,7 +343,7 @@ WORD = st.one_of(
         ]
     ),
     st.text(max_size=6),
-)  # noqa: E402
+)
 
 
 def made_up(folder: Path, number: int, start: int, tally: Tally) -> None:
@@ -435,7 +435,7 @@ def batch(number: int, start: int, keep: Path | None) -> Tally:
             damage,
             lambda subject, action, what: judge(subject, action, tally, what),
             keep,
-        )  # noqa: E402
+        )
         made_up(folder, number // 3, start, tally)
     finally:
         shutil.rmtree(folder, ignore_errors=True)

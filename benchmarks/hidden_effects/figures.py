@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
@@ -58,7 +59,7 @@ def rate_false_alarms(outcomes: Sequence[Outcome]) -> dict[str, dict[str, Any]]:
 def bin_distances(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
     """Count outcomes per distance; the last row holds batches of unknown distance."""
     rows = []
-    for low, high in zip(EDGES[:-1], EDGES[1:], strict=True):
+    for low, high in itertools.pairwise(EDGES):
         kept = [o for o in outcomes if low <= o.distance < high]
         label = f"{low:g} to {high:g}" if math.isfinite(high) else f"above {low:g}"
         rows.append({"distance": label, **_count_row(kept)})

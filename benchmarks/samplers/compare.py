@@ -21,10 +21,10 @@ import pymc as pm
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from agreement import Reference, find_reference, integrate_grid, judge  # noqa: E402
-from algorithms import BASE, CONTROL, DEFAULT, SAMPLERS, quiet, run_control  # noqa: E402
-from problems import PROBLEMS, LogDensity, Problem, make_problem  # noqa: E402
-from table import LEGEND, Result, summarise, verdict, write_evidence, write_table  # noqa: E402
+from agreement import Reference, find_reference, integrate_grid, judge
+from algorithms import BASE, CONTROL, DEFAULT, SAMPLERS, quiet, run_control
+from problems import PROBLEMS, LogDensity, Problem, make_problem
+from table import LEGEND, Result, summarise, verdict, write_evidence, write_table
 
 QUICK = {"problems": ["beam"], "budget": 800, "seeds": 1, "reference": 2000, "grid": 60}
 

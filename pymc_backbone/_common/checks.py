@@ -15,7 +15,12 @@ BoolArray = NDArray[np.bool_]
 
 
 class InputError(ValueError):
-    """Something the user handed in cannot be used; the message is one sentence with a remedy."""
+    """Something the user handed in cannot be used; the message is one sentence with a remedy.
+
+    See Also
+    --------
+    find_missing_effect : raises it, as every public function does.
+    """
 
 
 def check_finite_array(name: str, values: ArrayLike, *, ndim: int = 1, minimum_size: int = 1) -> FloatArray:

@@ -30,6 +30,10 @@ def citation(style: str = "text") -> str:
     InputError
         If ``style`` is none of the two.
 
+    See Also
+    --------
+    InputError : what an unknown style raises.
+
     Examples
     --------
     >>> print(citation("bibtex").splitlines()[0])

@@ -168,5 +168,11 @@ def data_terms_check(batch: Batch, reduced: float, limit: float) -> Check:
 
 
 __all__ = [
-    "DRIFT_KEY", "alike_check", "drift_bonus", "drift_check", "drift_fit", "second_mode_check", "data_terms_check",
+    "DRIFT_KEY",
+    "alike_check",
+    "data_terms_check",
+    "drift_bonus",
+    "drift_check",
+    "drift_fit",
+    "second_mode_check",
 ]  # fmt: skip

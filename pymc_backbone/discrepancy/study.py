@@ -219,6 +219,11 @@ class Study:
         Of computation.
     seed : int
         Of everything random.
+
+    See Also
+    --------
+    find_missing_effect : makes it.
+    write_study : writes its report.
     """
 
     verdict: Verdict

@@ -128,6 +128,11 @@ def find_missing_effect(
     InputError
         Data that cannot be used, unknown effects, a tolerance that is not a number.
 
+    See Also
+    --------
+    write_study : the report.
+    diagnose_many : many structures at once.
+
     Notes
     -----
     Every set is fitted to all specimens at once: each has its own stiffness, damping, release and sensor offset; the

@@ -58,6 +58,11 @@ def get_effect(name: str) -> Effect:
     InputError
         If there is no such effect; the message lists those there are and the nearest name.
 
+    See Also
+    --------
+    LIBRARY : all of them.
+    Oscillator : takes names as well.
+
     Examples
     --------
     >>> from pymc_backbone.effects import get_effect

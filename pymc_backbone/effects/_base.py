@@ -41,6 +41,10 @@ class Parameter:
     role : {"plain", "strength", "slip_force", "gap", "exponent", "power_coefficient", "shape"}
         What the parameter is to its effect; see Notes.
 
+    See Also
+    --------
+    Effect : what has parameters.
+
     Notes
     -----
     Only the search for a missing effect asks for roles; units and symbols are for people and decide nothing.
@@ -103,6 +107,10 @@ class Signature:
         ``typical(mass, amplitude, angular_frequency)``: parameter values that show it well, in the order of ``p``.
     resembles : tuple of str
         Effects of the library whose curves are easily taken for these.
+
+    See Also
+    --------
+    Effect : what has a signature.
     """
 
     frequency: str
@@ -165,6 +173,11 @@ class Effect:
     needs_rotation : bool
         Whether the law holds for an angle only, as that of a pendulum does: it is looked for where the motion is
         measured in radians, and elsewhere only when it is named.
+
+    See Also
+    --------
+    LIBRARY : the effects that there are.
+    Oscillator : a mass with effects.
     """
 
     name: str

@@ -106,6 +106,11 @@ def findings(
     list of str
         Sentences, the gravest first, each with a remedy.
 
+    See Also
+    --------
+    summarise : the numbers behind the words.
+    sample : where the draws come from.
+
     Notes
     -----
     A posterior leans on a bound if the density of draws in a strip next to it is more than half of the highest density

@@ -92,6 +92,12 @@ def build_hierarchical_model(
         that cannot be used, correlation asked of a Uniform population or of one parameter, specimens that cannot be
         simulated.
 
+    See Also
+    --------
+    build_model : one vector of parameters for all, or one for each.
+    unidentified_parameters : what the data do not see.
+    sample : draws from the model.
+
     Notes
     -----
     Sample it with ``sample(model, step="nutpie")`` or ``"nuts"``; a random walk is no use in so many dimensions. The
@@ -202,6 +208,11 @@ def unidentified_parameters(model: pm.Model) -> tuple[str, ...]:
     ------
     InputError
         For any other model.
+
+    See Also
+    --------
+    build_hierarchical_model : the model that needs to know.
+    findings : what the draws say.
     """
     if model not in _UNIDENTIFIED:
         raise InputError("`model` must come from build_hierarchical_model.")

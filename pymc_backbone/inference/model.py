@@ -98,6 +98,12 @@ def backbone_likelihood(
     InputError
         Outside a model context, unknown or missing parameters, data without standard errors, lengths that differ.
 
+    See Also
+    --------
+    build_model : a whole model in one call.
+    fit_density : what it compares with.
+    sample : draws from the model.
+
     Examples
     --------
     Population likelihood of a Duffing oscillator, given backbones of a batch::
@@ -157,7 +163,7 @@ def simulated_backbone(
     parameters: Mapping[str, Any],
     *,
     observables: Sequence[str] = ("frequency", "damping"),
-) -> Any:  # noqa: E501
+) -> Any:
     """Add the simulated backbone at ``levels`` to the current PyMC model as a deterministic, for predictions.
 
     Parameters
@@ -177,6 +183,11 @@ def simulated_backbone(
     -------
     TensorVariable
         Values (o, l); NaN where a level cannot be simulated.
+
+    See Also
+    --------
+    backbone_likelihood : the likelihood of one.
+    simulated_backbones : numbers instead of tensors.
     """
     names = None if isinstance(source, Oscillator) else tuple(parameters)
     response = make_response(source, levels, observables, parameter_names=names)
@@ -234,6 +245,12 @@ def build_model(
     ------
     InputError
         Unknown names, bounds that are not an interval or leave the physical range, data that cannot be used.
+
+    See Also
+    --------
+    backbone_likelihood : the likelihood alone, inside a model of one's own.
+    build_hierarchical_model : the population behind few specimens.
+    sample : draws from the model.
     """
     check_choice("likelihood", likelihood, LIKELIHOODS)
     fixed = dict(fixed or {})

@@ -90,6 +90,12 @@ def sample(
     InputError
         No finite start, an unknown step, or a step that needs a gradient the model has not; a store that is in use,
         cannot be written, or holds something else than this run.
+
+    See Also
+    --------
+    build_model : makes a model.
+    findings : whether the draws can be trusted.
+    summarise : a row for each parameter.
     """
     model = pm.modelcontext(model)
     if isinstance(step, str):

@@ -95,6 +95,11 @@ def fit_data_consistent(
     InputError
         Too few specimens or (effective) prior draws near them, nothing that the backbones determine, bad bounds.
 
+    See Also
+    --------
+    fit_density : densities that need no prior.
+    build_model : infers with it.
+
     Notes
     -----
     The ratio is not taken in the space of the o x l values, which lie on a surface of as many dimensions as parameters,

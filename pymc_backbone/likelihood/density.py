@@ -56,6 +56,11 @@ class Density:
     diagnostics : mapping
         What `fit_data_consistent` found out about itself.
 
+    See Also
+    --------
+    fit_density : fits it.
+    fit_data_consistent : fits the data-consistent one.
+
     Notes
     -----
     Two densities are equal when their `digest` is. The arrays are contiguous and must not be written to.

@@ -77,6 +77,11 @@ class BackboneLogLikelihood(_BackboneOp):
     with_gradient : bool, optional
         Whether the second output is computed; default: whether the response can.
 
+    See Also
+    --------
+    backbone_likelihood : adds it to a PyMC model.
+    SimulatedBackbone : the simulation alone.
+
     Notes
     -----
     ``memory`` is written in place. It changes how fast the value is found, never which value, so the Op is pure in
@@ -142,7 +147,7 @@ class BackboneLogLikelihood(_BackboneOp):
 
     def pullback(
         self, inputs: Sequence[Variable], outputs: Sequence[Variable], cotangents: Sequence[Variable]
-    ) -> list[Variable]:  # noqa: E501
+    ) -> list[Variable]:
         """Return the cotangent of the parameters: the node's own second output, times that of the value."""
         self.require_gradient()
         gradient = outputs[1] if self.with_gradient else BackboneLogLikelihood(self.response)(*inputs)[1]
@@ -160,6 +165,11 @@ class SimulatedBackbone(_BackboneOp):
         What is simulated.
     with_gradient : bool, optional
         Whether the second output is computed; default: whether the response can.
+
+    See Also
+    --------
+    simulated_backbone : calls it with named parameters.
+    BackboneLogLikelihood : the simulation under a density.
     """
 
     gufunc_signature = "(p)->(o,l),(u,w,q)"
@@ -180,7 +190,7 @@ class SimulatedBackbone(_BackboneOp):
     def perform(self, node: Apply, inputs: Sequence[Any], output_storage: Any) -> None:
         """Evaluate in Python."""
         theta = np.ascontiguousarray(inputs[0], dtype=np.float64)
-        values, jacobian, completed = self.response.evaluate(theta, self.with_gradient)
+        values, jacobian, _completed = self.response.evaluate(theta, self.with_gradient)
         output_storage[0][0] = values
         output_storage[1][0] = np.nan_to_num(jacobian, nan=0.0, posinf=0.0, neginf=0.0)
 
@@ -190,7 +200,7 @@ class SimulatedBackbone(_BackboneOp):
 
     def pullback(
         self, inputs: Sequence[Variable], outputs: Sequence[Variable], cotangents: Sequence[Variable]
-    ) -> list[Variable]:  # noqa: E501
+    ) -> list[Variable]:
         """Return the cotangent of the parameters through the node's own second output."""
         self.require_gradient()
         jacobian = outputs[1] if self.with_gradient else SimulatedBackbone(self.response)(*inputs)[1]

@@ -56,6 +56,11 @@ class Cycles:
         Standard deviation of the noise used [m or rad].
     notes : tuple of str
         What was assumed, dropped or corrected.
+
+    See Also
+    --------
+    extract_cycles : makes it.
+    backbones_at_levels : brings many to common amplitudes.
     """
 
     specimen: str
@@ -101,6 +106,11 @@ def extract_cycles(record: Any, *, noise: float | ArrayLike | None = None) -> Cy
     -------
     Cycles
         The cycles above the noise floor.
+
+    See Also
+    --------
+    condition : what makes a record ready.
+    backbones_at_levels : what follows.
     """
     if noise is None:
         noise = getattr(record, "noise_autocovariance", None)

@@ -108,6 +108,12 @@ def backbones_at_levels(
     ------
     InputError
         For levels that no specimen reaches, unknown observables, or specimen names given twice.
+
+    See Also
+    --------
+    extract_cycles : where cycles come from.
+    fit_density : the density of the population.
+    simulated_backbones : the same of simulated specimens.
     """
     items = [cycles] if isinstance(cycles, Cycles) else list(cycles)
     if not items:

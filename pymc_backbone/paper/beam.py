@@ -45,6 +45,11 @@ class BeamExperiment:
         With the 95 % interval, of ``stiffness`` [N/m] and ``softening`` [N/m^3].
     acceptance_rate, r_hat : float
         Of its 20 000 samples.
+
+    See Also
+    --------
+    paper.PAPER_BEAM : the published one.
+    paper.CantileverBeam : any beam.
     """
 
     beam: CantileverBeam

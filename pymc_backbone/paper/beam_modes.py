@@ -27,6 +27,10 @@ class ModeShape:
         Ends of the segments [m].
     coefficients : ndarray, shape (s, 4)
         Of cos(b y), sin(b y), exp(-b y) and exp(-b (l - y)) in each segment of length l, y from its left end.
+
+    See Also
+    --------
+    paper.natural_modes : returns them.
     """
 
     wavenumber: float

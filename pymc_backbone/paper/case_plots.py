@@ -41,6 +41,11 @@ def plot_likelihood(backbones: xr.Dataset, density: Density) -> Figure:
         A row for each observable. Left: backbones, with the marginal density standing on each level. Right: the
         lowest against the highest level, specimens over draws from the density: a product does not know that they
         belong together.
+
+    See Also
+    --------
+    fit_density : makes the density.
+    plots.plot_densities : the marginals at each level.
     """
     population = density.population
     levels, scale, amplitude_label = amplitude_axis(backbones)

@@ -58,6 +58,10 @@ class CaseResult:
         Parameters whose posterior is their prior.
     comparisons : list of Comparison
         Measured and simulated distributions at low, middle and high amplitude.
+
+    See Also
+    --------
+    paper.run_case : returns it.
     """
 
     case: Case
@@ -110,6 +114,11 @@ def run_case(
     ------
     InputError
         Unknown names, or a population that a density cannot be fitted to.
+
+    See Also
+    --------
+    paper.CASES : the systems.
+    fit_density : the likelihoods.
     """
     from ..inference.diagnostics import acceptance_rate, distance_from_uniform, summarise
     from ..inference.model import build_model

@@ -81,6 +81,11 @@ class Case:
         What is fitted to both sides at low, middle and high amplitude.
     published_fits : mapping of str to (tuple, tuple)
         The paper's fits to measured and simulated frequencies [Hz], by its name of the amplitude.
+
+    See Also
+    --------
+    paper.CASES : all of them by name.
+    paper.run_case : runs one.
     """
 
     name: str
@@ -318,6 +323,11 @@ def get_case(name: str) -> Case:
     ------
     InputError
         For a name that is none of `CASES`.
+
+    See Also
+    --------
+    paper.CASES : all of them.
+    paper.run_case : runs one.
     """
     return CASES[check_choice("case", str(name), CASES)]
 

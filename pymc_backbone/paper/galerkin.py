@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -24,6 +25,10 @@ class PointMass:
         Mass [kg].
     position : float
         Distance from the clamp [m].
+
+    See Also
+    --------
+    paper.CantileverBeam : what carries it.
     """
 
     mass: float
@@ -55,6 +60,11 @@ class CantileverBeam:
     ------
     InputError
         If a dimension or material constant is not positive, or a mass lies beyond the tip.
+
+    See Also
+    --------
+    paper.natural_modes : its modes.
+    paper.reduce_to_one_mode : its oscillator.
     """
 
     length: float
@@ -114,6 +124,11 @@ class OneMode:
         P z0 w^2.
     tip : float
         Value of the shape at the tip.
+
+    See Also
+    --------
+    paper.reduce_to_one_mode : returns it.
+    ForcedOscillator : what simulates it.
     """
 
     mass: float
@@ -170,6 +185,11 @@ def natural_modes(beam: CantileverBeam, count: int = 3) -> tuple[FloatArray, lis
     InputError
         If ``count`` is less than one.
 
+    See Also
+    --------
+    paper.reduce_to_one_mode : what follows.
+    paper.CantileverBeam : what has modes.
+
     Notes
     -----
     Between point masses the shape is a sum of cos, sin, and two exponentials; the transcendental determinant of the
@@ -215,6 +235,11 @@ def half_sine(beam: CantileverBeam) -> Shape:
     -------
     callable
         ``shape(position, derivative=0)``: the shape at positions [m], or a derivative of it [1/m to its order].
+
+    See Also
+    --------
+    paper.natural_modes : shapes that the beam has.
+    paper.reduce_to_one_mode : takes a shape.
     """
     wavenumber = np.pi / beam.length
 
@@ -244,6 +269,11 @@ def reduce_to_one_mode(beam: CantileverBeam, shape: Shape) -> OneMode:
     OneMode
         The reduced system.
 
+    See Also
+    --------
+    paper.natural_modes : where shapes come from.
+    ForcedOscillator : simulates the result.
+
     Notes
     -----
     The source paper has k = EI integral of s s'''', and a mass without the tip mass. By parts, with its boundary
@@ -263,7 +293,7 @@ def reduce_to_one_mode(beam: CantileverBeam, shape: Shape) -> OneMode:
         def integrand(x: float) -> float:
             return float(shape(np.array([x]), derivative=derivative)[0] ** power)
 
-        pieces = zip(edges[:-1], edges[1:], strict=True)
+        pieces = itertools.pairwise(edges)
         return sum(quad(integrand, low, high, epsabs=0.0, epsrel=1e-9, limit=200)[0] for low, high in pieces)
 
     points = [(point.mass, float(shape(np.array([point.position]))[0])) for point in beam.point_masses]

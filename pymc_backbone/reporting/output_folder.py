@@ -226,6 +226,10 @@ def write_backbones(backbones: xr.Dataset, path: str | os.PathLike[str], *, over
     ------
     InputError
         When the name ends otherwise, the file exists and ``overwrite`` is False, or it cannot be written.
+
+    See Also
+    --------
+    read_backbones : reads them back.
     """
     file = Path(os.fspath(path))
     kind = file.suffix.lower()

@@ -63,6 +63,11 @@ def plot_records(records: Sequence[Any], *, most: int = MOST_PANELS) -> Figure:
     ------
     InputError
         If there is no record.
+
+    See Also
+    --------
+    read_records : reads them.
+    plots.plot_backbones : what comes of them.
     """
     if not len(records):
         raise InputError("`records` must hold at least one record, got none.")
@@ -99,6 +104,11 @@ def plot_backbones(backbones: xr.Dataset) -> Figure:
     -------
     matplotlib.figure.Figure
         One panel for each observable.
+
+    See Also
+    --------
+    backbones_at_levels : makes what is drawn.
+    plots.plot_predictive : with what the posterior predicts.
     """
     levels, scale, amplitude_label = amplitude_axis(backbones)
     names = [str(name) for name in backbones["observable"].values]
@@ -148,6 +158,11 @@ def plot_predictive(measured: xr.Dataset, simulated: xr.Dataset, *, probability:
     ------
     InputError
         If ``simulated`` is at other levels.
+
+    See Also
+    --------
+    simulated_backbones : simulates the draws.
+    plots.plot_backbones : the measured ones alone.
     """
     levels, scale, amplitude_label = amplitude_axis(measured)
     names = [str(name) for name in measured["observable"].values]
@@ -223,6 +238,11 @@ def plot_densities(
     -------
     matplotlib.figure.Figure
         A row for each observable, a column for each level.
+
+    See Also
+    --------
+    fit_density : makes the density.
+    plots.plot_backbones : the values over amplitude.
     """
     levels, scale, amplitude_label = amplitude_axis(backbones)
     unit = amplitude_label.partition("[")[2].rstrip("]")
@@ -286,6 +306,11 @@ def plot_prior_posterior(
     -------
     matplotlib.figure.Figure
         Two panels for each parameter: the whole prior, and the posterior close up.
+
+    See Also
+    --------
+    plots.plot_pair : two parameters at a time.
+    findings : the same in words.
     """
     from arviz_stats import hdi
 
@@ -346,6 +371,11 @@ def plot_trace(
     -------
     matplotlib.figure.Figure
         A row for each parameter.
+
+    See Also
+    --------
+    plots.plot_rank : ranks by chain, which show more.
+    findings : whether chains agree, in words.
     """
     import arviz as az
 
@@ -385,6 +415,11 @@ def plot_rank(
     -------
     matplotlib.figure.Figure
         A panel for each parameter.
+
+    See Also
+    --------
+    plots.plot_trace : the chains themselves.
+    findings : whether they agree, in words.
     """
     import arviz as az
 
@@ -418,6 +453,11 @@ def plot_pair(
     -------
     matplotlib.figure.Figure
         A panel for each pair, densities on the diagonal.
+
+    See Also
+    --------
+    plots.plot_prior_posterior : each parameter alone.
+    sample : where the draws come from.
     """
     import arviz as az
 

@@ -108,6 +108,11 @@ def write_study(
     ------
     InputError
         If the folder cannot be used or a file cannot be written.
+
+    See Also
+    --------
+    find_missing_effect : makes the study.
+    plots.study_figures : its figures alone.
     """
     place = prepare_output(Path(folder), overwrite)
     version = package_version()

@@ -66,6 +66,11 @@ def study_figures(study: Study, records: Sequence[Any] = ()) -> dict[str, Figure
     dict
         Figures by name: ``backbones_<observable>`` and ``gap_<observable>`` for each observable, ``candidates``,
         ``held_out_levels``, ``held_out_specimens``, ``parameters``, ``detectable``, ``trace``, ``rank``, ``records``.
+
+    See Also
+    --------
+    find_missing_effect : makes the study.
+    write_study : writes these into a report.
     """
     figures: dict[str, Figure] = {}
     for name in map(str, study.backbones["observable"].values):

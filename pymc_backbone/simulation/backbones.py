@@ -44,6 +44,11 @@ def simulated_backbones(
     -------
     xarray.Dataset
         As `backbones_at_levels`, standard errors and covariance zero; NaN where the simulation has no cycle at a level.
+
+    See Also
+    --------
+    simulate_backbone : one specimen, with sensitivities.
+    backbones_at_levels : the same of records.
     """
     chosen = check_observables(observables)
     at = check_levels(levels)

@@ -24,7 +24,13 @@ MAXIMUM_TURNING_POINTS = 20_001
 
 
 class Status(IntEnum):
-    """How the simulation of a level or of a decay ended."""
+    """How the simulation of a level or of a decay ended.
+
+    See Also
+    --------
+    BackboneResult : has one for each level.
+    DecayResult : has one for the run.
+    """
 
     COMPLETED = COMPLETED
     STUCK = STUCK
@@ -62,6 +68,11 @@ class BackboneResult:
         A `Status` for each level.
     jacobian : ndarray, shape (3, l, p), or None
         Derivatives of ``values`` with respect to the parameters.
+
+    See Also
+    --------
+    simulate_backbone : returns it.
+    simulated_backbones : many at once, as a Dataset.
     """
 
     levels: FloatArray
@@ -100,6 +111,11 @@ class DecayResult:
         All turning points, the release first.
     status : Status
         Why the decay ended; `Status.COMPLETED` where it ran as long as it was asked to.
+
+    See Also
+    --------
+    simulate_decay : returns it.
+    Cycles : the same quantities of a measured record.
     """
 
     time: FloatArray
@@ -127,6 +143,10 @@ class WaveformResult:
         Derivative with respect to the release amplitude.
     status : Status
         Why the decay ended.
+
+    See Also
+    --------
+    simulate_waveform : returns it.
     """
 
     displacement: FloatArray
@@ -289,6 +309,12 @@ def simulate_backbone(
     InputError
         Levels not positive and increasing, or parameters that do not fit the oscillator.
 
+    See Also
+    --------
+    simulate_decay : the whole decay, cycle by cycle.
+    simulate_waveform : the motion itself.
+    simulated_backbones : many specimens.
+
     Notes
     -----
     Dormand-Prince 8(5,3), adaptive, with local error 3e-10 of amplitude and speed.
@@ -347,6 +373,11 @@ def simulate_decay(
     ------
     InputError
         A release or a number of cycles that is not positive, or parameters that do not fit the oscillator.
+
+    See Also
+    --------
+    simulate_backbone : at given amplitudes.
+    simulate_waveform : the motion itself.
     """
     release = check_positive("release_amplitude", release_amplitude)
     vector = oscillator.pack(parameters)
@@ -418,6 +449,11 @@ def simulate_waveform(
     ------
     InputError
         Time that runs backwards, a release of zero, or parameters that do not fit the oscillator.
+
+    See Also
+    --------
+    simulate_decay : the quantities of its cycles.
+    simulate_backbone : at given amplitudes.
 
     Notes
     -----

@@ -45,6 +45,11 @@ class ForcedOscillator:
     ------
     InputError
         If a number is out of its range, or not exactly one of the two excitations is positive.
+
+    See Also
+    --------
+    frequency_response : its steady motions.
+    Oscillator : a mass whose free decay is simulated.
     """
 
     mass: float
@@ -107,6 +112,11 @@ class FrequencyResponse:
         All frequencies [Hz] at which two motions merge: where the amplitude jumps in a sweep.
     fold_amplitudes : ndarray, shape (f,)
         Amplitudes [m] there.
+
+    See Also
+    --------
+    frequency_response : returns it.
+    PeriodicMotion : with higher harmonics.
     """
 
     frequency: FloatArray
@@ -136,6 +146,11 @@ def frequency_response(oscillator: ForcedOscillator, frequency: ArrayLike) -> Fr
     ------
     InputError
         If a frequency is not positive.
+
+    See Also
+    --------
+    periodic_motion : with higher harmonics.
+    fit_frequency_response : fitted to a measured one.
 
     Notes
     -----

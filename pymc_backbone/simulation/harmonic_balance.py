@@ -22,6 +22,11 @@ class PeriodicMotion:
         Forcing frequency [Hz].
     cosine, sine : ndarray, shape (h,)
         Of the harmonics 1, 3, 5, ... [m], with the force F cos(w t).
+
+    See Also
+    --------
+    periodic_motion : returns it.
+    FrequencyResponse : the first harmonic, with all branches.
     """
 
     frequency: float
@@ -70,6 +75,10 @@ def periodic_motion(
     ------
     InputError
         If no steady motion is found near the start, as beyond a fold or the escape amplitude.
+
+    See Also
+    --------
+    frequency_response : the first harmonic, with all branches.
 
     Notes
     -----

@@ -48,6 +48,10 @@ class ResponseFit:
         Points minus fitted quantities.
     p_value : float
         Probability of a larger chi-square if the model is right; NaN where no standard error was given.
+
+    See Also
+    --------
+    fit_frequency_response : returns it.
     """
 
     oscillator: ForcedOscillator
@@ -153,6 +157,11 @@ def fit_frequency_response(
     ------
     InputError
         If the data do not match in size, are not positive, are fewer than needed, or do not determine what is fitted.
+
+    See Also
+    --------
+    frequency_response : the model that is fitted.
+    ForcedOscillator : where the fit begins.
 
     Notes
     -----

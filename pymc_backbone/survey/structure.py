@@ -75,6 +75,11 @@ class Structure:
         Path of its report, relative to the folder of the survey.
     attempts : int
         How often it was run: 2 where a worker was lost.
+
+    See Also
+    --------
+    diagnose_many : takes many.
+    Survey : what comes of them.
     """
 
     name: str

@@ -61,6 +61,11 @@ class Survey:
         The command line that repeats the survey; empty from Python.
     output : str or None
         Its folder; None: nothing was written.
+
+    See Also
+    --------
+    diagnose_many : makes it.
+    Study : the result for one structure.
     """
 
     structures: tuple[Structure, ...]

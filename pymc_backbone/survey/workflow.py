@@ -95,6 +95,11 @@ def diagnose_many(
         When nothing can begin: no structures, an unknown setting or effect, a mass that is missing, an output folder in
         use. What is wrong with one structure is reported in its record.
 
+    See Also
+    --------
+    find_missing_effect : the same for one structure.
+    Structure : how each is described.
+
     Notes
     -----
     The result does not depend on the executor, the number of workers, or the order. A structure whose worker is lost

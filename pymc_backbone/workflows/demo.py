@@ -28,6 +28,11 @@ def demo_folder() -> Path:
     pathlib.Path
         Inside the installed package; read it, write elsewhere.
 
+    See Also
+    --------
+    demo_parameters : what its records were made with.
+    read_records : reads it.
+
     Examples
     --------
     >>> from pymc_backbone.workflows.demo import demo_folder
@@ -46,6 +51,10 @@ def demo_parameters() -> tuple[float, dict[str, FloatArray]]:
         [kg], the same for all specimens.
     parameters : dict of str to (n,) array
         By name of the parameter, in SI units, one value for each specimen.
+
+    See Also
+    --------
+    demo_folder : the records.
 
     Examples
     --------

@@ -320,9 +320,10 @@ def _predictive(
     from ..simulation.backbones import simulated_backbones
 
     draws = posterior["posterior"].to_dataset()
-    columns = []
-    for name in oscillator.parameter_names:
-        columns.append(np.full(1, fixed[name]) if name in fixed else np.asarray(draws[name], dtype=float).ravel())
+    columns = [
+        np.full(1, fixed[name]) if name in fixed else np.asarray(draws[name], dtype=float).ravel()
+        for name in oscillator.parameter_names
+    ]
     size = max(column.size for column in columns)
     chosen = np.random.default_rng(seed).choice(size, size=min(PREDICTIVE_DRAWS, size), replace=False)
     parameters = np.column_stack([np.broadcast_to(column, (size,))[chosen] for column in columns])

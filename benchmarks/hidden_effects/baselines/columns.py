@@ -83,8 +83,8 @@ def hysteretic_columns(signal: Signal, amplitude: float) -> Columns:
     stops = np.array([_stop(u, slip) for slip in SLIPS])
     beds = []
     for exponent in IWAN_EXPONENTS:
-        for last in range(5, len(SLIPS)):
-            beds.append(_bed_weights(np.array(SLIPS[: last + 1]), exponent) @ stops[: last + 1])
+        ends = range(6, len(SLIPS) + 1)
+        beds += [_bed_weights(np.array(SLIPS[:end]), exponent) @ stops[:end] for end in ends]
     loops = [_bouc_wen(u, slip, n, share) for n, share in BOUC_WEN_SHAPES for slip in SLIPS[4:]]
     return {"jenkins": list(stops), "iwan": beds, "bouc_wen": loops}
 

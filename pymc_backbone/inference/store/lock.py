@@ -38,7 +38,7 @@ class FolderLock:
     def acquire(self) -> None:
         """Take the lock, or raise `InputError` that names the process that holds it."""
         try:
-            self.file = open(self.path, "a+", encoding="utf-8")  # noqa: SIM115  held for the length of the run
+            self.file = open(self.path, "a+", encoding="utf-8")
         except OSError as error:
             raise InputError(
                 f"The store {self.path.parent} cannot be written ({error.strerror}); name another folder."

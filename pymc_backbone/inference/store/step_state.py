@@ -61,7 +61,7 @@ class _Encoder:
         self.after = History()
 
     def encode(self, value: Any, place: str) -> Any:
-        if value is None or isinstance(value, bool | int | float | str) and not isinstance(value, np.generic):
+        if value is None or (isinstance(value, bool | int | float | str) and not isinstance(value, np.generic)):
             return value
         if isinstance(value, np.ndarray | np.generic):
             return {"array" if isinstance(value, np.ndarray) else "scalar": self._add(np.asarray(value))}

@@ -58,6 +58,11 @@ def condition(
         cycle, fewer than 4 cycles, no decay, gaps, or a band that does not fit. The sentence names
         the file and the remedy.
 
+    See Also
+    --------
+    read_records : where records come from.
+    extract_cycles : what follows.
+
     Notes
     -----
     *Release.* After a hold, an impact or the end of forcing the record begins a quarter of a cycle before the first

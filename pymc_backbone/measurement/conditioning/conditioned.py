@@ -54,6 +54,11 @@ class ConditionedRecord:
         File, for messages.
     notes : tuple of str
         What was assumed and done, one sentence each; warnings begin with ``warning:``.
+
+    See Also
+    --------
+    condition : makes it.
+    extract_cycles : reads cycles from it.
     """
 
     specimen: str

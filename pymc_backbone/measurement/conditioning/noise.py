@@ -87,7 +87,7 @@ def quiet_spectrum(
     values: FloatArray, sampling_rate: float, frequency: float, step: float = 0.0
 ) -> NoiseSpectrum | None:
     """Return the noise spectrum of a stretch without motion, or None where it is too short to tell."""
-    length = int(round(_SEGMENT_CYCLES * sampling_rate / frequency))
+    length = round(_SEGMENT_CYCLES * sampling_rate / frequency)
     if values.size < max(_QUIET_CYCLES * sampling_rate / frequency, _QUIET_SAMPLES):
         return None
     length = min(length, values.size)
@@ -143,7 +143,7 @@ def _segments(n: int, sampling_rate: float, track: Track, cycles: float) -> list
     """Return the sample ranges of the segments, at most `_MAXIMUM_SEGMENTS` spread over the track."""
     start = max(0, int(np.ceil(float(track.time[0]) * sampling_rate)))
     stop = min(n, int(float(track.time[-1]) * sampling_rate) + 1)
-    length = min(int(round(cycles * sampling_rate / track.frequency)), stop - start)
+    length = min(round(cycles * sampling_rate / track.frequency), stop - start)
     count = max(1, (stop - start) // length)
     firsts = start + np.linspace(0, stop - start - length, count).astype(int)
     if count > _MAXIMUM_SEGMENTS:

@@ -24,7 +24,7 @@ def envelope(values: FloatArray, sampling_rate: float, frequency: float, integra
     the frequency rises as the amplitude falls, an acceleration may stay level while the displacement decays. Within one
     cycle of the ends it is held at its value there.
     """
-    half = min(max(int(round(sampling_rate / frequency)), 2), (values.size - 1) // 2)
+    half = min(max(round(sampling_rate / frequency), 2), (values.size - 1) // 2)
     kernel = np.concatenate([np.arange(1, half + 1), np.arange(half - 1, 0, -1)]) / float(half) ** 2
     carrier = np.exp(-2j * np.pi * frequency / sampling_rate * np.arange(values.size))
     z = fftconvolve(values * carrier, kernel, mode="valid")
@@ -115,7 +115,7 @@ def _bend(level: FloatArray, first: int, last: int) -> int:
 
 def _last_quiet(values: FloatArray, period: float, highest: float, until: int) -> int | None:
     """Return the last sample before ``until`` up to which the record hardly moves; None if it always moves."""
-    window = max(int(round(_WINDOW * period)), 3)
+    window = max(round(_WINDOW * period), 3)
     smooth = uniform_filter1d(values, max(int(period / 16.0), 1))
     # a window that ends at each sample
     shift = (window - 1) // 2

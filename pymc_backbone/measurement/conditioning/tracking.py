@@ -121,7 +121,7 @@ def _triangle(half: int) -> FloatArray:
 
 def _first_phase(values: FloatArray, sampling_rate: float, frequency: float) -> tuple[FloatArray, FloatArray]:
     """Return times and phase of the fundamental demodulated at a fixed frequency."""
-    half = max(int(round(sampling_rate / frequency)), 2)
+    half = max(round(sampling_rate / frequency), 2)
     time = np.arange(values.size) / sampling_rate
     carrier = np.exp(-2j * np.pi * frequency * time)
     z = fftconvolve(values * carrier, _triangle(half), mode="valid")

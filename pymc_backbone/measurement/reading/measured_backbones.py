@@ -76,6 +76,11 @@ def read_backbones(path: str | os.PathLike[str], *, levels: ArrayLike | None = N
         When a table cannot be used (file, line and column are named), units differ between
         specimens, or the specimens share no range of amplitudes.
 
+    See Also
+    --------
+    write_backbones : writes them.
+    backbones_at_levels : makes them from records.
+
     Notes
     -----
     Values are interpolated monotonically (PCHIP) in log amplitude. Errors are propagated through the weights of

@@ -68,6 +68,11 @@ class Record:
         When the lengths differ, a value is not finite, time does not increase, there are fewer than
         32 samples, or the quantity or its unit is unknown.
 
+    See Also
+    --------
+    read_records : reads records from files.
+    condition : makes one ready for its cycles.
+
     Examples
     --------
     >>> import numpy as np
@@ -155,6 +160,12 @@ def read_records(
     ------
     InputError
         When anything cannot be used: the sentence names the file, the place in it, what was expected, and what to do.
+
+    See Also
+    --------
+    write_records : writes them.
+    condition : what follows.
+    read_backbones : for backbones that were measured directly.
 
     Notes
     -----
@@ -284,6 +295,10 @@ def write_records(records: Iterable[Record], path: str | os.PathLike[str], *, ov
     InputError
         When the folder already holds other CSV files, a file exists and ``overwrite`` is False, two
         specimens have the same name, or the folder cannot be written.
+
+    See Also
+    --------
+    read_records : reads them back.
 
     Notes
     -----

@@ -137,8 +137,8 @@ def _channels(file: Any, size: int, name: str) -> tuple[list[Channel], list[str]
         matrix = variable.values if along == 0 else variable.values.T
         group = str(variable.dims[along])
         labels = file[across].values if across in file.variables else np.arange(count)
-        for i in range(count):
-            channels.append(channel_of(f"{label}:{printable(str(labels[i]))}", matrix[:, i], group=group, **fields))
+        names = [f"{label}:{printable(str(labels[i]))}" for i in range(count)]
+        channels += [channel_of(name, matrix[:, i], group=group, **fields) for i, name in enumerate(names)]
     return channels, notes
 
 
