@@ -75,7 +75,7 @@ def slow(session: nox.Session) -> None:
 
 @nox.session
 def coverage(session: nox.Session) -> None:
-    """Count the lines that the quick tests run, compiled functions left out; too few are an error."""
+    """Count the lines that the quick tests run, compiled functions left out."""
     session.run(sys.executable, "-m", "pytest", "--cov", "--cov-report=", *session.posargs)
     session.run(sys.executable, "-m", "coverage", "report", "--skip-covered")
 

@@ -86,12 +86,8 @@ def test_the_reference_shows_the_public_names_and_no_others(generators, tmp_path
     overview = (tmp_path / "index.rst").read_text(encoding="utf-8")
     assert set(re.findall(r"`pb\.([\w.]+) <pymc_backbone\.\1>`", overview)) == public_names()
     text = "".join(path.read_text(encoding="utf-8") for path in tmp_path.glob("*.rst"))
-    described = re.findall(
-        r"^\.\. auto(?:class|function|exception|data):: pymc_backbone\.(\S+)$", text, flags=re.MULTILINE
-    )
-    assert sorted(described) == sorted(public_names())  # each once
-    shown = set(re.findall(r"^\.\. automodule:: pymc_backbone\.(\S+)$", text, flags=re.MULTILINE))
-    assert shown == {name for name in pymc_backbone.__all__ if inspect.ismodule(getattr(pymc_backbone, name))}
+    pattern = r"^\.\. (?:auto(?:class|function|exception)|py:data):: pymc_backbone\.(\S+)$"
+    assert sorted(re.findall(pattern, text, flags=re.MULTILINE)) == sorted(public_names())  # each once
     assert not (tmp_path / "of_an_earlier_build.rst").exists()
 
 

@@ -74,10 +74,10 @@ def value_of(name: str) -> object:
 
 
 def write(folder: Path) -> None:
-    """Write the overview, a page for each group and the page of the command line."""
+    """Write the overview, a page for each public name and the page of the command line."""
     folder.mkdir(parents=True, exist_ok=True)
     written = {"index.rst": _overview(), "command_line.md": command_line()}
-    written |= {f"{_slug(group)}.rst": _page(group, names) for group, names in groups().items()}
+    written |= {f"{name}.rst": _page(name) for name in public_names()}
     for name, text in written.items():
         write_if_new(folder / name, text)
     for path in folder.iterdir():
@@ -85,26 +85,18 @@ def write(folder: Path) -> None:
             path.unlink()  # of an earlier build: a page without a way to it is a warning
 
 
-def _slug(group: str) -> str:
-    return re.sub(r"\W+", "_", group.lower())
-
-
-def _page(group: str, names: tuple[str, ...]) -> str:
-    lines = [group, "=" * len(group), ""]
-    if group.startswith("pb."):
-        lines += [f".. automodule:: pymc_backbone.{group.removeprefix('pb.')}", "   :no-members:", ""]
-    for name in names:
-        value = value_of(name)
-        kind = "autodata" if not callable(value) else "autoclass" if inspect.isclass(value) else "autofunction"
-        if inspect.isclass(value) and issubclass(value, Exception):
-            kind = "autoexception"
-        lines += [f".. {kind}:: pymc_backbone.{name}"]
-        if kind == "autodata":
-            lines += ["   :no-value:", "", f"   {DATA[name]}"]
-        if kind == "autoclass":
-            lines.append("   :members:")
-        lines.append("")
-    return "\n".join(lines)
+def _page(name: str) -> str:
+    """Return the page of one name; each has its own, because docstrings number their references from one."""
+    heading = f"pb.{name}"
+    lines = [heading, "=" * len(heading), ""]
+    value = value_of(name)
+    if not callable(value):
+        return "\n".join([*lines, f".. py:data:: pymc_backbone.{name}", "", f"   {DATA[name]}", ""])
+    kind = "autoclass" if inspect.isclass(value) else "autofunction"
+    if inspect.isclass(value) and issubclass(value, Exception):
+        kind = "autoexception"
+    lines.append(f".. {kind}:: pymc_backbone.{name}")
+    return "\n".join([*lines, *(["   :members:"] if kind == "autoclass" else []), ""])
 
 
 # What the public names are that are neither functions nor classes.
@@ -124,11 +116,14 @@ def _overview() -> str:
         "",
     ]
     for group, names in groups().items():
-        lines += [group, "-" * len(group), "", ".. list-table::", "   :widths: 32 68", ""]
+        lines += [group, "-" * len(group), ""]
+        if group.startswith("pb."):
+            lines += [str(inspect.getdoc(value_of(group.removeprefix("pb."))) or "").split("\n\n")[0], ""]
+        lines += [".. list-table::", "   :widths: 32 68", ""]
         for name in names:
             lines += [f"   * - :py:obj:`pb.{name} <pymc_backbone.{name}>`", f"     - {_summary(name)}"]
         lines.append("")
-    lines += [".. toctree::", "   :hidden:", "", *(f"   {_slug(group)}" for group in groups()), ""]
+    lines += [".. toctree::", "   :hidden:", "", *(f"   {name}" for names in groups().values() for name in names), ""]
     return "\n".join(lines)
 
 
