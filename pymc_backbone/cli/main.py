@@ -32,6 +32,7 @@ from . import (
 from . import (
     update as _cli_update,
 )
+from .wording import commands_of, option_names, with_options
 
 PROGRAM = "pymc-backbone"
 INTERRUPTED = "Interrupted; files already written are complete."
@@ -104,7 +105,12 @@ def build_parser() -> argparse.ArgumentParser:
         "demo", help="update a model with records that ship with it", description=DEMO_DESCRIPTION
     )
     demo.add_argument(
-        "--out", type=Path, default=Path("demo_output"), metavar="DIR", help="output folder (demo_output)"
+        "--out",
+        dest="output",
+        type=Path,
+        default=Path("demo_output"),
+        metavar="DIR",
+        help="output folder (demo_output)",
     )
     demo.add_argument("--overwrite", action="store_true", help="use the output folder even if it is not empty")
     _cli_common.add_talk(demo)
@@ -116,18 +122,21 @@ def build_parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit code."""
     interrupt = _Interrupt()
+    names: dict[str, str] = {}
     try:
-        options = build_parser().parse_args(arguments)
-        if options.version:
+        parser = build_parser()
+        given = parser.parse_args(arguments)
+        if given.version:
             print(f"{PROGRAM} {_version()}")
-        elif options.command is None:
-            build_parser().print_help()
+        elif given.command is None:
+            parser.print_help()
         else:
-            options.arguments = list(sys.argv[1:] if arguments is None else arguments)
-            options.run(options)
+            given.arguments = list(sys.argv[1:] if arguments is None else arguments)
+            given.option_names = names = option_names(commands_of(parser)[given.command])
+            given.run(given)
         sys.stdout.flush()
     except InputError as error:
-        return _stop(str(error), 2)
+        return _stop(with_options(str(error), names), 2)
     except (_Interrupted, KeyboardInterrupt):
         return _stop(INTERRUPTED, 130)
     except BrokenPipeError:  # the reader, for example `head`, has seen enough
@@ -213,7 +222,7 @@ def _demo(given: argparse.Namespace) -> None:
     from ..workflows import demo
 
     hush_libraries(given.quiet)
-    result = demo.run_demo(given.out, overwrite=given.overwrite, say=_cli_common.say_of(given))
+    result = demo.run_demo(given.output, overwrite=given.overwrite, say=_cli_common.say_of(given))
     _cli_common.print_result(given, result)
 
 

@@ -107,8 +107,8 @@ def prepare_output(path: str | os.PathLike[str], overwrite: bool = False) -> Pat
         occupied = sorted(entry.name for entry in folder.iterdir())
         if occupied and not overwrite:
             raise InputError(
-                f"The output folder {folder} is not empty (it holds {occupied[0]}); name another one, or add "
-                "--overwrite."
+                f"The output folder {folder} is not empty (it holds {occupied[0]}); name another one, or give "
+                "`overwrite=True`."
             )
         with tempfile.TemporaryFile(dir=folder):
             pass
@@ -236,7 +236,7 @@ def write_backbones(backbones: xr.Dataset, path: str | os.PathLike[str], *, over
     if kind not in (".nc", ".csv"):
         raise InputError(f"{file}: backbones are written as .nc or .csv; choose a name that ends so.")
     if file.exists() and not overwrite:
-        raise InputError(f"{file}: exists already; choose another name or set overwrite=True.")
+        raise InputError(f"{file}: exists already; choose another name or give `overwrite=True`.")
     with replacing(file) as temporary:
         if kind == ".nc":
             _portable(backbones).to_netcdf(temporary, engine="h5netcdf")
