@@ -253,10 +253,32 @@ def test_unusable_records_in_a_real_process(tmp_path, what):
 
 def test_output_in_use_in_a_real_process(tmp_path):
     (tmp_path / "thesis.tex").write_text("years of work")
-    process = start("extract", str(tmp_path), "--out", str(tmp_path))
+    process = start("extract", "records", "--out", str(tmp_path))
     out, error = process.communicate(timeout=120)
     assert process.returncode == 2 and out == ""
     assert is_one_sentence(error) and "--overwrite" in error
+
+
+@pytest.mark.parametrize("command", [["extract"], ["update", *MASS], ["diagnose", *MASS]])
+def test_results_do_not_go_among_the_records(capsys, tmp_path, command):
+    """The next run would take them for records, and refuse the folder."""
+    (tmp_path / "a.csv").write_text("time,displacement\n0,1\n")
+    arguments = [*command, str(tmp_path), "--out", f"{tmp_path}/../{tmp_path.name}", "--overwrite"]
+    code, out, error = run_cli(capsys, *arguments)
+    assert code == 2 and out == "" and is_one_sentence(error) and "where the records are" in error
+    assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no device that is always full")
+@pytest.mark.parametrize("arguments", [["effects"], ["--version"]])
+def test_output_that_cannot_be_written_is_one_sentence(arguments):
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "pymc_backbone", *arguments], stdout=full, stderr=subprocess.PIPE, text=True,
+            cwd=ROOT, check=False, timeout=300,
+        )  # fmt: skip
+    assert done.returncode == 1 and is_one_sentence(done.stderr)
+    assert "standard output cannot be written (No space left on device)" in done.stderr
 
 
 def test_update_for_real(capsys, tmp_path):

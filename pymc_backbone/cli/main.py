@@ -7,6 +7,7 @@ imported when it is needed, so that help and most errors come at once.
 from __future__ import annotations
 
 import argparse
+import errno
 import os
 import signal
 import sys
@@ -36,6 +37,7 @@ from .wording import commands_of, option_names, with_options
 
 PROGRAM = "pymc-backbone"
 INTERRUPTED = "Interrupted; files already written are complete."
+UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
 TRACEBACK_VARIABLE = "PYMC_BACKBONE_TRACEBACK"
 
 DESCRIPTION = """\
@@ -59,7 +61,8 @@ First steps:
   pymc-backbone diagnose my_records/ --mass 1.2 --out diagnosis
       what the model lacks: the missing effect, with its probability, and a report
 
-`pymc-backbone COMMAND --help` explains each command. Exit codes: 0 done; 2 something in the input or the options cannot
+`pymc-backbone COMMAND --help` explains each command. Exit codes: 0 done; 1 what is printed cannot be
+written, or a fault of the program; 2 something in the input or the options cannot
 be used, one sentence on standard error says what; 130 stopped with Ctrl-C.
 """
 
@@ -140,21 +143,36 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (_Interrupted, KeyboardInterrupt):
         return _stop(INTERRUPTED, 130)
     except BrokenPipeError:  # the reader, for example `head`, has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _print_no_more()
         return 0
+    except OSError as error:
+        if error.filename is not None or error.errno not in UNWRITABLE:
+            return _fault(error)
+        _print_no_more()
+        return _stop(f"standard output cannot be written ({error.strerror}); lead it elsewhere.", 1)
     except Exception as error:
         if interrupt.came:
             return _stop(INTERRUPTED, 130)
-        if os.environ.get(TRACEBACK_VARIABLE):
-            raise
-        return _stop(
-            f"{type(error).__name__} where none was expected ({' '.join(str(error).split())[:300]}): this is a fault "
-            f"of the program; set {TRACEBACK_VARIABLE}=1 to see where.",
-            1,
-        )
+        return _fault(error)
     finally:
         interrupt.restore()
     return 0
+
+
+def _fault(error: Exception) -> int:
+    """Say that the program is at fault; raise where the traceback is asked for."""
+    if os.environ.get(TRACEBACK_VARIABLE):
+        raise error
+    return _stop(
+        f"{type(error).__name__} where none was expected ({' '.join(str(error).split())[:300]}): this is a fault "
+        f"of the program; set {TRACEBACK_VARIABLE}=1 to see where.",
+        1,
+    )
+
+
+def _print_no_more() -> None:
+    """Lead what is still to be printed to nowhere, the interpreter's last flush included."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 class _Interrupt:

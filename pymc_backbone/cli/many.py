@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import csv
 import shlex
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import replace
@@ -89,7 +89,10 @@ def refuse_without_many(given: argparse.Namespace) -> None:
 
 def diagnose_many(given: argparse.Namespace) -> None:
     """Run ``diagnose --many``."""
-    each = {} if given.structures is None else read_structures(given.structures)
+    from ..survey.names import structures_of
+
+    names = list(structures_of(given.path, given.output))
+    each = {} if given.structures is None else read_structures(given.structures, names)
     if given.dask is not None and given.workers is not None:
         raise InputError("--workers is for processes on this machine, and --dask says where else to run; drop one.")
     hush_libraries(given.quiet)
@@ -125,17 +128,17 @@ def diagnose_many(given: argparse.Namespace) -> None:
     if survey.interrupted:
         raise KeyboardInterrupt
     if survey.failed:
-        names = ", ".join(item.name for item in survey.failed[:MOST_NAMED])
+        first = ", ".join(item.name for item in survey.failed[:MOST_NAMED])
         rest = len(survey.failed) - MOST_NAMED
-        named = f"{names} and {rest} more" if rest > 0 else names
+        named = f"{first} and {rest} more" if rest > 0 else first
         raise InputError(
             f"{len(survey.failed)} of {survey.total} structures could not be diagnosed ({named}); the others are done, "
             f"{given.output / 'summary.html'} says why."
         )
 
 
-def read_structures(path: Path) -> dict[str, dict[str, Any]]:
-    """Return the settings of single structures from a CSV file with a column ``name``.
+def read_structures(path: Path, names: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Return the settings of single structures, of those named, from a CSV file with a column ``name``.
 
     Raises
     ------
@@ -166,6 +169,7 @@ def read_structures(path: Path) -> dict[str, dict[str, Any]]:
         name = cells.pop("name")
         if not name or name in found:
             raise InputError(f"{path}, line {line}: the name {name!r} is {'twice there' if name else 'missing'}.")
+        check_choice(f"{path}, line {line}: name", name, names)
         found[name] = {column: _read(path, line, column, text) for column, text in cells.items() if text}
     return found
 

@@ -78,7 +78,7 @@ def diagnose(
     reading = Reading() if reading is None else reading
     measuring = Measuring() if measuring is None else measuring
     sampling = Sampling() if sampling is None else sampling
-    folder = None if output is None else prepare_output(output, overwrite)
+    folder = None if output is None else prepare_output(output, overwrite, records=path)
     from ..oscillator import Oscillator
 
     oscillator = Oscillator(mass, base)

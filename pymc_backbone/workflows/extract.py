@@ -49,7 +49,7 @@ def extract(
     begin = time.perf_counter()
     reading = Reading() if reading is None else reading
     measuring = Measuring() if measuring is None else measuring
-    folder = prepare_output(output, overwrite)
+    folder = prepare_output(output, overwrite, records=path)
     measured = measure(path, reading, measuring, progress)
     say_reading(measured, say)
     say(describe_measured(measured.backbones))
@@ -60,7 +60,7 @@ def extract(
         "settings": {"records": str(path), **settings_of(reading, measuring)},
         **measured.entries(),
     }
-    from ..reporting import posterior_plots as plots
+    from .. import plots
 
     figures = {"backbones": plots.plot_backbones(measured.backbones)}
     if measured.records:

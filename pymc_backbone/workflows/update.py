@@ -111,7 +111,7 @@ def update(
     comparing = Comparing() if comparing is None else comparing
     sampling = Sampling() if sampling is None else sampling
     keeping = Keeping() if keeping is None else keeping
-    folder = _folders(output, overwrite, keeping)
+    folder = _folders(path, output, overwrite, keeping)
     sampling = replace(sampling, random_seed=_seed(sampling, keeping))
     oscillator = _oscillator(modelling)
     measured = measure(path, reading, measuring, progress)
@@ -210,13 +210,15 @@ def _result(updated: Updated, command: str, settings: Mapping[str, Any]) -> dict
     }
 
 
-def _folders(output: str | os.PathLike[str] | None, overwrite: bool, keeping: Keeping) -> Path | None:
+def _folders(
+    path: str | os.PathLike[str], output: str | os.PathLike[str] | None, overwrite: bool, keeping: Keeping
+) -> Path | None:
     """Return the output folder, made ready; the draws are kept elsewhere."""
     if output is None:
         return None
     if keeping.store is not None and Path(keeping.store).resolve() == Path(output).resolve():
         raise InputError(f"The store and the output are both {output}; give each a folder of its own.")
-    return prepare_output(output, overwrite or (keeping.resume and _ended_early(output)))
+    return prepare_output(output, overwrite or (keeping.resume and _ended_early(output)), records=path)
 
 
 def _seed(sampling: Sampling, keeping: Keeping) -> int:
@@ -303,7 +305,7 @@ def _parameters(
 
 def _figures(updated: Updated, true_values: Mapping[str, FloatArray] | None) -> dict[str, Figure]:
     """Draw everything that can be drawn of it."""
-    from ..reporting import posterior_plots as plots
+    from .. import plots
 
     measured, posterior = updated.measured, updated.posterior
     names, units = list(updated.bounds), updated.oscillator.units
