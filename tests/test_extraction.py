@@ -58,9 +58,9 @@ def test_the_values_of_the_others_do_not_change(records):
 
 
 def test_strict_refuses_at_the_first(records):
-    with pytest.raises(InputError, match="^dead sensor"):
+    with pytest.raises(InputError, match=r"^dead sensor"):
         measure_batch(records, Measuring(strict=True))
-    with pytest.raises(InputError, match="^dead sensor"):
+    with pytest.raises(InputError, match=r"^dead sensor"):
         find_missing_effect(Oscillator(1.0), records, strict=True)
 
 
@@ -69,7 +69,7 @@ def test_most_must_remain(rng, records):
     assert len(extract_all([*records[:2], *dead[:2]]).records) == 2  # half is enough
     with pytest.raises(InputError, match="3 of 5 records cannot be used, more than half of them; the first: dead 0"):
         extract_all([*records[:2], *dead])
-    with pytest.raises(InputError, match="^dead 0"):  # one alone: its own reason says it all
+    with pytest.raises(InputError, match=r"^dead 0"):  # one alone: its own reason says it all
         extract_all(dead[:1])
 
 
