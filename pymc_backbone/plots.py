@@ -2,16 +2,8 @@
 
 from __future__ import annotations
 
-from .reporting.posterior_plots import (
-    plot_backbones,
-    plot_densities,
-    plot_pair,
-    plot_predictive,
-    plot_prior_posterior,
-    plot_rank,
-    plot_records,
-    plot_trace,
-)
+from .reporting.backbone_plots import plot_backbones, plot_densities, plot_predictive, plot_records
+from .reporting.posterior_plots import plot_pair, plot_prior_posterior, plot_rank, plot_trace
 from .reporting.study_plots import study_figures
 
 __all__ = [

@@ -17,8 +17,12 @@ from pymc_backbone.cli import main as cli
 from pymc_backbone.cli import update as _cli_update
 from pymc_backbone.cli.progress import ProgressBar
 from pymc_backbone.effects import LIBRARY
+from pymc_backbone.inference.options import Comparing, Keeping, Modelling, Sampling
+from pymc_backbone.measurement.options import Measuring
+from pymc_backbone.measurement.reading.options import Reading
 from pymc_backbone.reporting.output_folder import read_result
 from pymc_backbone.workflows import demo
+from pymc_backbone.workflows import extract as run_extract
 from pymc_backbone.workflows import update as run
 
 from . import format_files
@@ -46,8 +50,11 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> dict[str, dict]:
         kept[name] = {"path": path, **settings}
         return {"interrupted": None}
 
-    for name in ("extract", "update"):
-        monkeypatch.setattr(run, name, lambda path, name=name, **settings: keep(name, path, settings))
+    def update(path: object, modelling: Modelling, **settings: object) -> dict:
+        return keep("update", path, {"modelling": modelling, **settings})
+
+    monkeypatch.setattr(run, "update", update)
+    monkeypatch.setattr(run_extract, "extract", lambda path, **settings: keep("extract", path, settings))
     return kept
 
 
@@ -131,36 +138,36 @@ def test_update_hands_on_every_option(capsys, calls, tmp_path):
         capsys, "update", "records", "--mass", "1.5", "--effect", "cubic_stiffness", "--effect", "freeplay,iwan",
         "--prior", "cubic_stiffness=-1e6:1e7", "--fix", "viscous_damping=0.8", "--observables", "offset,frequency",
         "--likelihood", "population", "--density", "joint", "--marginal", "kde", "--levels", "0.01,0.002",
-        "--band", "5:20", "--start", "0.25", "--draws", "10", "--tune", "0", "--chains", "2", "--step", "nuts",
+        "--band", "5:20", "--start", "0.25", "--stop", "9", "--draws", "10", "--tune", "0",
+        "--chains", "2", "--step", "nuts",
         "--seed", "7", "--store", "kept", "--resume", "--out", str(tmp_path), "--overwrite",
         "--columns", "time=t,acc z", "--quantity", "velocity",
-        "--unit", "mm/s", "--sampling-rate", "512",
+        "--unit", "mm/s", "--sampling-rate", "512", "--strict",
     )  # fmt: skip
     assert (code, error) == (0, "")
     assert isinstance(calls["update"].pop("progress"), ProgressBar) and callable(calls["update"].pop("say"))
     assert calls["update"] == {
-        "path": Path("records"), "mass": 1.5, "effects": ["cubic_stiffness", "freeplay", "iwan"],
-        "priors": {"cubic_stiffness": (-1e6, 1e7)}, "fixed": {"viscous_damping": 0.8}, "is_table": False,
-        "band": (5.0, 20.0), "start": 0.25, "levels": (0.002, 0.01), "observables": ("frequency", "offset"),
-        "likelihood": "population", "density": "joint", "marginal": "kde", "draws": 10, "tune": 0, "chains": 2,
-        "step": "nuts", "random_seed": 7, "store": Path("kept"), "resume": True, "output": tmp_path, "overwrite": True,
-        "columns": ["time=t", "acc z"], "quantity": "velocity", "unit": "mm/s", "sampling_rate": 512.0,
+        "path": Path("records"),
+        "modelling": Modelling(
+            1.5, ["cubic_stiffness", "freeplay", "iwan"], {"cubic_stiffness": (-1e6, 1e7)}, {"viscous_damping": 0.8}
+        ),
+        "reading": Reading(["time=t", "acc z"], "velocity", "mm/s", 512.0),
+        "measuring": Measuring((5.0, 20.0), 0.25, 9.0, (0.002, 0.01), ("frequency", "offset"), strict=True),
+        "comparing": Comparing("population", "joint", "kde"),
+        "sampling": Sampling(10, 0, 2, "nuts", 7),
+        "keeping": Keeping(Path("kept"), resume=True),
+        "output": tmp_path, "overwrite": True,
     }  # fmt: skip
 
 
-def test_defaults_of_update_are_those_of_the_function(capsys, calls):
-    """The command line must not have defaults of its own that differ from `run.update`."""
-    import inspect
-
+def test_defaults_of_update_are_those_of_the_options(capsys, calls):
+    """The command line must not have defaults of its own."""
     assert run_cli(capsys, "update", "records", *MASS)[0] == 0
-    signature = inspect.signature(UPDATE)
-    for name, value in calls["update"].items():
-        default = signature.parameters[name].default
-        if default is not inspect.Parameter.empty and name not in ("say", "progress"):
-            assert value == default or (not value and not default), name
-
-
-UPDATE = run.update
+    given = calls["update"]
+    assert given["modelling"] == Modelling(1.0, [], {}, {})
+    kinds = {"reading": Reading, "measuring": Measuring, "comparing": Comparing, "sampling": Sampling}
+    for name, kind in {**kinds, "keeping": Keeping}.items():
+        assert given[name] == kind(), name
 
 
 def test_choices_are_those_of_the_modules():
@@ -178,9 +185,8 @@ def test_extract_hands_on_every_option(capsys, calls):
     assert code == 0
     assert isinstance(calls["extract"].pop("progress"), ProgressBar) and callable(calls["extract"].pop("say"))
     assert calls["extract"] == {
-        "path": Path("r.csv"), "output": Path("o"), "overwrite": False, "band": None, "start": None, "levels": 8,
-        "observables": ("frequency",), "columns": None, "quantity": None, "unit": None,
-        "sampling_rate": None,
+        "path": Path("r.csv"), "output": Path("o"), "overwrite": False, "reading": Reading(),
+        "measuring": Measuring(levels=8, observables=("frequency",)),
     }  # fmt: skip
 
 
@@ -196,7 +202,7 @@ def test_errors_become_one_sentence(capsys, monkeypatch, error, code, words):
     def fail(*_: object, **__: object) -> None:
         raise error
 
-    monkeypatch.setattr(run, "extract", fail)
+    monkeypatch.setattr(run_extract, "extract", fail)
     monkeypatch.delenv(cli.TRACEBACK_VARIABLE, raising=False)
     got, _, text = run_cli(capsys, "extract", "x", "--out", "o")
     assert got == code and is_one_sentence(text) and words in text
@@ -213,7 +219,7 @@ def test_traceback_can_be_asked_for(capsys, monkeypatch):
     def fail(*_: object, **__: object) -> None:
         raise RuntimeError("boom")
 
-    monkeypatch.setattr(run, "extract", fail)
+    monkeypatch.setattr(run_extract, "extract", fail)
     monkeypatch.setenv(cli.TRACEBACK_VARIABLE, "1")
     with pytest.raises(RuntimeError, match="boom"):
         cli.main(["extract", "x", "--out", "o"])
@@ -247,10 +253,32 @@ def test_unusable_records_in_a_real_process(tmp_path, what):
 
 def test_output_in_use_in_a_real_process(tmp_path):
     (tmp_path / "thesis.tex").write_text("years of work")
-    process = start("extract", str(tmp_path), "--out", str(tmp_path))
+    process = start("extract", "records", "--out", str(tmp_path))
     out, error = process.communicate(timeout=120)
     assert process.returncode == 2 and out == ""
     assert is_one_sentence(error) and "--overwrite" in error
+
+
+@pytest.mark.parametrize("command", [["extract"], ["update", *MASS], ["diagnose", *MASS]])
+def test_results_do_not_go_among_the_records(capsys, tmp_path, command):
+    """The next run would take them for records, and refuse the folder."""
+    (tmp_path / "a.csv").write_text("time,displacement\n0,1\n")
+    arguments = [*command, str(tmp_path), "--out", f"{tmp_path}/../{tmp_path.name}", "--overwrite"]
+    code, out, error = run_cli(capsys, *arguments)
+    assert code == 2 and out == "" and is_one_sentence(error) and "where the records are" in error
+    assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no device that is always full")
+@pytest.mark.parametrize("arguments", [["effects"], ["--version"]])
+def test_output_that_cannot_be_written_is_one_sentence(arguments):
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "pymc_backbone", *arguments], stdout=full, stderr=subprocess.PIPE, text=True,
+            cwd=ROOT, check=False, timeout=300,
+        )  # fmt: skip
+    assert done.returncode == 1 and is_one_sentence(done.stderr)
+    assert "standard output cannot be written (No space left on device)" in done.stderr
 
 
 def test_update_for_real(capsys, tmp_path):

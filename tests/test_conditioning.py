@@ -553,8 +553,8 @@ def test_second_mode_is_named(ratio: float, rng: np.random.Generator) -> None:
     assert decay.second_mode_frequency == pytest.approx(other, rel=0.02)
     assert 0.05 < decay.second_mode_share < 0.5
     (warning,) = [note for note in warnings_of(decay) if "second mode" in note]
-    assert f"{decay.second_mode_frequency:.4g} Hz" in warning and "--band" in warning
-    low, high = (float(edge) for edge in warning.rpartition("--band ")[2].split(":"))
+    assert f"{decay.second_mode_frequency:.4g} Hz" in warning and "`band=(" in warning
+    low, high = (float(edge) for edge in warning.rpartition("`band=(")[2].rstrip(")`").split(","))
     assert low < decay.frequency < high and not low < other < high
 
 

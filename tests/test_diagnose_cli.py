@@ -15,8 +15,13 @@ import numpy as np
 import pytest
 
 from pymc_backbone._common.checks import InputError
+from pymc_backbone._common.options import settings_of
 from pymc_backbone.cli import main as cli
 from pymc_backbone.cli.progress import LINE_EVERY, ProgressBar
+from pymc_backbone.discrepancy.options import Searching
+from pymc_backbone.inference.options import Sampling
+from pymc_backbone.measurement.options import Measuring
+from pymc_backbone.measurement.reading.options import Reading
 from pymc_backbone.reporting.output_folder import read_result
 from pymc_backbone.reporting.study_files import DIAGNOSIS_KEYS
 from pymc_backbone.workflows import demo
@@ -87,31 +92,41 @@ def test_every_option_is_handed_on(capsys, calls, tmp_path):
     assert isinstance(given.pop("progress"), ProgressBar) and callable(given.pop("say"))
     assert given == {
         "path": Path("records"), "mass": 1.5, "base": ["cubic_stiffness", "iwan", "freeplay"],
-        "candidates": ["jenkins", "bouc_wen"], "max_effects": 2, "tolerance": {"frequency": 0.002, "damping": 0.0},
-        "held_out": 1, "random_seed": 7, "quick": True, "is_table": True, "draws": 10, "tune": 0, "chains": 2,
-        "step": "slice", "levels": 8, "band": None, "start": None, "output": tmp_path, "overwrite": True,
-        "columns": None, "quantity": None, "unit": None, "sampling_rate": None,
+        "searching": Searching(["jenkins", "bouc_wen"], 2, {"frequency": 0.002, "damping": 0.0}, 1, quick=True),
+        "reading": Reading(is_table=True), "measuring": Measuring(levels=8), "sampling": Sampling(10, 0, 2, "slice", 7),
+        "output": tmp_path, "overwrite": True,
     }  # fmt: skip
 
 
-def test_defaults_are_those_of_the_function(capsys, calls):
-    """The command line must not have defaults of its own that differ from `run_diagnosis.diagnose`."""
+def test_defaults_are_those_of_the_options(capsys, calls):
+    """The command line must not have defaults of its own."""
+    assert run_cli(capsys, "diagnose", "records", *MASS, "--out", "o")[0] == 0
+    given = calls["diagnose"]
+    for name, kind in {
+        "searching": Searching,
+        "reading": Reading,
+        "measuring": Measuring,
+        "sampling": Sampling,
+    }.items():
+        assert given[name] == kind(), name
+    assert given["base"] == [] and given["overwrite"] is False
+
+
+def test_defaults_of_the_search_are_those_of_the_function():
+    """The options are handed on whole: what stands there by default must be the default of the public function."""
     import inspect
 
-    assert run_cli(capsys, "diagnose", "records", *MASS, "--out", "o")[0] == 0
-    signature = inspect.signature(DIAGNOSE)
-    for name, value in calls["diagnose"].items():
-        default = signature.parameters[name].default
-        if default is not inspect.Parameter.empty and name not in ("say", "progress"):
-            assert value == default or (not value and not default), name
+    from pymc_backbone.discrepancy.workflow import find_missing_effect
 
-
-DIAGNOSE = run_diagnosis.diagnose
+    defaults = {name: item.default for name, item in inspect.signature(find_missing_effect).parameters.items()}
+    for options in (Searching(), Measuring(), Sampling()):
+        for name, value in settings_of(options).items():
+            assert name == "observables" or value == defaults[name], name
 
 
 def test_no_tolerance_is_zero_for_every_observable(capsys, calls):
     run_cli(capsys, "diagnose", "records", *MASS, "--tolerance", "0", "--out", "o")
-    assert calls["diagnose"]["tolerance"] == {"frequency": 0.0, "damping": 0.0, "offset": 0.0}
+    assert calls["diagnose"]["searching"].tolerance == {"frequency": 0.0, "damping": 0.0, "offset": 0.0}
 
 
 def test_folder_and_summary(capsys, searched, tmp_path):
@@ -144,7 +159,7 @@ def test_tables_of_backbones_are_read_as_such(capsys, searched, tmp_path):
         capsys, "diagnose", str(table), *MASS, "--backbones", "--levels", "5", "--out", str(tmp_path / "o")
     )
     assert code == 0, error
-    assert searched["data"].sizes["level"] == 5 and searched["levels"] is None
+    assert searched["data"].sizes["level"] == 5 and "levels" not in searched
 
 
 @pytest.mark.parametrize(

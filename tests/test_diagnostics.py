@@ -212,3 +212,12 @@ def test_unknown_names_and_probability(good):
         summarise(tree, ["stifness"])
     with pytest.raises(InputError, match="between 0 and 1"):
         summarise(tree, probability=95.0)
+
+
+def test_one_chain_is_not_said_to_disagree(good):
+    """R-hat compares chains; of one it is not a number, and says nothing about agreement."""
+    tree = make_tree(**good)
+    one = xr.DataTree.from_dict({"posterior": tree["posterior"].to_dataset().isel(chain=[0])})
+    said = " ".join(findings(one))
+    assert "one chain only" in said and "R-hat" not in said and "nan" not in said
+    assert "one chain" not in " ".join(findings(tree))

@@ -262,7 +262,7 @@ def test_output_folder_and_resume(tmp_path, batches, monkeypatch):
     assert read_result((out / good.report).parent)["seed"] == good.seed
     kept = json.loads((out / "summary.json").read_text())
     assert repr(Structure.from_entries(kept["structures"][0])) == repr(good)
-    with pytest.raises(InputError, match="--overwrite"):
+    with pytest.raises(InputError, match="`overwrite=True`"):
         pb.diagnose_many(chosen, mass=MASS, workers=0, output=out, **QUICK)
     run: list[str] = []
     monkeypatch.setattr(workflow, "run_job", lambda job: run.append(job.name) or many_jobs.diagnosis(job))
@@ -274,7 +274,7 @@ def test_output_folder_and_resume(tmp_path, batches, monkeypatch):
     foreign = tmp_path / "foreign"
     foreign.mkdir()
     (foreign / "thesis.tex").write_text("years of work")
-    with pytest.raises(InputError, match="--overwrite"):
+    with pytest.raises(InputError, match="`overwrite=True`"):
         pb.diagnose_many(chosen, mass=MASS, workers=0, output=foreign, resume=True, **QUICK)
 
 

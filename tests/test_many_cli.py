@@ -106,7 +106,7 @@ def test_settings_of_single_structures(capsys, monkeypatch, folders, tmp_path):
         ("name,mass\n,2", "line 2: the name '' is missing"),
         ("name,mass\nbeam_1,heavy", "line 2, column mass: expected a number"),
         ("name,band\nbeam_1,8:2", "line 2, column band"),
-        ("name,mass\nbeam_3,1", "must be one of beam_1, beam_2, beam_10"),
+        ("name,mass\nbeam_1,1\nbeam_3,1", "line 3: name` must be one of beam_1, beam_2, beam_10"),
         ("name,mass\nbeam_1,1", "the mass of 'beam_2' is not given"),
     ],
 )

@@ -11,10 +11,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
+from pymc_backbone import plots
 from pymc_backbone._common.checks import InputError
 from pymc_backbone.likelihood.density_fit import fit_density
-from pymc_backbone.reporting import posterior_plots as plots
 from pymc_backbone.reporting import style as _figures
+from pymc_backbone.reporting.posterior_plots import MOST_PARAMETERS
 
 LEVELS = np.linspace(0.002, 0.018, 9)
 UNITS = {"linear_stiffness": "N/m", "viscous_damping": "N s/m", "cubic_stiffness": "N/m^3"}
@@ -215,7 +216,7 @@ def test_ranks_show_chains_that_do_not_mix(rng, posterior):
 def test_many_specimens_are_not_all_drawn(rng):
     draws = xr.Dataset({"k": (("chain", "draw", "specimen"), rng.normal(size=(2, 100, 40)))})
     figure = plots.plot_trace(xr.DataTree.from_dict({"posterior": draws}))
-    assert len(figure.axes) == 2 * plots.MOST_PARAMETERS
+    assert len(figure.axes) == 2 * MOST_PARAMETERS
 
 
 @pytest.mark.parametrize(

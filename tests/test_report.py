@@ -15,6 +15,8 @@ from matplotlib import pyplot
 from pymc_backbone._common.checks import InputError
 from pymc_backbone.discrepancy.locate import mean_gap
 from pymc_backbone.discrepancy.verdict import Verdict
+from pymc_backbone.effects import LIBRARY
+from pymc_backbone.reporting.candidate_plots import plot_candidates
 from pymc_backbone.reporting.html import number, table, unit
 from pymc_backbone.reporting.output_folder import DIAGNOSIS_FIGURES, FIGURES, read_result
 from pymc_backbone.reporting.report import report_html
@@ -238,3 +240,22 @@ def test_numbers_and_units_as_html():
     assert number(-0.5) == "&minus;0.5" and number(np.nan) == "&ndash;"
     assert unit("N s^2/m^2") == '<span class="u">N s<sup>2</sup>/m<sup>2</sup></span>'
     assert table((("a", ""),), []) == ""
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"), [("1/m^n", "1/m<sup>n</sup>"), ("N s^2/m^2", "N s<sup>2</sup>/m<sup>2</sup>")]
+)
+def test_powers_of_units_are_raised_letters_too(text, shown):
+    assert str(unit(text)) == f'<span class="u">{shown}</span>'
+
+
+def test_the_longest_name_of_a_set_stays_clear_of_its_percentage(studies):
+    """Both stand on one line above the bar: measured as they are drawn."""
+    study = studies[Verdict.FOUND]
+    longest = tuple(sorted(LIBRARY, key=len)[-3:])
+    candidates = (dataclasses.replace(study.candidates[0], effects=longest, probability=0.9995), *study.candidates[1:])
+    figure = plot_candidates(dataclasses.replace(study, candidates=candidates))
+    figure.canvas.draw()
+    name, share = figure.axes[0].texts[:2]
+    assert share.get_text() == "> 99.9 %"
+    assert name.get_window_extent().x1 < share.get_window_extent().x0

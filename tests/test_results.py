@@ -106,7 +106,7 @@ def test_unknown_key_is_refused(tmp_path, backbones, posterior):
 
 def test_folder_in_use_needs_overwrite(tmp_path):
     (tmp_path / "thesis.tex").write_text("years of work")
-    with pytest.raises(InputError, match="--overwrite"):
+    with pytest.raises(InputError, match="`overwrite=True`"):
         prepare_output(tmp_path)
     assert prepare_output(tmp_path, overwrite=True) == tmp_path
     assert (tmp_path / "thesis.tex").read_text() == "years of work"

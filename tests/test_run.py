@@ -12,8 +12,13 @@ import pytest
 import xarray as xr
 
 from pymc_backbone._common.checks import InputError
+from pymc_backbone._common.options import names_of, pick
+from pymc_backbone.inference.model import likelihood_of  # before the fixture takes the place of its module
+from pymc_backbone.inference.options import Comparing, Keeping, Modelling, Sampling
 from pymc_backbone.inference.store import run_folder  # noqa: F401  it needs the model that the fixture replaces
 from pymc_backbone.likelihood.density_fit import fit_density
+from pymc_backbone.measurement.options import Measuring
+from pymc_backbone.measurement.reading.options import Reading
 from pymc_backbone.oscillator import Oscillator
 from pymc_backbone.reporting.output_folder import RESULT_KEYS, backbone_table, read_result
 from pymc_backbone.reporting.terminal import compare, describe_measured
@@ -64,20 +69,31 @@ def sampler(monkeypatch, rng) -> dict:
             density = fit_density(called["data"], kind=called["density"], marginal=called["marginal"])
         return [SimpleNamespace(density=density)]
 
-    for name, functions in (("model", (build_model, targets_of)), ("sampling", (sample,))):
+    for name, functions in (("model", (build_model, targets_of, likelihood_of)), ("sampling", (sample,))):
         module = ModuleType(f"pymc_backbone.inference.{name}")
         for function in functions:
             setattr(module, function.__name__, function)
-        module.POPULATION_SIZE = 8  # type: ignore[attr-defined]
         monkeypatch.setitem(sys.modules, module.__name__, module)
     return kept
 
 
 def update(monkeypatch, backbones: xr.Dataset, **settings) -> tuple[dict, str]:
-    monkeypatch.setattr(run, "measure", lambda path, **_: run.Measured(backbones, 90.0))
+    monkeypatch.setattr(run, "measure", lambda *_, **__: run.Measured(backbones, 90.0))
     lines: list[str] = []
-    chosen = {"mass": 1.0, "effects": ["cubic_stiffness"], "draws": 300, "say": lines.append, **settings}
-    return run.update("records", **chosen), "\n".join(lines)
+    chosen = {"mass": 1.0, "effects": ["cubic_stiffness"], "draws": 300, **settings}
+    return call_update(**chosen, say=lines.append), "\n".join(lines)
+
+
+def call_update(**settings) -> dict:
+    """Call `update` with settings by name, as the command line gives them."""
+    kinds = {"comparing": Comparing, "sampling": Sampling, "keeping": Keeping}
+    grouped = {name for kind in (Modelling, *kinds.values()) for name in names_of(kind)}
+    return run.update(
+        "records",
+        pick(Modelling, settings),
+        **{name: pick(kind, settings) for name, kind in kinds.items()},
+        **{name: value for name, value in settings.items() if name not in grouped},
+    )
 
 
 def test_update_writes_what_it_returns(monkeypatch, sampler, rng, tmp_path):
@@ -124,13 +140,13 @@ def test_one_chain_that_was_ended_early_is_summarised_from_twenty_draws(monkeypa
 
 @pytest.mark.parametrize(
     ("settings", "words"),
-    [({"resume": True}, "name its folder with --store"), ({"store": "a", "output": "b/../a"}, "a folder of its own")],
+    [({"resume": True}, "name its folder with `store`"), ({"store": "a", "output": "b/../a"}, "a folder of its own")],
 )
 def test_store_that_cannot_be_is_refused_before_reading(monkeypatch, sampler, rng, tmp_path, settings, words):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(run, "measure", lambda *_, **__: pytest.fail("the records were read"))
     with pytest.raises(InputError, match=words):
-        run.update("records", mass=1.0, **settings)
+        call_update(mass=1.0, **settings)
 
 
 def test_without_output_nothing_is_written(monkeypatch, sampler, rng, tmp_path):
@@ -167,7 +183,7 @@ def test_auto_likelihood_depends_on_the_size_of_the_batch(monkeypatch, sampler, 
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"priors": {"cubic": (0, 1)}}, "--prior"),
+        ({"priors": {"cubic": (0, 1)}}, "`priors` must be one of"),
         ({"fixed": {"viscous_dampin": 1.0}}, "Did you mean 'viscous_damping'"),
         ({"fixed": {"viscous_damping": 1.0}, "priors": {"viscous_damping": (0, 1)}}, "both a prior and a fixed value"),
         ({"fixed": dict.fromkeys(MEANS, 1.0)}, "leave at least one"),
@@ -201,12 +217,19 @@ def test_one_specimen_has_no_scatter(rng):
 def test_tables_are_read_at_as_many_levels_as_asked_for(rng, tmp_path):
     backbones = make_backbones(rng, 3)
     backbone_table(backbones).to_csv(tmp_path / "backbones.csv", index=False)
-    measured = run.measure(tmp_path / "backbones.csv", is_table=True, levels=3, observables=["damping"])
+    tables = Reading(is_table=True)
+    measured = run.measure(tmp_path / "backbones.csv", tables, Measuring(levels=3, observables=["damping"]))
     assert measured.backbones["level"].values == pytest.approx(np.geomspace(0.002, 0.018, 3))
     assert list(measured.backbones["observable"].values) == ["damping"]
-    for options, words in (({"band": (1.0, 2.0)}, "--band"), ({"observables": ["offset"]}, "offset")):
+    for options, words in (
+        ({"band": (1.0, 2.0)}, "`band`"),
+        ({"observables": ["offset"]}, "offset"),
+        ({"levels": 10**6}, "at most 1000"),
+    ):
         with pytest.raises(InputError, match=words):
-            run.measure(tmp_path / "backbones.csv", is_table=True, **options)
+            run.measure(tmp_path / "backbones.csv", tables, Measuring(**options))
+    with pytest.raises(InputError, match="`unit` is for time histories"):
+        run.measure(tmp_path / "backbones.csv", Reading(unit="mm", is_table=True))
 
 
 def test_demo_data_are_as_documented():
@@ -220,13 +243,13 @@ def test_demo_data_are_as_documented():
 
 
 def test_demo_prints_truth_beside_the_result_and_replaces_only_its_own_output(monkeypatch, sampler, rng, tmp_path):
-    monkeypatch.setattr(run, "measure", lambda path, **_: run.Measured(make_backbones(rng, 24), 90.0))
+    monkeypatch.setattr(run, "measure", lambda *_, **__: run.Measured(make_backbones(rng, 24), 90.0))
     for _ in range(2):
         lines: list[str] = []
-        result = demo.run_demo(tmp_path / "out", say=lines.append, draws=200)
+        result = demo.run_demo(tmp_path / "out", say=lines.append, sampling=Sampling(draws=200))
         assert result["command"] == "demo" and "true mean" in "\n".join(lines)
         assert lines[-1].strip().startswith("Where to look")
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.tex").write_text("years of work")
-    with pytest.raises(InputError, match="--overwrite"):
+    with pytest.raises(InputError, match="`overwrite=True`"):
         demo.run_demo(tmp_path / "mine", say=lines.append)

@@ -41,11 +41,19 @@ from hypothesis import HealthCheck, Phase, given, seed, settings  # noqa: E402
 from hypothesis import strategies as st  # noqa: E402
 
 from benchmarks.fuzz.stores import Run, damaged_stores  # noqa: E402
-from pymc_backbone import InputError, Record, condition, extract_cycles, read_backbones, read_records  # noqa: E402
+from pymc_backbone import (  # noqa: E402
+    InputError,
+    Record,
+    condition,
+    extract_cycles,
+    plots,
+    read_backbones,
+    read_records,
+)
 from pymc_backbone.cli import main as cli  # noqa: E402
 from pymc_backbone.measurement.reading.formats import isolation  # noqa: E402
 from pymc_backbone.reporting import output_folder as results  # noqa: E402
-from pymc_backbone.reporting import posterior_plots as plots  # noqa: E402
+from pymc_backbone.workflows import extract as run_extract  # noqa: E402
 from pymc_backbone.workflows import update as run  # noqa: E402
 from tests.format_files import WRITERS  # noqa: E402
 
@@ -422,7 +430,7 @@ def batch(number: int, start: int, keep: Path | None) -> Tally:
     chance = random.Random(start)
     # figures and sampling are not the subject, and would take nearly all of the time
     plots.plot_backbones = plots.plot_records = lambda *_: None  # type: ignore[assignment]
-    run.write_results = lambda *_, **__: []  # type: ignore[assignment]
+    run_extract.write_results = run.write_results = lambda *_, **__: []  # type: ignore[assignment]
     folder = Path(tempfile.mkdtemp(prefix="fuzz-"))
     isolation._running()  # its start is not the time of an input
     try:

@@ -19,9 +19,10 @@ import numpy as np
 
 from pymc_backbone import InputError, Oscillator, Record, condition, extract_cycles
 from pymc_backbone.discrepancy.batch import Batch, batch_of_records
-from pymc_backbone.discrepancy.question import levels_within, possible_effects
+from pymc_backbone.discrepancy.question import possible_effects
 from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.discrepancy.starts import embedded
+from pymc_backbone.measurement.extraction import levels_for
 from pymc_backbone.measurement.levels import backbones_at_levels
 
 
@@ -48,7 +49,7 @@ def clean_batch(folder: Path) -> tuple[Batch, dict]:
         cycles.append(extracted)
     if not records:
         raise InputError("no record of this batch can be used")
-    backbones = backbones_at_levels(cycles, levels_within(cycles, None), ["frequency", "damping"], amplitude_unit=unit)
+    backbones = backbones_at_levels(cycles, levels_for(cycles)[0], ["frequency", "damping"], amplitude_unit=unit)
     return batch_of_records(truth["mass"], backbones, records, cycles), truth
 
 

@@ -28,7 +28,7 @@ THREAD_VARIABLES = (
 )
 NOT_STARTED = (
     "the worker processes cannot start (see the error above); a script must be a file and call this below "
-    "`if __name__ == '__main__':`, or pass workers=0 to stay in one process."
+    "`if __name__ == '__main__':`, or give `workers=0` to stay in one process."
 )
 _CONTEXT = multiprocessing.get_context("spawn")  # a forked child could inherit locks that threads hold
 _READY = "ready"

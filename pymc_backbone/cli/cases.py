@@ -62,7 +62,9 @@ def add_cases(commands: Any) -> None:
         sampler.add_argument(
             name, type=options.count(name, least), default=default, metavar="N", help=f"{meaning} ({default})"
         )
-    sampler.add_argument("--seed", type=options.count("--seed", 0), default=1, metavar="N", help="(1)")
+    sampler.add_argument(
+        "--seed", dest="random_seed", type=options.count("--seed", 0), default=1, metavar="N", help="(1)"
+    )
     sampler.add_argument(
         "--workers", type=options.count("--workers"), default=min(2, os.cpu_count() or 1), metavar="N",
         help="processes that run cases side by side (%(default)s)",
@@ -79,7 +81,7 @@ def _cases(given: argparse.Namespace) -> None:
     records = run_cases(
         given.names,
         given.likelihood,
-        output=given.out,
+        output=given.output,
         overwrite=given.overwrite,
         say=say_of(given),
         workers=given.workers,
@@ -88,6 +90,6 @@ def _cases(given: argparse.Namespace) -> None:
         tune=given.tune,
         chains=given.chains,
         observables=given.observables,
-        random_seed=given.seed,
+        random_seed=given.random_seed,
     )
     print_result(given, records)

@@ -7,12 +7,18 @@ import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .._common.checks import OBSERVABLES
+from .._common.options import pick
+from ..inference.options import Sampling
 from ..measurement.reading.headers import QUANTITIES
 from . import options
 from .progress import ProgressBar
+from .wording import with_options
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 STEPS = ("metropolis", "elementwise", "demetropolisz", "slice", "nuts", "nutpie")
 
@@ -35,7 +41,9 @@ def add_talk(parser: argparse.ArgumentParser, *, quiet: bool = True) -> None:
 
 def say_of(given: argparse.Namespace) -> Callable[[str], None]:
     """Return what prints a line of the summary: `say`, or nothing where the options ask for silence or JSON."""
-    return _say_nothing if given.quiet or given.json else say
+    if given.quiet or given.json:
+        return _say_nothing
+    return lambda text: say(with_options(text, given.option_names))
 
 
 @contextmanager
@@ -65,10 +73,11 @@ def _say_nothing(text: str) -> None:
 
 def add_records(parser: argparse.ArgumentParser, *, tables: bool = True) -> None:
     """Add the argument that names the records, and whether they are tables of backbones."""
-    parser.add_argument("records", type=Path, metavar="RECORDS", help="a file, or a folder of files, one per specimen")
+    parser.add_argument("path", type=Path, metavar="RECORDS", help="a file, or a folder of files, one per specimen")
     if tables:
         parser.add_argument(
             "--backbones",
+            dest="is_table",
             action="store_true",
             help="RECORDS are measured backbone tables (such as backbones.csv from extract), not time histories",
         )
@@ -83,16 +92,9 @@ def add_model(parser: argparse.ArgumentParser, *, required: bool = True) -> argp
     return group
 
 
-def measurement_of(given: argparse.Namespace) -> dict[str, Any]:
-    """Return the options of reading and conditioning as keyword arguments."""
-    names = ("band", "start", "levels", "columns", "quantity", "unit", "sampling_rate")
-    return {name: getattr(given, name) for name in names}
-
-
-def sampling_of(given: argparse.Namespace) -> dict[str, Any]:
-    """Return the options of the sampler as keyword arguments."""
-    chosen = {name: getattr(given, name) for name in ("draws", "tune", "chains", "step")}
-    return {**chosen, "random_seed": given.seed}
+def chosen[Options: DataclassInstance](kind: type[Options], given: argparse.Namespace) -> Options:
+    """Return the options of one kind that a command has; their names are those of the options."""
+    return pick(kind, vars(given))
 
 
 def add_measurement(parser: argparse.ArgumentParser, *, observables: bool = True) -> None:
@@ -132,11 +134,17 @@ def add_measurement(parser: argparse.ArgumentParser, *, observables: bool = True
     group.add_argument(
         "--start", type=options.number("--start"), metavar="S", help="release at this time [s], instead of finding it"
     )
+    group.add_argument("--stop", type=options.number("--stop"), metavar="S", help="use the record up to this time [s]")
     group.add_argument(
         "--levels",
         type=options.levels,
         metavar="N|A,B,C",
         help="number of amplitude levels, or the amplitudes [m or rad] (default: 10, or fewer for short decays)",
+    )
+    group.add_argument(
+        "--strict",
+        action="store_true",
+        help="stop at the first record that cannot be used (default: leave it out and say so, as long as half remain)",
     )
     if not observables:
         return
@@ -148,44 +156,33 @@ def add_measurement(parser: argparse.ArgumentParser, *, observables: bool = True
     )
 
 
-def search_of(given: argparse.Namespace) -> dict[str, Any]:
-    """Return the options of the search for a missing effect as keyword arguments."""
-    names = ("max_effects", "tolerance", "held_out", "quick")
-    return {
-        "base": options.split(given.base),
-        "candidates": options.split(given.candidates) or None,
-        **{name: getattr(given, name) for name in names},
-    }
-
-
 def add_output(parser: argparse.ArgumentParser, *, required: bool) -> None:
     """Add the options of the output folder."""
     group = parser.add_argument_group("output")
     words = "output folder" if required else "output folder (default: print the summary, write nothing)"
-    group.add_argument("--out", type=Path, required=required, metavar="DIR", help=words)
+    group.add_argument("--out", dest="output", type=Path, required=required, metavar="DIR", help=words)
     group.add_argument("--overwrite", action="store_true", help="use the output folder even if it is not empty")
 
 
 def add_sampling(parser: argparse.ArgumentParser) -> None:
     """Add the options of the sampler."""
     sampler = parser.add_argument_group("sampling")
-    sampler.add_argument(
-        "--draws", type=options.count("--draws"), default=2000, metavar="N", help="per chain, kept (2000)"
-    )
-    sampler.add_argument(
-        "--tune", type=options.count("--tune", 0), default=1000, metavar="N", help="per chain, dropped (1000)"
-    )
-    sampler.add_argument(
-        "--chains", type=options.count("--chains"), default=4, metavar="N", help="number of chains (4)"
-    )
+    words = {
+        "draws": (1, f"per chain, kept ({Sampling.draws})"),
+        "tune": (0, f"per chain, dropped ({Sampling.tune})"),
+        "chains": (1, f"number of chains ({Sampling.chains})"),
+    }
+    for name, (least, meaning) in words.items():
+        reader = options.count(f"--{name}", least)
+        sampler.add_argument(f"--{name}", type=reader, default=getattr(Sampling, name), metavar="N", help=meaning)
     sampler.add_argument(
         "--step",
         choices=STEPS,
-        default="metropolis",
+        default=Sampling.step,
         help="PyMC's step method: metropolis proposes jointly, elementwise one variable at a time (metropolis)",
     )
     sampler.add_argument(
-        "--seed", type=options.count("--seed", 0), default=None, metavar="N", help="repeats a run exactly"
+        "--seed", dest="random_seed", type=options.count("--seed", 0), metavar="N", help="repeats a run exactly"
     )
 
 

@@ -7,6 +7,8 @@ import textwrap
 from collections.abc import Callable
 from typing import Any
 
+from .wording import commands_of
+
 SHELLS = ("bash", "zsh", "fish")
 DESCRIPTION = """\
 Print a script for your shell that completes commands, options and their values with the tabulator key. To have it in
@@ -42,15 +44,8 @@ def script(shell: str, name: str, parser: argparse.ArgumentParser) -> str:
     -------
     str
     """
-    tree = {command: _options(sub) for command, sub in _commands(parser).items()}
+    tree = {command: _options(sub) for command, sub in commands_of(parser).items()}
     return _fish(name, tree, parser) if shell == "fish" else _bash(name, tree, is_zsh=shell == "zsh")
-
-
-def _commands(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
-    for action in parser._actions:
-        if isinstance(action, argparse._SubParsersAction):
-            return dict(action.choices)
-    return {}
 
 
 def _options(parser: argparse.ArgumentParser) -> dict[str, list[str] | None]:
@@ -60,7 +55,7 @@ def _options(parser: argparse.ArgumentParser) -> dict[str, list[str] | None]:
     found: dict[str, list[str] | None] = {}
     for action in parser._actions:
         values: list[str] | None = None if action.nargs == 0 else [str(choice) for choice in action.choices or ()]
-        if action.dest in ("effect", "base", "candidates") or (not action.option_strings and action.dest == "name"):
+        if action.dest in ("effects", "base", "candidates") or (not action.option_strings and action.dest == "name"):
             values = sorted(LIBRARY)
         for option in action.option_strings or ["" if values is not None else "-"]:
             found[option] = values
@@ -108,7 +103,7 @@ def _bash(name: str, tree: dict[str, dict[str, list[str] | None]], *, is_zsh: bo
 
 
 def _fish(name: str, tree: dict[str, dict[str, list[str] | None]], parser: argparse.ArgumentParser) -> str:
-    helps = _commands(parser)
+    helps = commands_of(parser)
     lines = [f"# Completion of {name} for fish."]
     for command, options in tree.items():
         lines.append(f"complete -c {name} -n __fish_use_subcommand -f -a {command} -d '{_first_words(helps[command])}'")

@@ -7,6 +7,10 @@ from typing import Any
 
 from .._common.checks import InputError
 from .._common.quiet import hush_libraries
+from ..discrepancy.options import Searching
+from ..inference.options import Sampling
+from ..measurement.options import Measuring
+from ..measurement.reading.options import Reading
 from . import options
 from .common import (
     add_measurement,
@@ -15,13 +19,11 @@ from .common import (
     add_records,
     add_sampling,
     add_talk,
-    measurement_of,
+    chosen,
     print_result,
-    sampling_of,
     say_of,
-    search_of,
 )
-from .many import add_many, diagnose_many, refuse_without_many
+from .many import add_many, diagnose_many, refuse_without_many, searching_of
 from .progress import ProgressBar
 
 DESCRIPTION = """\
@@ -82,7 +84,7 @@ def add_diagnose(commands: Any) -> None:
     search.add_argument(
         "--max-effects",
         type=options.count("--max-effects"),
-        default=3,
+        default=Searching.max_effects,
         metavar="N",
         help="largest number of missing effects (3)",
     )
@@ -125,13 +127,14 @@ def _diagnose(given: argparse.Namespace) -> None:
             say(text)
 
         result = run_diagnosis.diagnose(
-            given.records,
+            given.path,
             mass=given.mass,
-            output=given.out,
-            **search_of(given),
-            is_table=given.backbones,
-            **measurement_of(given),
-            **sampling_of(given),
+            output=given.output,
+            base=options.split(given.base),
+            searching=searching_of(given),
+            reading=chosen(Reading, given),
+            measuring=chosen(Measuring, given),
+            sampling=chosen(Sampling, given),
             overwrite=given.overwrite,
             progress=progress,
             say=say_below,

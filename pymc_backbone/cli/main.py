@@ -7,6 +7,7 @@ imported when it is needed, so that help and most errors come at once.
 from __future__ import annotations
 
 import argparse
+import errno
 import os
 import signal
 import sys
@@ -32,9 +33,11 @@ from . import (
 from . import (
     update as _cli_update,
 )
+from .wording import commands_of, option_names, with_options
 
 PROGRAM = "pymc-backbone"
 INTERRUPTED = "Interrupted; files already written are complete."
+UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
 TRACEBACK_VARIABLE = "PYMC_BACKBONE_TRACEBACK"
 
 DESCRIPTION = """\
@@ -58,7 +61,8 @@ First steps:
   pymc-backbone diagnose my_records/ --mass 1.2 --out diagnosis
       what the model lacks: the missing effect, with its probability, and a report
 
-`pymc-backbone COMMAND --help` explains each command. Exit codes: 0 done; 2 something in the input or the options cannot
+`pymc-backbone COMMAND --help` explains each command. Exit codes: 0 done; 1 what is printed cannot be
+written, or a fault of the program; 2 something in the input or the options cannot
 be used, one sentence on standard error says what; 130 stopped with Ctrl-C.
 """
 
@@ -104,7 +108,12 @@ def build_parser() -> argparse.ArgumentParser:
         "demo", help="update a model with records that ship with it", description=DEMO_DESCRIPTION
     )
     demo.add_argument(
-        "--out", type=Path, default=Path("demo_output"), metavar="DIR", help="output folder (demo_output)"
+        "--out",
+        dest="output",
+        type=Path,
+        default=Path("demo_output"),
+        metavar="DIR",
+        help="output folder (demo_output)",
     )
     demo.add_argument("--overwrite", action="store_true", help="use the output folder even if it is not empty")
     _cli_common.add_talk(demo)
@@ -116,36 +125,54 @@ def build_parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit code."""
     interrupt = _Interrupt()
+    names: dict[str, str] = {}
     try:
-        options = build_parser().parse_args(arguments)
-        if options.version:
+        parser = build_parser()
+        given = parser.parse_args(arguments)
+        if given.version:
             print(f"{PROGRAM} {_version()}")
-        elif options.command is None:
-            build_parser().print_help()
+        elif given.command is None:
+            parser.print_help()
         else:
-            options.arguments = list(sys.argv[1:] if arguments is None else arguments)
-            options.run(options)
+            given.arguments = list(sys.argv[1:] if arguments is None else arguments)
+            given.option_names = names = option_names(commands_of(parser)[given.command])
+            given.run(given)
         sys.stdout.flush()
     except InputError as error:
-        return _stop(str(error), 2)
+        return _stop(with_options(str(error), names), 2)
     except (_Interrupted, KeyboardInterrupt):
         return _stop(INTERRUPTED, 130)
     except BrokenPipeError:  # the reader, for example `head`, has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _print_no_more()
         return 0
+    except OSError as error:
+        if error.filename is not None or error.errno not in UNWRITABLE:
+            return _fault(error)
+        _print_no_more()
+        return _stop(f"standard output cannot be written ({error.strerror}); lead it elsewhere.", 1)
     except Exception as error:
         if interrupt.came:
             return _stop(INTERRUPTED, 130)
-        if os.environ.get(TRACEBACK_VARIABLE):
-            raise
-        return _stop(
-            f"{type(error).__name__} where none was expected ({' '.join(str(error).split())[:300]}): this is a fault "
-            f"of the program; set {TRACEBACK_VARIABLE}=1 to see where.",
-            1,
-        )
+        return _fault(error)
     finally:
         interrupt.restore()
     return 0
+
+
+def _fault(error: Exception) -> int:
+    """Say that the program is at fault; raise where the traceback is asked for."""
+    if os.environ.get(TRACEBACK_VARIABLE):
+        raise error
+    return _stop(
+        f"{type(error).__name__} where none was expected ({' '.join(str(error).split())[:300]}): this is a fault "
+        f"of the program; set {TRACEBACK_VARIABLE}=1 to see where.",
+        1,
+    )
+
+
+def _print_no_more() -> None:
+    """Lead what is still to be printed to nowhere, the interpreter's last flush included."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 class _Interrupt:
@@ -213,7 +240,7 @@ def _demo(given: argparse.Namespace) -> None:
     from ..workflows import demo
 
     hush_libraries(given.quiet)
-    result = demo.run_demo(given.out, overwrite=given.overwrite, say=_cli_common.say_of(given))
+    result = demo.run_demo(given.output, overwrite=given.overwrite, say=_cli_common.say_of(given))
     _cli_common.print_result(given, result)
 
 

@@ -5,16 +5,22 @@ from __future__ import annotations
 import argparse
 import csv
 import shlex
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from .._common.checks import InputError, check_choice
+from .._common.options import settings_of
 from .._common.quiet import hush_libraries
+from ..discrepancy.options import Searching
+from ..inference.options import Sampling
+from ..measurement.options import Measuring
+from ..measurement.reading.options import Reading
 from . import options
-from .common import measurement_of, print_result, sampling_of, say_of, search_of
+from .common import chosen, print_result, say_of
 from .progress import ProgressBar
 
 MOST_NAMED = 3
@@ -26,6 +32,7 @@ COLUMNS: dict[str, Callable[[str], Any]] = {
     "candidates": lambda text: options.split(text.split()),
     "band": options.band,
     "start": options.number("start"),
+    "stop": options.number("stop"),
     "levels": options.levels,
     "tolerance": options.tolerance,
     "columns": options.columns,
@@ -68,6 +75,11 @@ def add_many(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def searching_of(given: argparse.Namespace) -> Searching:
+    """Return the options of the search for a missing effect."""
+    return replace(chosen(Searching, given), candidates=options.split(given.candidates) or None)
+
+
 def refuse_without_many(given: argparse.Namespace) -> None:
     """Raise if an option of many structures is given for one."""
     for name in ("structures", "workers", "dask", "resume"):
@@ -77,12 +89,17 @@ def refuse_without_many(given: argparse.Namespace) -> None:
 
 def diagnose_many(given: argparse.Namespace) -> None:
     """Run ``diagnose --many``."""
-    each = {} if given.structures is None else read_structures(given.structures)
+    from ..survey.names import structures_of
+
+    names = list(structures_of(given.path, given.output))
+    each = {} if given.structures is None else read_structures(given.structures, names)
     if given.dask is not None and given.workers is not None:
         raise InputError("--workers is for processes on this machine, and --dask says where else to run; drop one.")
     hush_libraries(given.quiet)
-    from ..survey.workflow import diagnose_many
+    from ..survey.workflow import SETTINGS, diagnose_many
 
+    kinds = (chosen(Reading, given), chosen(Measuring, given), chosen(Sampling, given))
+    settings = settings_of(searching_of(given), *kinds)
     say = say_of(given)
     with _executor(given.dask) as executor, ProgressBar(is_shown=not given.quiet) as progress:
 
@@ -91,38 +108,37 @@ def diagnose_many(given: argparse.Namespace) -> None:
             say(text)
 
         survey = diagnose_many(
-            given.records,
+            given.path,
             mass=given.mass,
+            base=options.split(given.base),
             each=each,
             executor=executor,
             workers=given.workers,
-            output=given.out,
-            is_table=given.backbones or None,
-            **search_of(given),
-            **measurement_of(given),
-            **sampling_of(given),
+            output=given.output,
+            random_seed=given.random_seed,
+            **{name: value for name, value in settings.items() if name in SETTINGS},
             resume=given.resume,
             overwrite=given.overwrite,
             command=shlex.join(["pymc-backbone", *given.arguments]),
             progress=progress,
             say=say_below,
         )
-    say(f"\nThe summary is {given.out / 'summary.html'}, with a link to the report of each structure.")
+    say(f"\nThe summary is {given.output / 'summary.html'}, with a link to the report of each structure.")
     print_result(given, {"program": "pymc-backbone", **survey.entries()})
     if survey.interrupted:
         raise KeyboardInterrupt
     if survey.failed:
-        names = ", ".join(item.name for item in survey.failed[:MOST_NAMED])
+        first = ", ".join(item.name for item in survey.failed[:MOST_NAMED])
         rest = len(survey.failed) - MOST_NAMED
-        named = f"{names} and {rest} more" if rest > 0 else names
+        named = f"{first} and {rest} more" if rest > 0 else first
         raise InputError(
             f"{len(survey.failed)} of {survey.total} structures could not be diagnosed ({named}); the others are done, "
-            f"{given.out / 'summary.html'} says why."
+            f"{given.output / 'summary.html'} says why."
         )
 
 
-def read_structures(path: Path) -> dict[str, dict[str, Any]]:
-    """Return the settings of single structures from a CSV file with a column ``name``.
+def read_structures(path: Path, names: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Return the settings of single structures, of those named, from a CSV file with a column ``name``.
 
     Raises
     ------
@@ -153,6 +169,7 @@ def read_structures(path: Path) -> dict[str, dict[str, Any]]:
         name = cells.pop("name")
         if not name or name in found:
             raise InputError(f"{path}, line {line}: the name {name!r} is {'twice there' if name else 'missing'}.")
+        check_choice(f"{path}, line {line}: name", name, names)
         found[name] = {column: _read(path, line, column, text) for column, text in cells.items() if text}
     return found
 

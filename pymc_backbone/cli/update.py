@@ -7,6 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from .._common.quiet import hush_libraries
+from ..inference.options import Comparing, Keeping, Modelling, Sampling
+from ..measurement.options import Measuring
+from ..measurement.reading.options import Reading
 from . import options
 from .common import (
     add_measurement,
@@ -15,10 +18,9 @@ from .common import (
     add_records,
     add_sampling,
     add_talk,
+    chosen,
     extraction_progress,
-    measurement_of,
     print_result,
-    sampling_of,
 )
 
 LIKELIHOODS = ("auto", "population", "specimen", "pooled")
@@ -92,6 +94,7 @@ def add_update(commands: Any) -> None:
     model = add_model(parser)
     model.add_argument(
         "--effect",
+        dest="effects",
         action="append",
         default=[],
         metavar="NAME",
@@ -99,6 +102,7 @@ def add_update(commands: Any) -> None:
     )
     model.add_argument(
         "--prior",
+        dest="priors",
         action="append",
         default=[],
         type=options.prior,
@@ -107,6 +111,7 @@ def add_update(commands: Any) -> None:
     )
     model.add_argument(
         "--fix",
+        dest="fixed",
         action="append",
         default=[],
         type=options.fixed,
@@ -118,21 +123,21 @@ def add_update(commands: Any) -> None:
     likelihood.add_argument(
         "--likelihood",
         choices=LIKELIHOODS,
-        default="auto",
+        default=Comparing.likelihood,
         help="population: the parameter distribution over the batch, against the density of its backbones; specimen: "
         "each specimen its own parameters; pooled: one parameter set for all; auto: population from 8 specimens",
     )
     likelihood.add_argument(
         "--density",
         choices=DENSITIES,
-        default="product",
+        default=Comparing.density,
         help="population density: independent at each level (product, as in arXiv:2410.11902; recovers too little "
         "scatter), joint over the levels, or data_consistent: over what the priors predict (default: product)",
     )
     likelihood.add_argument(
         "--marginal",
         choices=MARGINALS,
-        default="best",
+        default=Comparing.marginal,
         help="family of the density at each level (default: best by information criterion)",
     )
 
@@ -156,15 +161,15 @@ def add_update(commands: Any) -> None:
 
 
 def _extract(given: argparse.Namespace) -> None:
-    from ..workflows import update as run
+    from ..workflows import extract as run
 
     with extraction_progress(given) as (progress, say):
         result = run.extract(
-            given.records,
-            output=given.out,
+            given.path,
+            output=given.output,
+            reading=chosen(Reading, given),
+            measuring=chosen(Measuring, given),
             overwrite=given.overwrite,
-            **measurement_of(given),
-            observables=given.observables,
             progress=progress,
             say=say,
         )
@@ -175,23 +180,22 @@ def _update(given: argparse.Namespace) -> None:
     from ..workflows import update as run
 
     hush_libraries(given.quiet)
+    modelling = Modelling(
+        given.mass,
+        options.split(given.effects),
+        options.once("--prior", given.priors),
+        options.once("--fix", given.fixed),
+    )
     with extraction_progress(given) as (progress, say):
         result = run.update(
-            given.records,
-            mass=given.mass,
-            effects=options.split(given.effect),
-            priors=options.once("--prior", given.prior),
-            fixed=options.once("--fix", given.fix),
-            is_table=given.backbones,
-            **measurement_of(given),
-            observables=given.observables,
-            likelihood=given.likelihood,
-            density=given.density,
-            marginal=given.marginal,
-            **sampling_of(given),
-            store=given.store,
-            resume=given.resume,
-            output=given.out,
+            given.path,
+            modelling,
+            reading=chosen(Reading, given),
+            measuring=chosen(Measuring, given),
+            comparing=chosen(Comparing, given),
+            sampling=chosen(Sampling, given),
+            keeping=chosen(Keeping, given),
+            output=given.output,
             overwrite=given.overwrite,
             progress=progress,
             say=say,

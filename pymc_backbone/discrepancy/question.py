@@ -7,14 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike
 
-from .._common.checks import FloatArray, InputError, check_choice
+from .._common.checks import InputError, check_choice
 from ..effects import BASE_EFFECTS, LIBRARY, Effect
 from ..measurement.conditioning.conditioned import ConditionedRecord
-from ..measurement.cycles import Cycles
-from ..measurement.extraction import extract_all
-from ..measurement.levels import backbones_at_levels, default_levels
+from ..measurement.extraction import measure_batch
+from ..measurement.options import Measuring
 from ..measurement.reading.records import Record
 from ..oscillator import Oscillator
 from .batch import Batch, batch_of_backbones, batch_of_records
@@ -29,7 +27,6 @@ WAVEFORM_SHARE = 0.1
 """Part of the tolerance on damping, as a share of the motion, that waveforms may depart by unexplained."""
 MOST_EFFECTS = 3
 """Effects that can be missing together."""
-_UNION_LEVELS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,13 +67,11 @@ def ask(
     candidates: Sequence[str | Effect] | None,
     max_effects: int,
     tolerance: Mapping[str, float] | float | None,
-    band: tuple[float, float] | None,
-    start: float | None,
-    levels: int | ArrayLike | None,
+    measuring: Measuring,
 ) -> Question:
     """Return the question, every argument checked; arguments as in `find_missing_effect`."""
     limits = tolerances(tolerance)
-    batch, notes = batch_of(oscillator, data, band, start, levels)
+    batch, notes = batch_of(oscillator, data, measuring)
     chosen = possible_effects(oscillator, candidates, batch)
     if not 1 <= int(max_effects) <= MOST_EFFECTS:
         raise InputError(f"`max_effects` must be 1, 2 or 3, got {max_effects}; look for more in a second study.")
@@ -147,25 +142,13 @@ def possible_effects(
     return tuple(sorted(names, key=cost))
 
 
-def batch_of(
-    oscillator: Oscillator,
-    data: Data,
-    band: tuple[float, float] | None,
-    start: float | None,
-    levels: int | ArrayLike | None,
-) -> tuple[Batch, list[str]]:
+def batch_of(oscillator: Oscillator, data: Data, measuring: Measuring) -> tuple[Batch, list[str]]:
     """Return the batch of records or backbones, and notes on it."""
     if isinstance(data, xr.Dataset):
         return _of_backbones(oscillator, data)
-    items = _as_records(data)
-    extraction = extract_all(items, band=band, start=start, is_strict=False)
-    observables = ["frequency", "damping"]
-    if all(record.offset_is_measured for record in extraction.records):
-        observables.append("offset")
-    chosen = levels_within(extraction.cycles, levels)
-    backbones = backbones_at_levels(extraction.cycles, chosen, observables, amplitude_unit=extraction.unit)
-    batch = batch_of_records(oscillator.mass, backbones, extraction.records, extraction.cycles)
-    return batch, extraction.notes()
+    measured = measure_batch(_as_records(data), measuring, every_observable=True)
+    found = measured.extraction
+    return batch_of_records(oscillator.mass, measured.backbones, found.records, found.cycles), measured.notes
 
 
 def _of_backbones(oscillator: Oscillator, backbones: xr.Dataset) -> tuple[Batch, list[str]]:
@@ -189,16 +172,3 @@ def _as_records(data: Sequence[Record] | Sequence[ConditionedRecord]) -> list[Re
     if not items:
         raise InputError("`data` must hold at least one record; check the folder.")
     return items
-
-
-def levels_within(cycles: Sequence[Cycles], levels: int | ArrayLike | None) -> FloatArray:
-    """Return the levels: those that all specimens reach or, where there are none, over all that any reaches."""
-    if levels is not None and np.ndim(levels) > 0:
-        return np.asarray(levels, dtype=np.float64)
-    count = None if levels is None else int(np.asarray(levels))
-    try:
-        return default_levels(cycles, count)
-    except InputError:
-        low = min(float(item.smoothed_amplitude.min()) for item in cycles)
-        high = max(float(np.partition(item.smoothed_amplitude, -2)[-2]) for item in cycles)
-        return np.geomspace(1.02 * low, 0.98 * high, count or _UNION_LEVELS)

@@ -103,7 +103,7 @@ def second_mode_check(batch: Batch, best: Fit) -> Check:
             name,
             False,
             f"{worst[2]} holds a line at {worst[1]:.4g} Hz, {worst[0]:.1%} of the motion, that no effect of a single "
-            "mode makes: a second mode beats with it; keep one mode with --band",
+            "mode makes: a second mode beats with it; keep one mode with `band`",
         )
     return Check(name, True, "what the model leaves holds no line beside the harmonics of the mode")
 

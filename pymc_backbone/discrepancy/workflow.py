@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from .._common.checks import InputError
 from ..effects import Effect
 from ..measurement.conditioning.conditioned import ConditionedRecord
+from ..measurement.options import Measuring
 from ..measurement.reading.records import Record
 from ..oscillator import Oscillator
 from . import rivals, words
@@ -86,7 +87,9 @@ def find_missing_effect(
     progress: Callable[[str, float], None] | None = None,
     band: tuple[float, float] | None = None,
     start: float | None = None,
+    stop: float | None = None,
     levels: int | ArrayLike | None = None,
+    strict: bool = False,
 ) -> Study:
     """Find what a model lacks to explain a batch of free decays, and how probable that is.
 
@@ -115,8 +118,10 @@ def find_missing_effect(
         Of everything random; drawn and recorded by default.
     progress : callable, optional
         Called with the stage and the share of it that is done.
-    band, start, levels
+    band, start, stop, levels
         As in `condition` and `backbones_at_levels`, for records.
+    strict : bool, default False
+        Whether one record that cannot be used ends it; else it is left out, as long as half of them remain.
 
     Returns
     -------
@@ -143,10 +148,11 @@ def find_missing_effect(
     say = progress or (lambda _stage, _share: None)
     seed = int(np.random.default_rng().integers(2**31)) if random_seed is None else int(random_seed)
     say("reading backbones", 0.0)
+    given_levels = None if levels is None else np.asarray(levels).tolist()
+    measuring = Measuring(band, start, stop, given_levels, strict=strict)
     question = ask(
-        oscillator, data, candidates=candidates, max_effects=max_effects, tolerance=tolerance, band=band, start=start,
-        levels=levels,
-    )  # fmt: skip
+        oscillator, data, candidates=candidates, max_effects=max_effects, tolerance=tolerance, measuring=measuring
+    )
     search = _searched(question, quick, say)
     say("deciding", 0.0)
     outcome = _decided(question, search)
@@ -160,7 +166,7 @@ def find_missing_effect(
         "candidates": list(question.candidates), "max_effects": question.max_effects,
         "tolerance": dict(question.tolerance), "held_out": most, "quick": quick, "step": step, "draws": draws,
         "tune": tune, "chains": chains, "band": band, "start": start,
-        "levels": None if levels is None else np.asarray(levels).tolist(),
+        "stop": stop, "levels": given_levels, "strict": strict,
     }  # fmt: skip
     return _study(question, outcome, verification, inference, asked, seed, begun)
 

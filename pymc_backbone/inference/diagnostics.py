@@ -130,7 +130,7 @@ def findings(
     frozen = _frozen_chains(dataset, names)
     if frozen:  # nothing else can be told from such draws
         return frozen + failed
-    sentences = _convergence(table) + _sampler(posterior) + failed
+    sentences = _convergence(table, dataset.sizes["chain"]) + _sampler(posterior) + failed
     for name, label, draws in _elements(dataset, names):
         if bounds and name in bounds and np.ptp(draws) > 0.0:
             ess = float(table.loc[label, "ess_bulk"])
@@ -228,9 +228,12 @@ def _frozen_chains(dataset: xr.Dataset, names: Sequence[str]) -> list[str]:
     ]
 
 
-def _convergence(table: pd.DataFrame) -> list[str]:
+def _convergence(table: pd.DataFrame, chains: int) -> list[str]:
     sentences = []
     r_hat = table["r_hat"]
+    if chains == 1:
+        sentences.append("There is one chain only, so nothing says if another would agree; draw four.")
+        r_hat = r_hat.fillna(1.0)
     # A row without R-hat is a parameter that stood still in every chain: `~(<=)` catches NaN too.
     mixed_badly = table.index[~(r_hat <= R_HAT_LIMIT)]
     if len(mixed_badly):

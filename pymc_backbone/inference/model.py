@@ -305,12 +305,17 @@ def _choose(
     if not isinstance(data, xr.Dataset):
         raise InputError(f"`data` must be a Density or a Dataset of backbones, got {type(data).__name__}.")
     data = select_observables(data, observables)
+    return data, likelihood_of(data, likelihood)
+
+
+def likelihood_of(backbones: xr.Dataset, likelihood: str = "auto") -> str:
+    """Return which likelihood `build_model` takes for backbones: the one asked for, or what ``auto`` stands for."""
     if likelihood == "auto":
-        complete = int(np.isfinite(np.asarray(data["value"])).all(axis=(1, 2)).sum())
+        complete = int(np.isfinite(np.asarray(backbones["value"])).all(axis=(1, 2)).sum())
         likelihood = "population" if complete >= POPULATION_SIZE else "specimen"
     if likelihood == "population":
-        return data, likelihood
-    return data, "pooled" if data.sizes["specimen"] == 1 else likelihood
+        return likelihood
+    return "pooled" if backbones.sizes["specimen"] == 1 else likelihood
 
 
 def select_observables(data: xr.Dataset, observables: Sequence[str] | None) -> xr.Dataset:

@@ -299,7 +299,7 @@ class StartFinder:
         return (
             "no prior point reaches all levels together although each level is reached by some; the model cannot "
             "follow the measured backbones: add an effect, widen the priors, or use a density without hard edges "
-            "(marginal='normal')."
+            "(`marginal='normal'`)."
         )
 
 

@@ -134,7 +134,7 @@ def _of_scales(
     if n < r + 3:
         raise InputError(
             f"a data_consistent density with {r} determined parameters needs at least {r + 3} specimens that reach "
-            f"every level, got {n}. Fix parameters, or use likelihood='specimen'."
+            f"every level, got {n}. Fix parameters, or use `likelihood='specimen'`."
         )
     polynomials, sample = _whitened(outer[:, kept], u, projection @ error @ projection.T, subtract)
     bandwidth = kernel_bandwidth(sample)[0]

@@ -138,7 +138,7 @@ def _fit_product(
         observable, level = names[o], float(levels[k])
         sample = np.sort(value[:, o, k][np.isfinite(value[:, o, k])])  # sorted: the order of specimens changes no bit
         if sample.size < _MINIMUM[marginal]:
-            advice = ", or choose marginal='normal'" if sample.size >= _MINIMUM["normal"] else ""
+            advice = ", or choose `marginal='normal'`" if sample.size >= _MINIMUM["normal"] else ""
             raise InputError(
                 f"`backbones` must hold at least {_MINIMUM[marginal]} specimens at every level for marginal="
                 f"{marginal!r}, got {sample.size} that reach level {level:g} in {observable}. Drop that level{advice}."

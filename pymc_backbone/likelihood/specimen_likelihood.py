@@ -31,7 +31,7 @@ def whiten_specimens(data: xr.Dataset) -> tuple[FloatArray, FloatArray, FloatArr
             o, k = np.argwhere(held[s] & ~usable)[0]
             raise InputError(
                 f"the likelihood of specimens needs standard errors; specimen {specimens[s]!r} has none for "
-                f"{data['observable'].values[o]} at {float(data['level'][k]):g}. Use likelihood='population', or "
+                f"{data['observable'].values[o]} at {float(data['level'][k]):g}. Use `likelihood='population'`, or "
                 "give standard errors with the backbones."
             )
         covariance = np.zeros((size, size))

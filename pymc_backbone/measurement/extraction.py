@@ -1,15 +1,32 @@
-"""Records to cycles, one after another: conditioning, extraction, one unit for all, notes with their specimen."""
+"""Records to the backbones of a batch: one road for all who need them.
+
+Records are conditioned one after another, their cycles extracted, levels chosen, backbones taken at them. What cannot
+be used is left out with its reason, as long as half of the records remain.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from .._common.checks import InputError
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike
+
+from .._common.checks import FloatArray, InputError, check_levels, check_observables
 from .conditioning.condition import condition
 from .conditioning.conditioned import ConditionedRecord
 from .cycles import Cycles, extract_cycles
+from .levels import backbones_at_levels, default_levels
+from .options import Measuring
 from .reading.records import Record
+
+DEFAULT_OBSERVABLES = ("frequency", "damping")
+LEFT_OUT = "left out: "
+"""What the note on a record that could not be used begins with."""
+LEAST_SHARE = 0.5
+"""Share of the records that must remain: where most cannot be used, something is wrong with all of them."""
+_UNION_LEVELS = 8
 
 
 @dataclass(frozen=True)
@@ -35,7 +52,7 @@ class Extraction:
 
     def notes(self, others: Sequence[str] = ()) -> list[str]:
         """Return what was assumed or done, the specimen in front of what is about one; then what ``others`` add."""
-        notes, known = [f"left out: {sentence}" for sentence in self.refused], set()
+        notes, known = [f"{LEFT_OUT}{sentence}" for sentence in self.refused], set()
         for item in self.cycles:
             for note in item.notes:
                 known.add(note)
@@ -43,12 +60,85 @@ class Extraction:
         return notes + [str(note) for note in others if note not in known]
 
 
+@dataclass(frozen=True, eq=False)
+class MeasuredBatch:
+    """The backbones of a batch at levels, and what they come from.
+
+    Attributes
+    ----------
+    backbones : xarray.Dataset
+        As `backbones_at_levels` returns them; ``attrs["notes"]`` holds everything that was assumed, done or left out.
+    extraction : Extraction
+        Records and cycles, one each per specimen.
+    """
+
+    backbones: xr.Dataset
+    extraction: Extraction
+
+    @property
+    def notes(self) -> list[str]:
+        """What was assumed, done or left out."""
+        return [str(note) for note in self.backbones.attrs["notes"]]
+
+
+def measure_batch(
+    records: Sequence[Record | ConditionedRecord],
+    measuring: Measuring | None = None,
+    *,
+    every_observable: bool = False,
+    progress: Callable[[str, float], None] | None = None,
+) -> MeasuredBatch:
+    """Return the backbones of records at levels.
+
+    Parameters
+    ----------
+    records : sequence of Record or ConditionedRecord
+        At least one.
+    measuring : Measuring, optional
+        Band, release and end, levels, observables, and whether one record that cannot be used ends it.
+    every_observable : bool, optional
+        Whether the observables, where none are named, are all that every record tells, the offset among them; else
+        frequency and damping.
+    progress : callable, optional
+        Called with the stage and the fraction done, before each record.
+
+    Returns
+    -------
+    MeasuredBatch
+
+    Raises
+    ------
+    InputError
+        For records that cannot be used, records of different units, or levels that the decays do not bear.
+    """
+    measuring = Measuring() if measuring is None else measuring
+    extraction = extract_all(
+        records,
+        band=measuring.band,
+        start=measuring.start,
+        stop=measuring.stop,
+        strict=measuring.strict,
+        progress=progress,
+    )
+    levels, said = levels_for(extraction.cycles, measuring.levels)
+    observables = measuring.observables
+    if observables is None:
+        has_offset = every_observable and all(record.offset_is_measured for record in extraction.records)
+        observables = (*DEFAULT_OBSERVABLES, "offset") if has_offset else DEFAULT_OBSERVABLES
+    backbones = backbones_at_levels(
+        extraction.cycles, levels, check_observables(observables), amplitude_unit=extraction.unit
+    )
+    backbones.attrs["notes"] = [*extraction.notes(backbones.attrs.get("notes", [])), *said]
+    return MeasuredBatch(backbones, extraction)
+
+
 def extract_all(
     records: Sequence[Record | ConditionedRecord],
     *,
     band: tuple[float, float] | None = None,
     start: float | None = None,
-    is_strict: bool = True,
+    stop: float | None = None,
+    strict: bool = False,
     progress: Callable[[str, float], None] | None = None,
 ) -> Extraction:
     """Condition records and extract their cycles.
@@ -57,17 +147,21 @@ def extract_all(
     ----------
     records : sequence of Record or ConditionedRecord
         At least one.
-    band, start
+    band, start, stop
         As in `condition`.
-    is_strict : bool, optional
-        Whether one record that cannot be used ends it; otherwise it is left out, as long as another can be used.
+    strict : bool, optional
+        Whether one record that cannot be used ends it; otherwise it is left out, as long as half of them remain.
     progress : callable, optional
         Called with the stage and the fraction done, before each record.
+
+    Returns
+    -------
+    Extraction
 
     Raises
     ------
     InputError
-        For records that cannot be used, or that are of different units.
+        For records that cannot be used (one with ``strict``, else more than half), or that are of different units.
     """
     conditioned: list[ConditionedRecord] = []
     cycles: list[Cycles] = []
@@ -76,18 +170,77 @@ def extract_all(
         if progress is not None:
             progress("extracting cycles", done / len(records))
         try:
-            record = condition(item, band=band, start=start) if isinstance(item, Record) else item
+            record = condition(item, band=band, start=start, stop=stop) if isinstance(item, Record) else item
             extracted = extract_cycles(record)
         except InputError as error:
-            if is_strict:
+            if strict or len(records) == 1:
                 raise
             refused.append(str(error))
             continue
         conditioned.append(record)
         cycles.append(extracted)
-    if not conditioned:
-        raise InputError(refused[0])
+    if len(conditioned) < LEAST_SHARE * len(records):
+        raise InputError(
+            f"{len(refused)} of {len(records)} records cannot be used, more than half of them; the first: {refused[0]}"
+        )
     units = sorted({record.unit for record in conditioned})
     if len(units) > 1:
         raise InputError(f"the records must all be displacements or all be angles, got both {' and '.join(units)}.")
     return Extraction(tuple(conditioned), tuple(cycles), tuple(refused))
+
+
+def levels_for(cycles: Sequence[Cycles], levels: int | ArrayLike | None = None) -> tuple[FloatArray, list[str]]:
+    """Choose the levels of a batch.
+
+    Parameters
+    ----------
+    cycles : sequence of Cycles
+        One per specimen.
+    levels : int or array_like, optional
+        Their number, or the amplitudes [m or rad]; by default as many as `default_levels` takes.
+
+    Returns
+    -------
+    levels : (l,) array
+        Those that (nearly) all specimens reach, as `default_levels` chooses them; where they share no range, from the
+        lowest to the highest amplitude of any.
+    notes : list of str
+        A sentence where they share no range.
+
+    Raises
+    ------
+    InputError
+        If a specimen reaches more levels than it has cycles: their values would depend on each other exactly.
+    """
+    if levels is not None and np.ndim(levels) > 0:
+        at = check_levels(levels)
+        _check_number(cycles, at)
+        return at, []
+    count = None if levels is None else int(np.asarray(levels))
+    if count is not None and count < 1:
+        raise InputError(f"`levels` must be at least 1, or a list of amplitudes, got {count}.")
+    try:
+        at, notes = default_levels(cycles, count), []
+    except InputError:
+        low = min(float(item.smoothed_amplitude.min()) for item in cycles)
+        high = max(float(np.partition(item.smoothed_amplitude, -2)[-2]) for item in cycles)
+        fewest = min(item.smoothed_amplitude.size for item in cycles)
+        at = np.geomspace(1.02 * low, 0.98 * high, count or min(_UNION_LEVELS, fewest))
+        notes = [
+            f"the specimens share no range of amplitudes: the levels go from the lowest to the highest, {at[0]:.4g} to "
+            f"{at[-1]:.4g}, and each specimen has values at those it reaches"
+        ]
+    _check_number(cycles, at)
+    return at, notes
+
+
+def _check_number(cycles: Sequence[Cycles], levels: FloatArray) -> None:
+    """Raise if a specimen reaches more levels than it has cycles."""
+    for item in cycles:
+        amplitude = item.smoothed_amplitude
+        reached = int(np.sum((levels >= amplitude.min()) & (levels <= amplitude.max())))
+        if reached > amplitude.size:
+            raise InputError(
+                f"`levels` put {reached} amplitudes where {item.specimen} has {amplitude.size} cycles; ask for fewer: "
+                "a decay tells at most one value a cycle."
+            )

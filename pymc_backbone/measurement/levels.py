@@ -142,7 +142,8 @@ def backbones_at_levels(
     if np.all(np.isnan(value)):
         low, high = min(c.smoothed_amplitude.min() for c in items), max(c.smoothed_amplitude.max() for c in items)
         raise InputError(
-            f"`levels` must lie inside the measured amplitudes {low:g} to {high:g}, got {at[0]:g} to {at[-1]:g}."
+            f"`levels` must lie inside the measured amplitudes, {low:.4g} to {high:.4g} {amplitude_unit}, got "
+            f"{at[0]:g} to {at[-1]:g} {amplitude_unit}."
         )
     return backbone_dataset(names, chosen, at, value, covariance, amplitude_unit, notes)
 

@@ -126,7 +126,7 @@ def _pair(mean: float | None, sd: float | None) -> str:
 
 def write_figures(folder: Path, result: CaseResult) -> list[str]:
     """Write the figures of one run; return the names of the files."""
-    from ..reporting import posterior_plots as plots
+    from .. import plots
     from . import case_plots
 
     case = result.case

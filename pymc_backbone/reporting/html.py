@@ -123,7 +123,7 @@ def unit(text: str) -> Raw:
     pieces = escape(text).split("^")
     result = pieces[0]
     for piece in pieces[1:]:
-        end = next((i for i, c in enumerate(piece) if not (c.isdigit() or c == "-")), len(piece))
+        end = next((i for i, c in enumerate(piece) if not (c.isalnum() or c == "-")), len(piece))
         result += f"<sup>{piece[:end].replace('-', '&minus;')}</sup>{piece[end:]}"
     return Raw(f'<span class="u">{result}</span>')
 

@@ -78,7 +78,7 @@ RESULT_KEYS = {
 """Keys of ``result.json``; ``extract`` writes those that apply to it."""
 
 
-def prepare_output(path: str | os.PathLike[str], overwrite: bool = False) -> Path:
+def prepare_output(path: str | os.PathLike[str], overwrite: bool = False, *, records: Any = None) -> Path:
     """Make the output folder ready, before any long computation.
 
     Parameters
@@ -88,6 +88,8 @@ def prepare_output(path: str | os.PathLike[str], overwrite: bool = False) -> Pat
     overwrite : bool, optional
         Whether a folder that is not empty may be used. `write_results` then replaces what it writes, and removes what
         an earlier run listed in its own ``result.json`` and this one did not write; nothing else is touched.
+    records : path-like, optional
+        Where the records are: results among them would be taken for records by the next run.
 
     Returns
     -------
@@ -97,9 +99,12 @@ def prepare_output(path: str | os.PathLike[str], overwrite: bool = False) -> Pat
     Raises
     ------
     InputError
-        If the path is a file, the folder is not empty (without ``overwrite``), or nothing can be written there.
+        If the path is a file or the folder of the records, the folder is not empty (without ``overwrite``), or nothing
+        can be written there.
     """
     folder = Path(path)
+    if isinstance(records, str | os.PathLike) and folder.resolve() == Path(records).resolve():
+        raise InputError(f"The output {folder} is where the records are; name another folder.")
     if folder.exists() and not folder.is_dir():
         raise InputError(f"The output {folder} is a file; name a folder.")
     try:
@@ -107,8 +112,8 @@ def prepare_output(path: str | os.PathLike[str], overwrite: bool = False) -> Pat
         occupied = sorted(entry.name for entry in folder.iterdir())
         if occupied and not overwrite:
             raise InputError(
-                f"The output folder {folder} is not empty (it holds {occupied[0]}); name another one, or add "
-                "--overwrite."
+                f"The output folder {folder} is not empty (it holds {occupied[0]}); name another one, or give "
+                "`overwrite=True`."
             )
         with tempfile.TemporaryFile(dir=folder):
             pass
@@ -236,7 +241,7 @@ def write_backbones(backbones: xr.Dataset, path: str | os.PathLike[str], *, over
     if kind not in (".nc", ".csv"):
         raise InputError(f"{file}: backbones are written as .nc or .csv; choose a name that ends so.")
     if file.exists() and not overwrite:
-        raise InputError(f"{file}: exists already; choose another name or set overwrite=True.")
+        raise InputError(f"{file}: exists already; choose another name or give `overwrite=True`.")
     with replacing(file) as temporary:
         if kind == ".nc":
             _portable(backbones).to_netcdf(temporary, engine="h5netcdf")

@@ -15,8 +15,10 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from .._common.checks import OBSERVABLE_UNITS, FloatArray
 
-# Okabe and Ito's colours, told apart by colour-blind readers too.
 FEW = 12  # up to so many specimens, each backbone is drawn with its error bars
+COLUMN = 4.8  # inches: the width of a figure of a report, two of which stand side by side
+MOST_ROWS = 24  # of specimens or levels in one figure
+# Okabe and Ito's colours, told apart by colour-blind readers too.
 MEASURED, SIMULATED, TRUE, QUIET = "#0072B2", "#D55E00", "#009E73", "#8C8C8C"
 OBSERVABLE_NAMES = {
     "frequency": "Frequency",
@@ -68,7 +70,7 @@ def parameter_axis(name: str, values: FloatArray, units: Mapping[str, str] | Non
     largest = float(np.max(np.abs(values), initial=0.0))
     exponent = int(np.floor(np.log10(largest))) if largest > 0.0 and np.isfinite(largest) else 0
     exponent = 0 if -3 < exponent < 5 else 3 * (exponent // 3)
-    unit = "-" if unit == "1" else re.sub(r"\^(-?\d+)", r"$^{\1}$", unit)
+    unit = "-" if unit == "1" else re.sub(r"\^(-?\w+)", r"$^{\1}$", unit)
     factor = f"$10^{{{exponent}}}$" if exponent else ""
     inside = " ".join(part for part in (factor, "" if factor and unit == "-" else unit) if part)
     return 10.0**-exponent, f"{text} [{inside}]" if inside else text

@@ -81,7 +81,7 @@ def _extent(records: Sequence[Any]) -> str:
     peaks = [float(np.max(np.abs(record.values))) for record in records]
 
     def spread(values: Sequence[float]) -> str:
-        low, high = (f"{value:.4g}" for value in (min(values), max(values)))
+        low, high = (f"{value:.0f}" if 1e3 <= value < 1e9 else f"{value:.4g}" for value in (min(values), max(values)))
         return low if low == high else f"{low} to {high}"
 
     count = f"{len(records)} {'record' if len(records) == 1 else 'records'}"
@@ -118,13 +118,14 @@ def describe_result(result: Mapping[str, Any]) -> str:
     """Say what was inferred: parameters, measured against simulated spread, findings."""
     rows = [("parameter", "unit", "mean", "sd", "95 % HDI", "R-hat", "effective draws")]
     for name, entry in result["parameters"].items():
+        digits = meaningful_digits(entry["hdi_low"], entry["hdi_high"], entry["sd"])
         rows.append(
             (
                 name,
                 entry["unit"],
-                short(entry["mean"]),
-                short(entry["sd"]),
-                f"{short(entry['hdi_low'])} to {short(entry['hdi_high'])}",
+                short(entry["mean"], digits),
+                short(entry["sd"], 2),
+                f"{short(entry['hdi_low'], digits)} to {short(entry['hdi_high'], digits)}",
                 f"{entry['r_hat']:.3f}",
                 f"{entry['ess_bulk']:.0f}",
             )
@@ -160,9 +161,23 @@ def _with_unit(observable: str) -> str:
     return f"{observable} [{'-' if unit == '1' else unit}]"
 
 
-def short(value: float) -> str:
-    """Write a number with four significant digits."""
-    return "-" if not np.isfinite(value) else f"{value:.4g}"
+def short(value: float, digits: int = 4) -> str:
+    """Write a number with so many significant digits."""
+    return "-" if not np.isfinite(value) else f"{value:.{digits}g}"
+
+
+def meaningful_digits(low: float, high: float, sd: float) -> int:
+    """Return how many digits of a value its standard deviation leaves meaningful, two uncertain ones included.
+
+    Examples
+    --------
+    >>> meaningful_digits(29717.0, 29725.0, 1.885), meaningful_digits(0.55, 0.65, 0.025)
+    (6, 3)
+    """
+    largest = max(abs(low), abs(high))
+    if not (sd > 0.0 and np.isfinite(largest) and largest > 0.0):
+        return 4
+    return int(np.clip(np.floor(np.log10(largest)) - np.floor(np.log10(sd)) + 2, 2, 9))
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> str:

@@ -12,12 +12,13 @@ from matplotlib.ticker import MaxNLocator
 
 from .._common.checks import FloatArray
 from ..discrepancy.verdict import Verdict
-from ..reporting.style import MEASURED, QUIET, SIMULATED, drawable, layout, parameter_axis
+from ..reporting.style import FEW, MEASURED, QUIET, SIMULATED, drawable, layout, parameter_axis
 from .outliers import Quantity, far
 from .structure import Structure
 
 MOST_NAMED = 5  # structures that a panel names
 _WIDTH, _HEIGHT = 4.8, 3.1
+_LETTERS = 18  # of a structure's name below the axis
 _ORDERED = ("frequency", "damping_ratio")
 _COLOURS: dict[str, str] = {
     Verdict.ADEQUATE: "#009E73",
@@ -57,8 +58,7 @@ def plot_quantity(quantity: Quantity, order: Sequence[str]) -> Figure:
             axis.errorbar(x[chosen], y[chosen], error[chosen], fmt="o", color=colour, **bars)
     axis.set_xlim(0.4, len(order) + 0.6)
     axis.margins(y=0.12)
-    axis.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
-    axis.set_xlabel("Structure, in the order given")
+    _structure_axis(axis, order)
     axis.set_ylabel(label)
     worst = np.argsort(-np.nan_to_num(np.abs(scores)))[: min(MOST_NAMED, int(is_far.sum()))]
     _name(axis, [(float(x[i]), float(y[i]), quantity.structures[i]) for i in worst], 0.5 * (len(order) + 1))
@@ -103,6 +103,21 @@ def _panel() -> tuple[Figure, Any]:
     axis.grid(alpha=0.25, linewidth=0.5)
     axis.ticklabel_format(axis="both", useOffset=False)
     return figure, axis
+
+
+def _structure_axis(axis: Axes, order: Sequence[str]) -> None:
+    """Name the structures below the axis, or number them where there are too many for that."""
+    if len(order) > FEW:
+        axis.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+        axis.set_xlabel("Structure, in the order given")
+        return
+    # Of long names the end is shown: mostly that is where they differ.
+    names = [
+        drawable(name if len(name) <= _LETTERS else f"\N{HORIZONTAL ELLIPSIS}{name[1 - _LETTERS :]}") for name in order
+    ]
+    is_wide = sum(map(len, names)) > 45
+    slant: dict[str, Any] = {"rotation": 40, "ha": "right", "rotation_mode": "anchor"} if is_wide else {}
+    axis.set_xticks(range(1, len(order) + 1), names, fontsize=8, **slant)
 
 
 def _name(axis: Axes, points: Sequence[tuple[float, float, str]], middle: float | FloatArray) -> None:

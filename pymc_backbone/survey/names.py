@@ -74,8 +74,8 @@ def _folders(root: Path, leave_out: str | os.PathLike[str] | None) -> dict[str, 
     found = [path for path in entries if path.is_dir() and path.name[0] != "." and path.resolve() != skipped]
     if not found:
         raise InputError(
-            f"{shown} holds no folder; put the records of each structure in a folder of its own, or diagnose it as one "
-            "structure (without --many)."
+            f"{shown} holds no folder; put the records of each structure in a folder of its own, or diagnose it as a "
+            "single structure."
         )
     return {path.name: path for path in sorted(found, key=lambda path: natural_key(path.name))}
 

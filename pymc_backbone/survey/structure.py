@@ -21,6 +21,11 @@ from threadpoolctl import threadpool_limits
 
 from .._common.atomic_files import replacing
 from .._common.checks import InputError
+from .._common.options import pick
+from ..discrepancy.options import Searching
+from ..inference.options import Sampling
+from ..measurement.options import Measuring
+from ..measurement.reading.options import Reading
 
 STRUCTURE_FILE = "structure.json"
 _ONE_STUDY = threading.Lock()
@@ -159,7 +164,18 @@ def run_job(job: Job) -> dict[str, Any]:
         try:
             if job.folder is not None:
                 Path(job.folder, STRUCTURE_FILE).unlink(missing_ok=True)
-            result = diagnose(job.source, output=job.folder, overwrite=True, say=_say_nothing, **job.settings)
+            result = diagnose(
+                job.source,
+                mass=job.settings["mass"],
+                output=job.folder,
+                base=job.settings.get("base", ()),
+                searching=pick(Searching, job.settings),
+                reading=pick(Reading, job.settings),
+                measuring=pick(Measuring, job.settings),
+                sampling=pick(Sampling, job.settings),
+                overwrite=True,
+                say=_say_nothing,
+            )
             entries.update(summary_of(result), report=job.report)
         except InputError as error:
             entries.update(error=" ".join(str(error).split()))

@@ -14,7 +14,7 @@ from .._common.checks import InputError
 
 POLL = 0.2  # seconds between two looks at Ctrl-C and the clock
 BROKEN = (
-    "the executor that was given broke when one of its processes ended; run again with resume=True, or leave "
+    "the executor that was given broke when one of its processes ended; run again with `resume=True`, or leave "
     "`executor` out: processes of this package are replaced."
 )
 

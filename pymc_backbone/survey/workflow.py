@@ -12,17 +12,23 @@ from typing import Any
 import numpy as np
 
 from .._common.checks import InputError, check_choice
+from .._common.options import names_of
 from .._common.processes import Processes
+from ..discrepancy.options import Searching
+from ..inference.options import Sampling
+from ..measurement.options import Measuring
+from ..measurement.reading.options import Reading
 from .files import begin_survey, stored_seed, structure_folder, write_survey
 from .names import folder_names, request_digest, seed_of, structures_of
 from .structure import Job, Structure, blank, prepare_worker, read_entries, run_job
 from .survey import Survey, effects_in_words
 from .tasks import Here, Lost, run_tasks
 
-SETTINGS = (
-    *("candidates", "max_effects", "tolerance", "held_out", "quick", "is_table"),
-    *("band", "start", "levels", "columns", "quantity", "unit", "sampling_rate"),
-    *("draws", "tune", "chains", "step"),
+SETTINGS = tuple(
+    name
+    for kind in (Searching, Reading, Measuring, Sampling)
+    for name in names_of(kind)
+    if name not in ("observables", "random_seed")
 )
 """Settings of `diagnose` that are common to all structures or, in ``each``, those of one."""
 STAGE = "diagnosing the structures"
@@ -80,9 +86,9 @@ def diagnose_many(
     say : callable, optional
         Called with a line for each structure that is finished, and with the summary.
     **settings
-        ``candidates``, ``max_effects``, ``tolerance``, ``held_out``, ``quick``, ``band``, ``start``, ``levels``,
-        ``draws``, ``tune``, ``chains``, ``step`` as in `find_missing_effect`; ``columns``, ``quantity``, ``unit``,
-        ``sampling_rate`` as in `read_records`; ``is_table``: the files are tables of backbones.
+        ``candidates``, ``max_effects``, ``tolerance``, ``held_out``, ``quick``, ``band``, ``start``, ``stop``,
+        ``levels``, ``strict``, ``draws``, ``tune``, ``chains``, ``step`` as in `find_missing_effect`; ``columns``,
+        ``quantity``, ``unit``, ``sampling_rate`` as in `read_records`; ``is_table``: the files are tables of backbones.
 
     Returns
     -------

@@ -12,11 +12,13 @@ from typing import Any
 import numpy as np
 
 from .._common.checks import FloatArray, InputError
+from ..inference.options import Comparing, Modelling, Sampling
+from ..measurement.options import Measuring
 from ..reporting.output_folder import read_result
 from ..reporting.terminal import aligned, short
 from .update import update
 
-SEED = 1
+SAMPLING = Sampling(draws=4000, tune=2000, random_seed=1)
 TRUTH = "true_parameters.json"
 
 
@@ -70,7 +72,11 @@ def demo_parameters() -> tuple[float, dict[str, FloatArray]]:
 
 
 def run_demo(
-    output: str | os.PathLike[str], *, overwrite: bool = False, say: Callable[[str], None] = print, **settings: Any
+    output: str | os.PathLike[str],
+    *,
+    overwrite: bool = False,
+    say: Callable[[str], None] = print,
+    sampling: Sampling = SAMPLING,
 ) -> dict[str, Any]:
     """Infer stiffness, damping and cubic stiffness of the demo batch, and print them beside the true ones.
 
@@ -82,8 +88,8 @@ def run_demo(
         Whether any other folder may hold something already.
     say : callable, optional
         Called with each line of progress; ``print`` by default.
-    **settings
-        Settings of `run.update` that differ from the demo's, for example ``draws``.
+    sampling : Sampling, optional
+        Draws, chains, step, seed.
 
     Returns
     -------
@@ -92,24 +98,17 @@ def run_demo(
     """
     mass, truth = demo_parameters()
     say("24 ring-down records of nominally equal specimens, simulated with known parameters (not by this program).\n")
-    chosen = {
-        "effects": ["cubic_stiffness"],
-        "observables": ["frequency", "damping"],
-        "density": "joint",
-        "draws": 4000,
-        "tune": 2000,
-        "random_seed": SEED,
-        **settings,
-    }
     result = update(
         demo_folder(),
-        mass=mass,
+        Modelling(mass, ["cubic_stiffness"]),
+        measuring=Measuring(observables=["frequency", "damping"]),
+        comparing=Comparing(density="joint"),
+        sampling=sampling,
         output=output,
         overwrite=overwrite or _is_demo(output),
         command="demo",
         true_values=truth,
         say=say,
-        **chosen,
     )
     say("\n" + compare_with_truth(result["parameters"], truth))
     figures = Path(output) / "figures"

@@ -5,45 +5,41 @@ from __future__ import annotations
 import os
 import shlex
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .._common.checks import InputError
+from .._common.options import settings_of
+from ..discrepancy.options import Searching
+from ..inference.options import Sampling
+from ..measurement.options import Measuring
+from ..measurement.reading.options import Reading
 from ..reporting.output_folder import REPORT, package_version, plain, prepare_output, read_result
 from ..reporting.terminal import aligned, describe_reading, short
-from .measure import Levels, measure
-from .update import Progress, Say
+from .measure import Progress, Say, measure, say_warnings
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from ..discrepancy.study import Study
+    from ..measurement.reading.records import Record
+
+    Data = str | os.PathLike[str] | Sequence[Record] | xr.Dataset
 
 TOP_CANDIDATES = 5
 
 
 def diagnose(
-    path: Any,
+    path: Data,
     *,
     mass: float,
     output: str | os.PathLike[str] | None,
     base: Sequence[str] = (),
-    candidates: Sequence[str] | None = None,
-    max_effects: int = 3,
-    tolerance: Mapping[str, float] | None = None,
-    held_out: int | None = None,
-    quick: bool = False,
-    is_table: bool = False,
-    band: tuple[float, float] | None = None,
-    start: float | None = None,
-    levels: Levels = None,
-    columns: Sequence[str] | None = None,
-    quantity: str | None = None,
-    unit: str | None = None,
-    sampling_rate: float | None = None,
-    draws: int = 2000,
-    tune: int = 1000,
-    chains: int = 4,
-    step: str = "metropolis",
-    random_seed: int | None = None,
+    searching: Searching | None = None,
+    reading: Reading | None = None,
+    measuring: Measuring | None = None,
+    sampling: Sampling | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
     say: Say = print,
@@ -53,27 +49,19 @@ def diagnose(
     Parameters
     ----------
     path : path-like, or what was read already
-        File or folder of records, or of backbone tables if ``is_table``; or records or a Dataset of backbones.
+        File or folder of records, or of backbone tables; or records or a Dataset of backbones.
     mass : float
         Mass [kg], or inertia [kg m^2] for a rotation.
     output : path-like or None
         Output folder; None: nothing is written.
     base : sequence of str, optional
         Effects of the model that is questioned, beside linear stiffness and viscous damping.
-    candidates : sequence of str, optional
-        Effects that may be missing; all of the library by default.
-    max_effects : int, optional
-        Largest number of missing effects; 3 by default.
-    tolerance : mapping of str to float, optional
-        Relative tolerance by observable; by default that of `find_missing_effect`.
-    held_out : int, optional
-        How much to hold out, as in `find_missing_effect`.
-    quick : bool, optional
-        Whether to stop before sampling.
-    is_table, band, start, levels, columns, quantity, unit, sampling_rate
-        As in `measurement.measure`.
-    draws, tune, chains, step, random_seed
-        As in `sample`.
+    searching : Searching, optional
+        Candidates, tolerance, what is held out.
+    reading, measuring : optional
+        As in `measure`; the search takes every observable that the records tell.
+    sampling : Sampling, optional
+        Draws, chains, step, seed.
     overwrite : bool, optional
         Whether the folder may hold something already.
     progress : callable, optional
@@ -86,70 +74,63 @@ def diagnose(
     dict
         What ``result.json`` holds; its keys are `diagnosis_files.DIAGNOSIS_KEYS`.
     """
-    settings: dict[str, Any] = {
-        "candidates": candidates,
-        "max_effects": max_effects,
-        "quick": quick,
-        "draws": draws,
-        "tune": tune,
-        "chains": chains,
-        "step": step,
-        "band": band,
-        "start": start,
-        "levels": levels,
-    }
-    settings.update({} if tolerance is None else {"tolerance": dict(tolerance)})
-    settings.update({} if held_out is None else {"held_out": held_out})
-    reading: dict[str, Any] = {
-        "columns": columns,
-        "quantity": quantity,
-        "unit": unit,
-        "sampling_rate": sampling_rate,
-    }
-    folder = None if output is None else prepare_output(output, overwrite)
+    searching = Searching() if searching is None else searching
+    reading = Reading() if reading is None else reading
+    measuring = Measuring() if measuring is None else measuring
+    sampling = Sampling() if sampling is None else sampling
+    folder = None if output is None else prepare_output(output, overwrite, records=path)
     from ..oscillator import Oscillator
 
     oscillator = Oscillator(mass, base)
-    data, records = _read(path, is_table, {"band": band, "start": start, "levels": levels}, reading, say)
-    passed = {**settings, "levels": None} if is_table else settings  # the tables are at the levels already
+    data, records = _read(path, reading, measuring, say)
+    settings = {name: value for name, value in settings_of(searching, sampling).items() if value is not None}
+    if not reading.is_table:  # the tables are at the levels already
+        settings |= {name: value for name, value in settings_of(measuring).items() if name != "observables"}
     from ..discrepancy.workflow import find_missing_effect
 
-    study = find_missing_effect(oscillator, data, random_seed=random_seed, progress=progress, **passed)
+    study = find_missing_effect(oscillator, data, progress=progress, **settings)
     from ..reporting.study_files import study_entries, write_study
 
     if folder is None or output is None:
-        say(describe_study(study))
+        _say_study(study, say)
         return dict(plain(study_entries(study, package_version())))
     if progress is not None:
         progress("writing the report", 1.0)
     command = ""
     if isinstance(path, str | os.PathLike):
-        flags = {"backbones": is_table, "overwrite": overwrite}
-        command = command_line(path, mass, base, {**settings, **reading, "seed": study.seed}, flags, output)
+        chosen = (searching, reading, measuring, replace(sampling, random_seed=study.seed))
+        command = command_line(path, mass, base, settings_of(*chosen), output, overwrite=overwrite)
     write_study(study, folder, overwrite=overwrite, command=command, records=records)
-    say(describe_study(study))
+    _say_study(study, say)
     say(f"\nThe report is {Path(folder) / REPORT}; numbers, figures and a PyMC script are beside it.")
     return read_result(folder)
 
 
-def _read(
-    path: Any, is_table: bool, measurement: Mapping[str, Any], reading: Mapping[str, Any], say: Say
-) -> tuple[Any, Sequence[Any]]:
+def _say_study(study: Study, say: Say) -> None:
+    say_warnings(study.notes, say)
+    say(describe_study(study))
+
+
+def _read(path: Data, reading: Reading, measuring: Measuring, say: Say) -> tuple[Any, Sequence[Record]]:
     """Return the data for the search, and the records among them."""
-    if is_table:
-        return measure(path, is_table=True, **measurement, **reading).backbones, ()
     if not isinstance(path, str | os.PathLike):
-        given = next((name for name, value in reading.items() if value is not None), None)
+        given = next((name for name, value in reading.of_records.items() if value is not None), None)
         if given is not None:
             raise InputError(f"`{given}` is for files, and these records are read already; give it to `read_records`.")
-        return path, path if isinstance(path, Sequence) else ()
+        return path, path if isinstance(path, Sequence) and not isinstance(path, str) else ()
+    if reading.is_table:
+        return measure(path, reading, measuring).backbones, ()
     from ..measurement.reading.records import read_records
 
-    records = read_records(path, **reading)
+    records = read_records(path, **reading.of_records)
     assumed = describe_reading(records)
     if assumed:
         say(assumed + "\n")
     return records, records
+
+
+OPTIONS = {"is_table": "backbones", "random_seed": "seed"}
+"""Options of the command line that have another name than the setting."""
 
 
 def command_line(
@@ -157,33 +138,38 @@ def command_line(
     mass: float,
     base: Sequence[str],
     settings: Mapping[str, Any],
-    flags: Mapping[str, bool],
     output: str | os.PathLike[str],
+    *,
+    overwrite: bool = False,
 ) -> str:
     """Return the command that repeats a study, as it is typed into a shell; defaults are left out.
 
     Examples
     --------
-    >>> command_line("my records", 1.2, ["freeplay"], {"draws": 2000, "seed": 4, "levels": (0.1, 0.2)}, {}, "out")
-    "pymc-backbone diagnose 'my records' --mass 1.2 --base freeplay --seed 4 --levels 0.1,0.2 --out out"
+    >>> settings = {"draws": 2000, "random_seed": 4, "levels": (0.1, 0.2), "is_table": True}
+    >>> command_line("my records", 1.2, ["freeplay"], settings, "out")
+    "pymc-backbone diagnose 'my records' --mass 1.2 --base freeplay --seed 4 --levels 0.1,0.2 --backbones --out out"
     """
-    defaults = {"max_effects": 3, "draws": 2000, "tune": 1000, "chains": 4, "step": "metropolis"}
+    defaults = settings_of(Searching(), Reading(), Measuring(), Sampling())
     words = ["pymc-backbone", "diagnose", str(path), "--mass", f"{mass:.15g}"]
-    options = {"base": list(base) or None, **settings}
-    for name, value in options.items():
+    for name, value in {"base": list(base) or None, **settings}.items():
         if value is None or value is False or value == defaults.get(name):
             continue
-        words.append(f"--{name.replace('_', '-')}")
-        if isinstance(value, Mapping):
-            is_zero = not any(value.values())
-            words.append("0" if is_zero else ",".join(f"{key}={item:.15g}" for key, item in value.items()))
-        elif value is not True:
-            separator = ":" if name == "band" else ","
-            parts = value if isinstance(value, list | tuple) else [value]
-            texts = [f"{part:.15g}" if isinstance(part, float) else str(part) for part in parts]
-            words.append(separator.join(f'"{text}"' if "," in text else text for text in texts))
-    words += [f"--{name}" for name, is_set in flags.items() if is_set]
+        words.append(f"--{OPTIONS.get(name, name).replace('_', '-')}")
+        if value is not True:
+            words.append(_option_value(name, value))
+    words += ["--overwrite"] if overwrite else []
     return shlex.join([*words, "--out", str(output)])
+
+
+def _option_value(name: str, value: Any) -> str:
+    """Return the value of an option as it is typed."""
+    if isinstance(value, Mapping):
+        is_zero = not any(value.values())
+        return "0" if is_zero else ",".join(f"{key}={item:.15g}" for key, item in value.items())
+    parts = value if isinstance(value, list | tuple) else [value]
+    texts = [f"{part:.15g}" if isinstance(part, float) else str(part) for part in parts]
+    return (":" if name == "band" else ",").join(f'"{text}"' if "," in text else text for text in texts)
 
 
 def describe_study(study: Study) -> str:

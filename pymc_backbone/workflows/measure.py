@@ -1,19 +1,27 @@
-"""From a file or folder, of records or of backbone tables, to measured backbones at levels."""
+"""From files, of records or of backbone tables, to measured backbones at levels, and what is said of them."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
 
 from .._common.checks import InputError, check_choice, check_levels
+from ..measurement.options import Measuring
+from ..measurement.reading.options import Reading
+from ..reporting.terminal import describe_reading
 
-Levels = int | Sequence[float] | None
-DEFAULT_OBSERVABLES = ("frequency", "damping")
+if TYPE_CHECKING:
+    from ..measurement.reading.records import Record
+
+Say = Callable[[str], None]
+Progress = Callable[[str, float], None]
+MOST_WARNINGS = 5
+MOST_TABLE_LEVELS = 1000  # the covariance of more fills the memory and tells nothing: tables hold some tens of rows
 
 
 @dataclass(frozen=True)
@@ -23,7 +31,7 @@ class Measured:
     backbones: xr.Dataset
     angular_frequency: float
     """Typical one [rad/s], to scale default priors with."""
-    records: list[Any] = field(default_factory=list)
+    records: Sequence[Record] = field(default_factory=list)
 
     @property
     def notes(self) -> list[str]:
@@ -35,17 +43,22 @@ class Measured:
         """Unit of the levels: m or rad."""
         return str(self.backbones.attrs.get("amplitude_unit", "m"))
 
+    def entries(self) -> dict[str, Any]:
+        """Return what ``result.json`` says of them."""
+        return {
+            "observables": [str(name) for name in self.backbones["observable"].values],
+            "levels": np.asarray(self.backbones["level"], dtype=float),
+            "amplitude_unit": self.amplitude_unit,
+            "specimens": [str(name) for name in self.backbones["specimen"].values],
+            "notes": self.notes,
+        }
+
 
 def measure(
     path: str | os.PathLike[str],
-    *,
-    is_table: bool = False,
-    band: tuple[float, float] | None = None,
-    start: float | None = None,
-    levels: Levels = None,
-    observables: Sequence[str] | None = None,
-    progress: Callable[[str, float], None] | None = None,
-    **reading: Any,
+    reading: Reading | None = None,
+    measuring: Measuring | None = None,
+    progress: Progress | None = None,
 ) -> Measured:
     """Read records, or tables of backbones, and return backbones at levels.
 
@@ -53,62 +66,79 @@ def measure(
     ----------
     path : path-like
         File or folder.
-    is_table : bool, optional
-        Whether it holds backbone tables instead of time histories.
-    band : (float, float), optional
-        Frequency band to keep [Hz].
-    start : float, optional
-        Time of release [s]; found by default.
-    levels : int or sequence of float, optional
-        Number of levels, or the amplitudes [m or rad].
-    observables : sequence of str, optional
-        By default frequency and damping, or for tables all they hold.
+    reading : Reading, optional
+        How files are read, and whether they are tables.
+    measuring : Measuring, optional
+        How records become backbones; of tables only ``levels`` and ``observables``.
     progress : callable, optional
         Called with the stage and the fraction done.
-    **reading
-        ``columns``, ``quantity``, ``unit``, ``sampling_rate``, as in `read_records`; not for tables.
 
     Returns
     -------
     Measured
+
+    Raises
+    ------
+    InputError
+        For files or records that cannot be used, or options of records that are given for tables.
     """
-    if is_table:
-        return _measure_tables(path, levels, observables, {"band": band, "start": start, **reading})
+    reading = Reading() if reading is None else reading
+    measuring = Measuring() if measuring is None else measuring
+    if reading.is_table:
+        return _measure_tables(path, reading, measuring)
     from ..measurement.reading.records import read_records
 
-    records = read_records(path, **reading)  # before the compiled modules are loaded: errors in the files come at once
-    from ..measurement.extraction import extract_all
-    from ..measurement.levels import backbones_at_levels, default_levels
+    # Before the compiled modules are loaded: errors in the files come at once.
+    records = read_records(path, **reading.of_records)
+    from ..measurement.extraction import measure_batch
 
-    extraction = extract_all(records, band=band, start=start, progress=progress)
-    cycles = extraction.cycles
-    chosen = default_levels(cycles, levels) if isinstance(levels, int) else levels
-    backbones = backbones_at_levels(cycles, chosen, observables or DEFAULT_OBSERVABLES, amplitude_unit=extraction.unit)
-    backbones.attrs["notes"] = extraction.notes(backbones.attrs.get("notes", []))
-    frequency = float(np.median(np.concatenate([item.frequency for item in cycles])))
-    return Measured(backbones, 2.0 * np.pi * frequency, records)
+    batch = measure_batch(records, measuring, progress=progress)
+    frequency = float(np.median(np.concatenate([item.frequency for item in batch.extraction.cycles])))
+    return Measured(batch.backbones, 2.0 * np.pi * frequency, records)
 
 
-def _measure_tables(
-    path: str | os.PathLike[str],
-    levels: Levels,
-    observables: Sequence[str] | None,
-    for_records: Mapping[str, Any],
-) -> Measured:
+def _measure_tables(path: str | os.PathLike[str], reading: Reading, measuring: Measuring) -> Measured:
     from ..measurement.reading.measured_backbones import read_backbones
 
-    for name, value in for_records.items():
+    for name, value in {
+        **reading.of_records,
+        "band": measuring.band,
+        "start": measuring.start,
+        "stop": measuring.stop,
+    }.items():
         if value is not None:
-            raise InputError(f"--{name.replace('_', '-')} is for time histories; drop it, or drop --backbones.")
+            raise InputError(f"`{name}` is for time histories, and `is_table` says these are not; drop one of them.")
+    levels = measuring.levels
     if isinstance(levels, int):
+        if levels > MOST_TABLE_LEVELS:
+            raise InputError(f"`levels` of tables must be at most {MOST_TABLE_LEVELS}, got {levels}; ask for fewer.")
         reached = np.asarray(read_backbones(path)["level"])
         backbones = read_backbones(path, levels=np.geomspace(reached[0], reached[-1], levels))
     else:
         backbones = read_backbones(path, levels=None if levels is None else check_levels(levels))
-    frequency = float(np.nanmedian(np.asarray(backbones["value"].sel(observable="frequency"))))
-    if observables is not None:
-        held = [str(name) for name in backbones["observable"].values]
-        for name in observables:
+    held = [str(name) for name in backbones["observable"].values]
+    typical = "frequency" in held
+    frequency = float(np.nanmedian(np.asarray(backbones["value"].sel(observable="frequency")))) if typical else np.nan
+    if measuring.observables is not None:
+        for name in measuring.observables:
             check_choice("observables", name, held)
-        backbones = backbones.sel(observable=list(observables))
+        backbones = backbones.sel(observable=list(measuring.observables))
     return Measured(backbones, 2.0 * np.pi * frequency)
+
+
+def say_reading(measured: Measured, say: Say) -> None:
+    """Say what was read and assumed meanwhile."""
+    text = describe_reading(measured.records)
+    if text:
+        say(text + "\n")
+
+
+def say_warnings(notes: Sequence[str], say: Say) -> None:
+    """Say which records were left out and why, and what else the notes warn of."""
+    left_out = [note for note in notes if note.startswith("left out: ")]
+    others = [note for note in notes if "warning: " in note and note not in left_out]
+    for warnings in (left_out, others):
+        for note in warnings[:MOST_WARNINGS]:
+            say(note)
+        if len(warnings) > MOST_WARNINGS:
+            say(f"... and {len(warnings) - MOST_WARNINGS} more, in the notes of the result.")

@@ -1,14 +1,11 @@
-"""From records to an output folder in one call: what the command line and the demo do.
-
-`extract` turns records into backbones; `update` goes on to the posterior of an oscillator's parameters. Both say what
-they do as they go, and return what they write to ``result.json``.
-"""
+"""From records to an updated model in a folder in one call: what the command ``update`` and the demo do."""
 
 from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,104 +13,56 @@ import numpy as np
 import xarray as xr
 
 from .._common.checks import FloatArray, InputError, check_choice
+from .._common.options import settings_of
+from ..inference.options import Comparing, Keeping, Modelling, Sampling
+from ..measurement.options import Measuring
+from ..measurement.reading.options import Reading
 from ..reporting.output_folder import package_version, prepare_output, read_result, write_results
-from ..reporting.terminal import compare, describe_batch, describe_measured, describe_reading, describe_result
-from .measure import Levels, Measured, measure
+from ..reporting.terminal import compare, describe_batch, describe_result
+from .measure import Measured, Progress, Say, measure, say_reading, say_warnings
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
 
+    from ..likelihood.density import Density
     from ..oscillator import Oscillator
 
-Say = Callable[[str], None]
-Progress = Callable[[str, float], None]
 PREDICTIVE_DRAWS = 400
-MOST_WARNINGS = 5
 MOST_PAIRED = 6  # parameters against each other in one figure; ArviZ draws no more than 40 panels
 FEWEST_DRAWS = 20  # of a run that was ended early; nothing can be said from fewer
 
 
-def extract(
-    path: str | os.PathLike[str],
-    *,
-    output: str | os.PathLike[str],
-    overwrite: bool = False,
-    progress: Progress | None = None,
-    say: Say = print,
-    **measurement: Any,
-) -> dict[str, Any]:
-    """Extract backbones and write them with figures to an output folder.
+@dataclass(frozen=True)
+class Updated:
+    """A model, the backbones it was updated with, and the draws of its parameters."""
 
-    Parameters
-    ----------
-    path : path-like
-        File or folder of records.
-    output : path-like
-        Output folder.
-    overwrite : bool, optional
-        Whether the folder may hold something already.
-    progress : callable, optional
-        Called with the stage and the fraction done while cycles are extracted.
-    say : callable, optional
-        Called with each line of progress; ``print`` by default.
-    **measurement
-        ``band``, ``start``, ``levels``, ``observables``, ``columns``, ``quantity``, ``unit``, ``sampling_rate``, as in
-        `measure`.
+    oscillator: Oscillator
+    measured: Measured
+    bounds: Mapping[str, tuple[float, float]]
+    fixed: Mapping[str, float]
+    likelihood: str
+    density: Density | None
+    posterior: xr.DataTree
+    predictive: xr.Dataset
+    table: pd.DataFrame
+    """What `summarise` says of each parameter."""
 
-    Returns
-    -------
-    dict
-        What ``result.json`` holds.
-    """
-    begin = time.perf_counter()
-    folder = prepare_output(output, overwrite)
-    measured = measure(path, progress=progress, **measurement)
-    _say_assumptions(measured, say)
-    say(describe_measured(measured.backbones))
-    _say_warnings(measured, say)
-    result: dict[str, Any] = {
-        "version": package_version(),
-        "command": "extract",
-        "settings": {"records": str(path), **measurement},
-        **_measured_entries(measured),
-    }
-    from ..reporting import posterior_plots as plots
-
-    figures = {"backbones": plots.plot_backbones(measured.backbones)}
-    if measured.records:
-        figures["records"] = plots.plot_records(measured.records)
-    result["seconds"] = {"total": round(time.perf_counter() - begin, 2)}
-    write_results(folder, result, backbones=measured.backbones, figures=figures)
-    say(f"\nBackbones and figures are in {folder}.")
-    return result
+    @property
+    def names(self) -> list[str]:
+        """Of the parameters that were inferred."""
+        return [name for name in self.bounds if name in self.posterior["posterior"]]
 
 
 def update(
     path: str | os.PathLike[str],
+    modelling: Modelling,
     *,
-    mass: float,
-    effects: Sequence[str] = (),
-    priors: Mapping[str, tuple[float, float]] | None = None,
-    fixed: Mapping[str, float] | None = None,
-    is_table: bool = False,
-    band: tuple[float, float] | None = None,
-    start: float | None = None,
-    levels: Levels = None,
-    observables: Sequence[str] | None = None,
-    columns: Sequence[str] | None = None,
-    quantity: str | None = None,
-    unit: str | None = None,
-    sampling_rate: float | None = None,
-    likelihood: str = "auto",
-    density: str = "product",
-    marginal: str = "best",
-    draws: int = 2000,
-    tune: int = 1000,
-    chains: int = 4,
-    step: str = "metropolis",
-    random_seed: int | None = None,
-    store: str | os.PathLike[str] | None = None,
-    resume: bool = False,
+    reading: Reading | None = None,
+    measuring: Measuring | None = None,
+    comparing: Comparing | None = None,
+    sampling: Sampling | None = None,
+    keeping: Keeping | None = None,
     output: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
     command: str = "update",
@@ -126,30 +75,21 @@ def update(
     Parameters
     ----------
     path : path-like
-        File or folder of records, or of backbone tables if ``is_table``.
-    mass : float
-        Mass [kg], or inertia [kg m^2] for a rotation.
-    effects : sequence of str, optional
-        Effects beside linear stiffness and viscous damping.
-    priors : mapping of str to (float, float), optional
-        Bounds of Uniform priors that replace the default ones.
-    fixed : mapping of str to float, optional
-        Parameters that are not inferred.
-    is_table, band, start, levels, observables, columns, quantity, unit, sampling_rate
+        File or folder of records, or of backbone tables.
+    modelling : Modelling
+        Mass, effects, priors, fixed parameters.
+    reading, measuring : optional
         As in `measure`.
-    likelihood : {"auto", "population", "specimen", "pooled"}, optional
-        As in `build_model`; "auto" takes "population" from 8 specimens that reach every level, else "specimen",
-        and "pooled" for one.
-    density, marginal : str, optional
-        As in `build_model`; for the population likelihood.
-    draws, tune, chains, step, random_seed
-        As in `sample`. Without a seed one is drawn, and written to the result.
-    store, resume
-        As in `sample`: a folder that keeps the draws as they come, and whether to continue the run that is there.
+    comparing : Comparing, optional
+        The likelihood.
+    sampling : Sampling, optional
+        Draws, chains, step, seed.
+    keeping : Keeping, optional
+        The folder that keeps the draws as they come, and whether to continue the run that is there.
     output : path-like, optional
         Output folder; without one nothing is written.
     overwrite : bool, optional
-        Whether the folder may hold something already; with ``resume`` it may hold the result of a run that Ctrl-C
+        Whether the folder may hold something already; where a run is resumed it may hold the result of one that Ctrl-C
         ended early.
     command : str, optional
         Written to the result.
@@ -166,102 +106,133 @@ def update(
         What ``result.json`` holds; its keys are `results.RESULT_KEYS`.
     """
     begin = time.perf_counter()
-    settings = {
-        name: value
-        for name, value in locals().items()
-        if name not in ("say", "progress", "true_values", "begin", "command")
-    }
-    if store is not None and output is not None and Path(store).resolve() == Path(output).resolve():
-        raise InputError(f"The store and the output are both {output}; give each a folder of its own.")
-    folder = None if output is None else prepare_output(output, overwrite or (resume and _ended_early(output)))
-    seed = _seed(random_seed, store, resume)
-    from ..oscillator import Oscillator
-
-    oscillator = Oscillator(mass, effects)
-    _check_names(oscillator, priors or {}, fixed or {})
-    reading: dict[str, Any] = {"columns": columns, "quantity": quantity, "unit": unit, "sampling_rate": sampling_rate}
-    conditioning: dict[str, Any] = {"band": band, "start": start, "levels": levels, "observables": observables}
-    measured = measure(path, is_table=is_table, progress=progress, **conditioning, **reading)
-    _say_assumptions(measured, say)
+    reading = Reading() if reading is None else reading
+    measuring = Measuring() if measuring is None else measuring
+    comparing = Comparing() if comparing is None else comparing
+    sampling = Sampling() if sampling is None else sampling
+    keeping = Keeping() if keeping is None else keeping
+    folder = _folders(path, output, overwrite, keeping)
+    sampling = replace(sampling, random_seed=_seed(sampling, keeping))
+    oscillator = _oscillator(modelling)
+    measured = measure(path, reading, measuring, progress)
+    say_reading(measured, say)
     say(describe_batch(measured.backbones))
-    _say_warnings(measured, say)
+    say_warnings(measured.notes, say)
     read = time.perf_counter()
-
-    from ..inference.diagnostics import findings, simulations_of, summarise
-    from ..inference.model import build_model, targets_of
-    from ..inference.sampling import sample
-
-    kind = _likelihood(likelihood, measured.backbones)
-    bounds = _bounds(oscillator, measured, priors or {}, fixed or {})
-    model = build_model(
-        oscillator,
-        measured.backbones,
-        bounds=bounds,
-        fixed=dict(fixed or {}),
-        likelihood=kind,
-        density=density,
-        marginal=marginal,
-    )
-    fitted = targets_of(model)[0].density
-    say(
-        f"\n{oscillator.equation}\n\nSampling {chains} chains of {tune} + {draws} draws ({step}, {kind} likelihood) ..."
-    )
-    kept: dict[str, Any] = {} if store is None else {"store": store, "resume": resume}
-    posterior = sample(model, draws=draws, tune=tune, chains=chains, step=step, random_seed=seed, **kept)
+    updated = _infer(oscillator, measured, modelling, comparing, sampling, keeping, say)
     sampled = time.perf_counter()
-    if "interrupted" in posterior.attrs and posterior["posterior"].sizes["draw"] < FEWEST_DRAWS:
-        say(f"\n{posterior.attrs['interrupted']} These are too few for a summary.")
-        raise KeyboardInterrupt
-
-    names = [name for name in bounds if name in posterior["posterior"]]
-    table = summarise(posterior, names)
-    predictive = _predictive(oscillator, posterior, fixed or {}, measured.backbones, seed)
-    result: dict[str, Any] = {
-        "version": package_version(),
-        "command": command,
-        "settings": {**settings, "likelihood": kind, "random_seed": seed},
-        "seed": seed,
-        "equation": oscillator.equation,
-        "mass": oscillator.mass,
-        "effects": [effect.name for effect in oscillator.effects],
-        "density": None if fitted is None else fitted.description,
-        **_measured_entries(measured),
-        "parameters": _parameters(table, oscillator, bounds),
-        "fixed": dict(fixed or {}),
-        "comparison": compare(measured.backbones, predictive),
-        "interrupted": posterior.attrs.get("interrupted"),
-        "findings": findings(posterior, bounds, units=oscillator.units),
-        "failures": posterior.attrs.get("failures"),
-        "simulations": simulations_of(posterior),
+    settings = {
+        "path": path,
+        **settings_of(reading, measuring, modelling, comparing, sampling, keeping),
+        "likelihood": updated.likelihood,
+        "output": output,
+        "overwrite": overwrite,
     }
+    result = _result(updated, command, settings)
     say("\n" + describe_result(result))
     if result["interrupted"]:
         say(f"\n{result['interrupted']}")
+    figures = {} if folder is None else _figures(updated, true_values)
+    result["seconds"] = {
+        "reading": round(read - begin, 2),
+        "sampling": round(sampled - read, 2),
+        "total": round(time.perf_counter() - begin, 2),
+    }
     if folder is not None:
-        figures = _figures(measured, fitted, predictive, posterior, bounds, oscillator.units, true_values)
-        result["seconds"] = _seconds(begin, read, sampled)
-        write_results(folder, result, backbones=measured.backbones, summary=table, posterior=posterior, figures=figures)
+        parts = {"backbones": measured.backbones, "summary": updated.table, "posterior": updated.posterior}
+        write_results(folder, result, **parts, figures=figures)
         say(f"\nAll numbers, draws and figures are in {folder}; begin with {folder / 'figures' / 'predictive.png'}.")
-    result.setdefault("seconds", _seconds(begin, read, sampled))
     return result
 
 
-def _say_assumptions(measured: Measured, say: Say) -> None:
-    text = describe_reading(measured.records)
-    if text:
-        say(text + "\n")
+def _infer(
+    oscillator: Oscillator,
+    measured: Measured,
+    modelling: Modelling,
+    comparing: Comparing,
+    sampling: Sampling,
+    keeping: Keeping,
+    say: Say,
+) -> Updated:
+    """Build the model, sample it, and simulate backbones with draws of its posterior."""
+    from ..inference.diagnostics import summarise
+    from ..inference.model import build_model, likelihood_of, targets_of
+    from ..inference.sampling import sample
+
+    kind = likelihood_of(measured.backbones, comparing.likelihood)
+    bounds = _bounds(oscillator, measured, modelling)
+    chosen = {**settings_of(comparing), "likelihood": kind}
+    model = build_model(oscillator, measured.backbones, bounds=bounds, fixed=dict(modelling.fixed), **chosen)
+    say(
+        f"\n{oscillator.equation}\n\nSampling {sampling.chains} chains of {sampling.tune} + {sampling.draws} draws "
+        f"({sampling.step}, {kind} likelihood) ..."
+    )
+    kept = settings_of(keeping) if keeping.store is not None else {}
+    posterior = sample(model, **settings_of(sampling), **kept)
+    if "interrupted" in posterior.attrs and posterior["posterior"].sizes["draw"] < FEWEST_DRAWS:
+        say(f"\n{posterior.attrs['interrupted']} These are too few for a summary.")
+        raise KeyboardInterrupt
+    return Updated(
+        oscillator=oscillator,
+        measured=measured,
+        bounds=bounds,
+        fixed=dict(modelling.fixed),
+        likelihood=kind,
+        density=targets_of(model)[0].density,
+        posterior=posterior,
+        predictive=_predictive(oscillator, posterior, modelling.fixed, measured.backbones, sampling.random_seed),
+        table=summarise(posterior, [name for name in bounds if name in posterior["posterior"]]),
+    )
 
 
-def _seed(random_seed: int | None, store: str | os.PathLike[str] | None, resume: bool) -> int:
+def _result(updated: Updated, command: str, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what ``result.json`` holds."""
+    from ..inference.diagnostics import findings, simulations_of
+
+    oscillator, posterior = updated.oscillator, updated.posterior
+    return {
+        "version": package_version(),
+        "command": command,
+        "settings": dict(settings),
+        "seed": settings["random_seed"],
+        "equation": oscillator.equation,
+        "mass": oscillator.mass,
+        "effects": [effect.name for effect in oscillator.effects],
+        "density": None if updated.density is None else updated.density.description,
+        **updated.measured.entries(),
+        "parameters": _parameters(updated.table, oscillator, updated.bounds),
+        "fixed": dict(updated.fixed),
+        "comparison": compare(updated.measured.backbones, updated.predictive),
+        "interrupted": posterior.attrs.get("interrupted"),
+        "findings": findings(posterior, updated.bounds, units=oscillator.units),
+        "failures": posterior.attrs.get("failures"),
+        "simulations": simulations_of(posterior),
+    }
+
+
+def _folders(
+    path: str | os.PathLike[str], output: str | os.PathLike[str] | None, overwrite: bool, keeping: Keeping
+) -> Path | None:
+    """Return the output folder, made ready; the draws are kept elsewhere."""
+    if output is None:
+        return None
+    if keeping.store is not None and Path(keeping.store).resolve() == Path(output).resolve():
+        raise InputError(f"The store and the output are both {output}; give each a folder of its own.")
+    return prepare_output(output, overwrite or (keeping.resume and _ended_early(output)), records=path)
+
+
+def _seed(sampling: Sampling, keeping: Keeping) -> int:
     """Return the seed: the one given, the one of the run that is resumed, or a new one; check the store on the way."""
-    if store is not None:
+    if keeping.store is not None:
         from ..inference.store.run_folder import DrawStore
 
-        with DrawStore(store, resume) as kept:
-            return kept.seed(random_seed)
-    if resume:
-        raise InputError("--resume continues a run that was stored; name its folder with --store.")
-    return int(np.random.SeedSequence().generate_state(1)[0]) if random_seed is None else random_seed
+        with DrawStore(keeping.store, keeping.resume) as kept:
+            return kept.seed(sampling.random_seed)
+    if keeping.resume:
+        raise InputError("`resume` continues a run that was stored; name its folder with `store`.")
+    if sampling.random_seed is not None:
+        return sampling.random_seed
+    return int(np.random.SeedSequence().generate_state(1)[0])
 
 
 def _ended_early(output: str | os.PathLike[str]) -> bool:
@@ -272,50 +243,34 @@ def _ended_early(output: str | os.PathLike[str]) -> bool:
         return False
 
 
-def _say_warnings(measured: Measured, say: Say) -> None:
-    warnings = [note for note in measured.notes if "warning: " in note]
-    for note in warnings[:MOST_WARNINGS]:
-        say(note)
-    if len(warnings) > MOST_WARNINGS:
-        say(f"... and {len(warnings) - MOST_WARNINGS} more warnings, in the notes of the result.")
+def _oscillator(modelling: Modelling) -> Oscillator:
+    """Return the model; raise if priors or fixed values cannot be used with it."""
+    from ..oscillator import Oscillator
 
-
-def _check_names(oscillator: Oscillator, priors: Mapping[str, tuple[float, float]], fixed: Mapping[str, float]) -> None:
-    known = oscillator.parameter_names
-    for option, names in (("--prior", priors), ("--fix", fixed)):
+    oscillator = Oscillator(modelling.mass, modelling.effects)
+    for option, names in (("priors", modelling.priors), ("fixed", modelling.fixed)):
         for name in names:
-            check_choice(option, name, known)
-    both = sorted(set(priors) & set(fixed))
+            check_choice(option, name, oscillator.parameter_names)
+    both = sorted(set(modelling.priors) & set(modelling.fixed))
     if both:
         raise InputError(f"{both[0]} has both a prior and a fixed value; keep one.")
-    if set(fixed) == set(known):
+    if set(modelling.fixed) == set(oscillator.parameter_names):
         raise InputError("Every parameter is fixed; leave at least one to infer.")
+    return oscillator
 
 
-def _bounds(
-    oscillator: Oscillator,
-    measured: Measured,
-    priors: Mapping[str, tuple[float, float]],
-    fixed: Mapping[str, float],
-) -> dict[str, tuple[float, float]]:
+def _bounds(oscillator: Oscillator, measured: Measured, modelling: Modelling) -> dict[str, tuple[float, float]]:
     highest = float(np.asarray(measured.backbones["level"])[-1])
     default = oscillator.default_bounds(highest, measured.angular_frequency)
-    return {name: priors.get(name, limits) for name, limits in default.items() if name not in fixed}
-
-
-def _likelihood(likelihood: str, backbones: xr.Dataset) -> str:
-    from ..inference.model import POPULATION_SIZE
-
-    if likelihood != "auto":
-        return likelihood
-    complete = np.isfinite(np.asarray(backbones["value"])).all(axis=(1, 2)).sum()
-    if complete >= POPULATION_SIZE:
-        return "population"
-    return "specimen" if backbones.sizes["specimen"] > 1 else "pooled"
+    return {name: modelling.priors.get(name, limits) for name, limits in default.items() if name not in modelling.fixed}
 
 
 def _predictive(
-    oscillator: Oscillator, posterior: xr.DataTree, fixed: Mapping[str, float], backbones: xr.Dataset, seed: int
+    oscillator: Oscillator,
+    posterior: xr.DataTree,
+    fixed: Mapping[str, float],
+    backbones: xr.Dataset,
+    seed: int | None,
 ) -> xr.Dataset:
     from ..simulation.backbones import simulated_backbones
 
@@ -348,50 +303,25 @@ def _parameters(
     return entries
 
 
-def _measured_entries(measured: Measured) -> dict[str, Any]:
-    backbones = measured.backbones
-    return {
-        "observables": [str(name) for name in backbones["observable"].values],
-        "levels": np.asarray(backbones["level"], dtype=float),
-        "amplitude_unit": measured.amplitude_unit,
-        "specimens": [str(name) for name in backbones["specimen"].values],
-        "notes": measured.notes,
-    }
+def _figures(updated: Updated, true_values: Mapping[str, FloatArray] | None) -> dict[str, Figure]:
+    """Draw everything that can be drawn of it."""
+    from .. import plots
 
-
-def _figures(
-    measured: Measured,
-    density: Any,
-    predictive: xr.Dataset,
-    posterior: xr.DataTree,
-    bounds: Mapping[str, tuple[float, float]],
-    units: Mapping[str, str],
-    true_values: Mapping[str, FloatArray] | None,
-) -> dict[str, Any]:
-    from ..reporting import posterior_plots as plots
-
-    names = list(bounds)
+    measured, posterior = updated.measured, updated.posterior
+    names, units = list(updated.bounds), updated.oscillator.units
     figures = {
         "backbones": plots.plot_backbones(measured.backbones),
-        "predictive": plots.plot_predictive(measured.backbones, predictive),
-        "prior_posterior": plots.plot_prior_posterior(posterior, bounds, units=units, true_values=true_values),
+        "predictive": plots.plot_predictive(measured.backbones, updated.predictive),
+        "prior_posterior": plots.plot_prior_posterior(posterior, updated.bounds, units=units, true_values=true_values),
         "trace": plots.plot_trace(posterior, names, units=units),
     }
     if posterior["posterior"].sizes["chain"] > 1:
         figures["rank"] = plots.plot_rank(posterior, names, units=units)
-    if density is not None:
-        figures["densities"] = plots.plot_densities(measured.backbones, density, simulated=predictive)
+    if updated.density is not None:
+        figures["densities"] = plots.plot_densities(measured.backbones, updated.density, simulated=updated.predictive)
     scalars = sum(posterior["posterior"][name].isel(chain=0, draw=0).size for name in names)
     if 1 < scalars <= MOST_PAIRED:
         figures["pair"] = plots.plot_pair(posterior, names, units=units)
     if measured.records:
         figures["records"] = plots.plot_records(measured.records)
     return figures
-
-
-def _seconds(begin: float, read: float, sampled: float) -> dict[str, float]:
-    return {
-        "reading": round(read - begin, 2),
-        "sampling": round(sampled - read, 2),
-        "total": round(time.perf_counter() - begin, 2),
-    }

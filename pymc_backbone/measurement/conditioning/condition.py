@@ -272,8 +272,8 @@ class _Conditioning:
             self.notes.append(
                 f"warning: the amplitude grows again from {low:.3g} to {high:.3g} after {self.begin + end:.5g} "
                 f"s (second "
-                "impact or beating modes): only the part before is used; choose another part with start and stop, "
-                "or a mode with a band"
+                "impact or beating modes): only the part before is used; choose another part with `start` and "
+                "`stop`, or a mode with `band`"
             )
             path = check_cycles(path.until(end), self.name, "before the amplitude grows again")
         self.samples.check_gaps(path.frequency, self.begin + end, self.name)
@@ -311,7 +311,7 @@ class _Conditioning:
             self.notes.append(
                 f"warning: a second mode at {second.frequency:.4g} Hz has {second.share:.0%} of the spectral "
                 f"peak of the "
-                f"mode at {path.frequency:.4g} Hz; pass one of them, for example with --band {low:.3g}:{high:.3g}"
+                f"mode at {path.frequency:.4g} Hz; pass one of them, for example with `band=({low:.3g}, {high:.3g})`"
             )
         return second
 

@@ -67,7 +67,7 @@ def check_clipping(
                 f"{name}: {np.count_nonzero(cut)} peaks are clipped at {extreme + reading:.6g} ({side} limit of "
                 f"the sensor or converter), "
                 f"first at {time[first[cut][0]]:.6g} s; widen the range, or use what follows with "
-                f"start={time[last]:.6g}."
+                f"`start={time[last]:.6g}`."
             )
 
 

@@ -48,8 +48,8 @@ class UniformSamples:
                 raise InputError(
                     f"{name}: samples are missing between {begin:.6g} and {begin + length:.6g} s, "
                     f"{length * frequency:.2g} cycles "
-                    f"of the {frequency:.4g} Hz motion; use the part before or after (stop={begin:.6g} or "
-                    f"start={begin + length:.6g})."
+                    f"of the {frequency:.4g} Hz motion; use the part before or after (`stop={begin:.6g}` or "
+                    f"`start={begin + length:.6g}`)."
                 )
 
 

@@ -171,7 +171,8 @@ def read_table(path: Path) -> Table:
     top = find_header(kept)
     rate = stated_rate(every[: min(lines[top], LONGEST) - 1])
     if top:
-        notes += (f"the {top} lines above the column headers in line {lines[top]} were skipped",)
+        skipped = "the line" if top == 1 else f"the {top} lines"
+        notes += (f"{skipped} above the column headers in line {lines[top]} {'was' if top == 1 else 'were'} skipped",)
         kept, lines = kept[top:], lines[top:]
     separator, separator_note = _sniff(kept[0], kept[1] if len(kept) > 1 else "")
     notes += separator_note

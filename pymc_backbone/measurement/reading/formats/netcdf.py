@@ -108,7 +108,7 @@ def _check_sizes(path: Path, name: str) -> None:
 
 def _channels(file: Any, size: int, name: str) -> tuple[list[Channel], list[str]]:
     if {"value", "standard_error", "covariance"} <= set(map(str, file.variables)):
-        raise InputError(f"{name}: holds backbones, not time histories; read it with `read_backbones` or --backbones.")
+        raise InputError(f"{name}: holds backbones, not time histories; read it with `read_backbones`.")
     channels: list[Channel] = []
     notes: list[str] = []
     common = _step(file.attrs)

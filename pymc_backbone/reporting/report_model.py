@@ -1,0 +1,169 @@
+"""Sections of the report on the model: candidates, parameters, equations, what could have been seen, the chains."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ..discrepancy.study import Candidate, Detectable, Study
+from ..discrepancy.verdict import Verdict
+from ..effects import LIBRARY
+from ..oscillator import Oscillator
+from .html import Raw, bullets, details, escape, image, number, paragraph, section, table, tiles, unit
+from .terminal import meaningful_digits
+from .words import STATUS_WORDS, added_effects, percent, set_name
+
+FIRST_CANDIDATES = 6
+
+
+def candidates(study: Study, figures: Mapping[str, Figure]) -> str:
+    """List the sets of effects that were tried."""
+    columns = (
+        ("effects added to the base", "head"),
+        ("probability", "n"),
+        ("reduced \N{GREEK SMALL LETTER CHI}\N{SUPERSCRIPT TWO}", "n"),
+        ("of backbones", "n"),
+        ("log evidence", "n"),
+        ("status", ""),
+        ("reason", "text"),
+    )
+    units = {p.name: p.unit for effect in LIBRARY.values() for p in effect.parameters}
+    units.update((study.extended or study.base).units)
+    rows = [_candidate_row(candidate, units) for candidate in study.candidates]
+    first = table(columns, rows[:FIRST_CANDIDATES], strong=[0])
+    count = len(rows) - FIRST_CANDIDATES
+    rest = details(f"{count} more sets, those that failed included", table(columns, rows[FIRST_CANDIDATES:]))
+    picture = image(figures.get("candidates"), "probability of the candidate sets")
+    note = paragraph("Log evidence is relative to the base model; every set that was tried is listed.", "soft")
+    return section("Candidates", first, rest, note, details("The same as a figure", picture)) if rows else ""
+
+
+def _candidate_row(candidate: Candidate, units: Mapping[str, str]) -> tuple[object, ...]:
+    reason = escape(candidate.reason)
+    values = [
+        f"{escape(name.replace('_', ' '))} {number(value, 3)} &plusmn; {number(error, 2)}"
+        + ("" if units.get(name, "1") == "1" else f" {unit(units[name])}")
+        for name, (value, error) in candidate.parameters.items()
+    ]
+    if values:
+        reason += f"{'; ' if reason else ''}{', '.join(values)}"
+    return (
+        set_name(candidate.effects),
+        _bar(candidate.probability),
+        number(candidate.reduced_chi_square, 3),
+        number(candidate.backbone_chi_square, 3),
+        number(candidate.log_evidence),
+        STATUS_WORDS.get(candidate.status, candidate.status),
+        Raw(reason),
+    )
+
+
+def _bar(probability: float) -> Raw:
+    share = 100.0 * probability if np.isfinite(probability) else 0.0
+    return Raw(f'<span class="bar" style="--p:{share:.1f}%">{escape(percent(probability))}</span>')
+
+
+def parameters(study: Study, figures: Mapping[str, Figure]) -> str:
+    """List the parameters of the extended model, or of the base model where there is none."""
+    added = set(added_effects(study))
+    rows: list[tuple[object, ...]] = []
+    strong: list[int] = []
+    for effect, group in study.parameters.items():
+        for name, estimate in group.items():
+            if effect in added:
+                strong.append(len(rows))
+            digits = meaningful_digits(estimate.hdi_low, estimate.hdi_high, estimate.sd)
+            rows.append(
+                (
+                    name.replace("_", " "),
+                    number(estimate.mean, digits),
+                    number(estimate.sd, 2),
+                    Raw(f"{number(estimate.hdi_low, digits)} to {number(estimate.hdi_high, digits)}"),
+                    unit(estimate.unit),
+                    effect.replace("_", " "),
+                )
+            )
+    columns = (("parameter", "head"), ("mean", "n"), ("sd", "n"), ("95 % HDI", ""), ("unit", ""), ("effect", ""))
+    note = "Over the batch. Added effects are stressed." if added else "Over the batch."
+    if study.posterior is None:
+        note += " Nothing was sampled: intervals are those of the fit."
+    title = "Parameters of the extended model" if added else "Parameters of the base model"
+    if study.verdict == Verdict.UNEXPLAINED and added:
+        note = f"This model explains a part of the gap only. {note}"
+    if study.backbones.attrs.get("amplitude_unit") == "rad":
+        note += " For a rotation read N as N m, and m as rad."
+    picture = image(figures.get("parameters"), "parameters with 95 % intervals")
+    return section(title, table(columns, rows, strong=strong), paragraph(note, "soft"), picture) if rows else ""
+
+
+def equations(study: Study) -> str:
+    """Write the equation of motion before and after."""
+    parts = ["<h3>Before</h3>" if study.extended else "", _equation(study.base, set())]
+    if study.extended is not None:
+        parts += ["<h3>After</h3>", _equation(study.extended, set(added_effects(study)))]
+    return section("Equation of motion", *parts)
+
+
+def _equation(model: Oscillator, added: set[str]) -> str:
+    """Return the equation with the symbols of added parameters in the verdict's colour."""
+    names = {parameter.name for effect in model.effects if effect.name in added for parameter in effect.parameters}
+    lines = []
+    for i, line in enumerate(model.equation.splitlines()):
+        is_added = i > 0 and any(f": {name} [" in line for name in names)
+        text = escape(line)
+        lines.append(f"<b>{text}</b>" if i == 0 or is_added else text)
+    return "<pre>" + "\n".join(lines) + "</pre>"
+
+
+def detectable(study: Study, figures: Mapping[str, Figure]) -> str:
+    """List the smallest effects that these data could have shown."""
+    columns = (
+        ("effect", "head"),
+        ("parameter", ""),
+        ("seen from", ""),
+        ("frequency changes by", ""),
+        ("damping changes by", ""),
+    )
+    rows = [_detectable_row(item) for item in study.detectable]
+    note = paragraph("The strength from which each effect would have been seen in 9 of 10 such studies.", "soft")
+    picture = image(figures.get("detectable"), "smallest detectable changes of frequency and damping")
+    title = "The smallest effects these data could have shown"
+    return section(title, note, table(columns, rows), picture) if rows else ""
+
+
+def _detectable_row(item: Detectable) -> tuple[object, ...]:
+    changes = [
+        Raw(f"{number(100.0 * abs(change), 2)} %") if np.isfinite(change) else number(change)
+        for change in (item.frequency, item.damping)
+    ]
+    name, parameter = item.effect.replace("_", " "), item.parameter.replace("_", " ")
+    strength = number(item.value, 3)
+    if item.unit != "1":
+        strength = Raw(f"{strength} {unit(item.unit)}")
+    return name, parameter, strength, *changes
+
+
+def convergence(study: Study, figures: Mapping[str, Figure]) -> str:
+    """Say whether the chains agree."""
+    if study.posterior is None and not study.convergence:
+        return section("Sampling", paragraph("No posterior was sampled in this run."))
+    names = {
+        "r_hat": "largest R-hat (agreement of chains: below 1.01)",
+        "ess_bulk": "smallest number of effective draws (above 400)",
+        "draws": "draws in each chain",
+        "chains": "chains",
+    }
+    pairs: list[tuple[object, object]] = [
+        (number(study.convergence[key], 4 if key == "r_hat" else 6 if key == "draws" else 3), words)
+        for key, words in names.items()
+        if key in study.convergence
+    ]
+    found = study.findings or ("Nothing wrong was found: the chains agree, and no parameter leans on its prior.",)
+    pictures = [
+        image(figures.get(name), text, is_wide=True) for name, text in (("trace", "traces"), ("rank", "rank plots"))
+    ]
+    return section(
+        "Sampling", tiles(pairs) if pairs else "", bullets(found), details("Traces and ranks of the chains", *pictures)
+    )

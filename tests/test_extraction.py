@@ -1,0 +1,148 @@
+"""One road from records to backbones: what is left out, which levels are chosen, the same for all who ask."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pymc_backbone._common.checks import InputError
+from pymc_backbone.discrepancy.workflow import find_missing_effect
+from pymc_backbone.measurement.extraction import LEFT_OUT, extract_all, levels_for, measure_batch
+from pymc_backbone.measurement.levels import default_levels
+from pymc_backbone.measurement.options import Measuring
+from pymc_backbone.measurement.reading.records import Record, write_records
+from pymc_backbone.oscillator import Oscillator
+from pymc_backbone.workflows.extract import extract
+from pymc_backbone.workflows.measure import measure
+
+from .test_cli import MASS, is_one_sentence, run_cli
+
+FREQUENCY, RATIO = 5.0, 0.01
+TIME = np.arange(1200) / 200.0  # 30 cycles
+
+
+def decay(rng, name, amplitude=0.01, cycles=30):
+    """A specimen released from rest: the exact decay of a linear oscillator, and noise 50 dB below."""
+    time = TIME[: int(cycles * 40)]
+    omega = 2.0 * np.pi * FREQUENCY
+    exact = amplitude * np.exp(-RATIO * omega * time) * np.cos(omega * np.sqrt(1.0 - RATIO**2) * time)
+    return Record(name, time, exact + 3e-3 * amplitude * rng.standard_normal(time.size))
+
+
+def noise(rng, name):
+    """No decay at all."""
+    return Record(name, TIME, 1e-4 * rng.standard_normal(TIME.size))
+
+
+@pytest.fixture
+def records(rng):
+    return [decay(rng, "a"), decay(rng, "b", 0.009), noise(rng, "dead sensor"), decay(rng, "c", 0.011)]
+
+
+def test_a_record_that_cannot_be_used_is_left_out_by_name(records):
+    batch = measure_batch(records)
+    assert list(batch.backbones["specimen"].values) == ["a", "b", "c"]
+    (note,) = [note for note in batch.notes if note.startswith(LEFT_OUT)]
+    assert "dead sensor" in note
+    assert not [note for note in measure_batch(records[:2]).notes if note.startswith(LEFT_OUT)]
+
+
+def test_the_values_of_the_others_do_not_change(records):
+    """What is left out must leave no trace but its note; and they are right: the linear oscillator's."""
+    with_bad = measure_batch(records).backbones
+    without = measure_batch([record for record in records if record.specimen != "dead sensor"]).backbones
+    np.testing.assert_array_equal(with_bad["value"], without["value"])
+    frequency = with_bad["value"].sel(observable="frequency").values
+    # A cycle lasts the damped period exactly; noise 50 dB below the release leaves some 1e-4 at the lowest level.
+    assert frequency == pytest.approx(FREQUENCY * np.sqrt(1.0 - RATIO**2), rel=1e-3)
+
+
+def test_strict_refuses_at_the_first(records):
+    with pytest.raises(InputError, match=r"^dead sensor"):
+        measure_batch(records, Measuring(strict=True))
+    with pytest.raises(InputError, match=r"^dead sensor"):
+        find_missing_effect(Oscillator(1.0), records, strict=True)
+
+
+def test_most_must_remain(rng, records):
+    dead = [noise(rng, f"dead {i}") for i in range(3)]
+    assert len(extract_all([*records[:2], *dead[:2]]).records) == 2  # half is enough
+    with pytest.raises(InputError, match="3 of 5 records cannot be used, more than half of them; the first: dead 0"):
+        extract_all([*records[:2], *dead])
+    with pytest.raises(InputError, match=r"^dead 0"):  # one alone: its own reason says it all
+        extract_all(dead[:1])
+
+
+def test_levels_are_those_of_every_road(records, tmp_path, monkeypatch):
+    """`extract`, `update` (by `measure`) and the search must compare at the same amplitudes."""
+    write_records(records, tmp_path / "records")
+    chosen = measure(tmp_path / "records").backbones["level"].values
+    written = extract(tmp_path / "records", output=tmp_path / "out", say=lambda text: None)
+    seen = {}
+
+    class Enough(Exception):
+        pass
+
+    def batch_of_records(mass, backbones, *_):
+        seen["levels"] = backbones["level"].values
+        raise Enough
+
+    monkeypatch.setattr("pymc_backbone.discrepancy.workflow.batch_of_records", batch_of_records)
+    from pymc_backbone.measurement.reading.records import read_records
+
+    with pytest.raises(Enough):
+        find_missing_effect(Oscillator(1.0), read_records(tmp_path / "records"))
+    np.testing.assert_array_equal(chosen, written["levels"])
+    np.testing.assert_array_equal(chosen, seen["levels"])
+
+
+def test_specimens_without_a_common_range_have_levels_of_their_own(rng):
+    cycles = extract_all([decay(rng, "high", 0.1, 12), decay(rng, "low", 0.01, 12)]).cycles
+    with pytest.raises(InputError, match="must share a range"):
+        default_levels(cycles)
+    levels, (note,) = levels_for(cycles)
+    assert "share no range" in note
+    reached = [(levels >= c.smoothed_amplitude.min()) & (levels <= c.smoothed_amplitude.max()) for c in cycles]
+    assert all(here.sum() >= 2 for here in reached) and not np.any(reached[0] & reached[1])
+
+
+def test_no_more_levels_than_cycles(rng):
+    """Values at more amplitudes than there are cycles depend on each other exactly; their covariance has no inverse."""
+    cycles = extract_all([decay(rng, "a")]).cycles
+    count = cycles[0].smoothed_amplitude.size
+    assert levels_for(cycles, count)[0].size == count
+    for levels in (count + 2, 100_000, np.linspace(0.004, 0.008, count + 2)):
+        with pytest.raises(InputError, match=f"a has {count} cycles; ask for fewer"):
+            levels_for(cycles, levels)
+    with pytest.raises(InputError, match="at least 1"):
+        levels_for(cycles, 0)
+
+
+def test_offset_is_taken_only_where_all_is_asked_for(rng):
+    records = [decay(rng, "a")]
+    assert list(measure_batch(records).backbones["observable"].values) == ["frequency", "damping"]
+    every = measure_batch(records, every_observable=True).backbones
+    assert list(every["observable"].values) == ["frequency", "damping", "offset"]
+    chosen = measure_batch(records, Measuring(observables=["offset"]), every_observable=True).backbones
+    assert list(chosen["observable"].values) == ["offset"]
+
+
+@pytest.mark.parametrize("command", ["extract", "update", "diagnose"])
+@pytest.mark.parametrize("levels", ["45", "200", "100000"])
+def test_too_many_levels_are_one_sentence(capsys, rng, tmp_path, command, levels):
+    write_records([decay(rng, "a"), decay(rng, "b")], tmp_path / "records")
+    mass = [] if command == "extract" else MASS
+    arguments = [command, str(tmp_path / "records"), *mass, "--levels", levels, "--out", str(tmp_path / "out"), "-q"]
+    code, out, error = run_cli(capsys, *arguments)
+    assert code == 2 and out == ""
+    assert is_one_sentence(error.splitlines(keepends=True)[-1]) and "--levels put" in error
+
+
+def test_the_command_line_says_what_is_left_out_and_strict_refuses(capsys, records, tmp_path):
+    write_records(records, tmp_path / "records")
+    base = ["extract", str(tmp_path / "records"), "--out", str(tmp_path / "out"), "--overwrite"]
+    code, out, error = run_cli(capsys, *base)
+    assert code == 0, error
+    assert f"\n{LEFT_OUT}" in out and "dead" in out and "3 specimens" in out
+    code, out, error = run_cli(capsys, *base, "--strict")
+    assert code == 2 and is_one_sentence(error.splitlines(keepends=True)[-1]) and "dead" in error
