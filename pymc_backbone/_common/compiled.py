@@ -34,6 +34,7 @@ def compiled_sources_digest() -> str:
 _COMPILED_MODULES = (
     "_common/compiled.py",
     "likelihood/density_kernel.py",
+    "simulation/counts.py",
     "simulation/curves.py",
     "simulation/forces.py",
     "simulation/halfcycle.py",
@@ -91,3 +92,13 @@ class NativeFunction:
             compiled.compile()
             llvmlite.binding.add_symbol(self.call.symbol, compiled.address)
             self._compiled = compiled
+
+    @property
+    def address(self) -> int:
+        """Where the machine code stands in this process, once it is defined."""
+        return int(self._compiled.address)
+
+    @property
+    def is_from_disk(self) -> bool:
+        """Whether the machine code was read from disk, once it is defined."""
+        return bool(self._compiled.cache_hits)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import weakref
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -18,12 +17,11 @@ from ..simulation.response import make_response
 from .model import backbone_likelihood, prior_intervals, select_observables
 from .population import Coordinate, cut_moments, edge_ranges, normal_specimens, uniform_specimens
 from .specimen_fits import SpecimenFits, fit_specimens
-from .starts import StartRule, set_starts
+from .start_hint import StartHint, give_hint, start_hint_of
 
 POPULATIONS = ("normal", "uniform")
 MINIMUM_SPECIMENS = 3
 logger = logging.getLogger("pymc_backbone")
-_UNIDENTIFIED: weakref.WeakKeyDictionary[pm.Model, tuple[str, ...]] = weakref.WeakKeyDictionary()
 
 
 def build_hierarchical_model(
@@ -151,6 +149,7 @@ def build_hierarchical_model(
     limits = intervals if population == "uniform" else physical
     fits = fit_specimens(response, data, intervals, limits, fixed)  # type: ignore[arg-type]
     low, high = np.array(list(intervals.values())).T
+    unidentified = tuple(name for name, is_free in zip(names, fits.unidentified, strict=True) if is_free)
     coords: dict[str, Any] = {"specimen": [str(v) for v in data["specimen"].values], "parameter": names}
     if correlated:
         coords["parameter_other"] = names
@@ -167,7 +166,8 @@ def build_hierarchical_model(
             specimens, log_density = _add_uniform(offsets, names, low, high, fits)
         # The offsets' own standard normal density is a helper only: it is taken out again.
         reference = -0.5 * (offsets**2).sum() - 0.5 * fits.point.size * np.log(2.0 * np.pi)
-        pm.Potential("specimens_given_population", log_density - reference)
+        hint = _make_hint(fits, low, high, unidentified)
+        pm.Potential("specimens_given_population", give_hint(log_density - reference, hint))
         values: dict[str, Any] = dict(fixed)
         for j, name in enumerate(names):
             values[name] = pm.Deterministic(name, specimens[:, j], dims="specimen")
@@ -179,12 +179,8 @@ def build_hierarchical_model(
             backbone_likelihood(
                 "backbone", oscillator, data, values, release_amplitude=release_amplitude, virgin=virgin
             )
-    _UNIDENTIFIED[model] = tuple(name for name, is_free in zip(names, fits.unidentified, strict=True) if is_free)
-    if _UNIDENTIFIED[model]:
-        logger.warning(
-            "the backbones say nothing about %s: the posterior is the prior there", ", ".join(_UNIDENTIFIED[model])
-        )
-    set_starts(model, _make_starts(model, fits, low, high))
+    if unidentified:
+        logger.warning("the backbones say nothing about %s: the posterior is the prior there", ", ".join(unidentified))
     return model
 
 
@@ -214,9 +210,10 @@ def unidentified_parameters(model: pm.Model) -> tuple[str, ...]:
     build_hierarchical_model : the model that needs to know.
     findings : what the draws say.
     """
-    if model not in _UNIDENTIFIED:
+    hint = start_hint_of(model)
+    if hint is None:
         raise InputError("`model` must come from build_hierarchical_model.")
-    return _UNIDENTIFIED[model]
+    return hint.unidentified
 
 
 def _add_normal(
@@ -263,8 +260,8 @@ def _add_uniform(
     return uniform_specimens(offsets, edge_low, edge_high, fits)
 
 
-def _make_starts(model: pm.Model, fits: SpecimenFits, low: FloatArray, high: FloatArray) -> StartRule:
-    """Return a rule for starts: the moments of the fits, dispersed, and offsets near zero."""
+def _make_hint(fits: SpecimenFits, low: FloatArray, high: FloatArray, unidentified: tuple[str, ...]) -> StartHint:
+    """Return where chains start: at the moments of the fits, dispersed, and offsets near zero."""
     width = high - low
     share = np.clip((fits.point.mean(axis=0) - low) / width, 0.05, 0.95)
     spread = np.clip(fits.point.std(axis=0), 0.02 * width, 0.5 * width)
@@ -278,9 +275,4 @@ def _make_starts(model: pm.Model, fits: SpecimenFits, low: FloatArray, high: Flo
         "population_high_share": (np.full(p, -1.0), 0.7),
         "correlation_factor": (np.zeros(p * (p - 1) // 2), 0.2),
     }
-    chosen = {model.rvs_to_values[variable].name: centres[variable.name] for variable in model.free_RVs}
-
-    def draw(rng: np.random.Generator) -> dict[str, FloatArray]:
-        return {name: middle + sd * rng.standard_normal(middle.shape) for name, (middle, sd) in chosen.items()}
-
-    return draw
+    return StartHint.of(centres, unidentified)

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import weakref
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pymc as pm
-import pytensor
 import pytensor.tensor as pt
 import xarray as xr
 from numpy.typing import ArrayLike
@@ -18,39 +15,15 @@ from .._common.checks import OBSERVABLES, FloatArray, InputError, check_choice
 from ..likelihood.data_consistent import fit_data_consistent
 from ..likelihood.density import Density
 from ..likelihood.density_fit import fit_density
-from ..likelihood.op import BackboneLogLikelihood, SimulatedBackbone, make_memory
+from ..likelihood.op import BackboneLogLikelihood, BackboneOp
 from ..likelihood.specimen_likelihood import observe_specimens
 from ..oscillator import Oscillator
-from ..simulation.response import OscillatorResponse, Response, make_response
+from ..simulation.response import Response, make_response
+from .targets import note_density
 
 Source = Oscillator | Callable[[dict[str, float], FloatArray], ArrayLike]
 LIKELIHOODS = ("auto", "population", "specimen", "pooled")
 POPULATION_SIZE = 8  # from this many complete specimens on, "auto" fits a density over them
-
-
-@dataclass(frozen=True, eq=False)
-class Target:
-    """What one likelihood compares: parameters in, a backbone out, and the values it should have.
-
-    ``centre`` and ``spread`` (n, o, l) are the measured values and their standard errors per specimen, or mean and
-    standard deviation of the population (n = 1); NaN where there is none.
-    """
-
-    name: str
-    response: Response
-    theta: Any
-    centre: FloatArray
-    spread: FloatArray
-    density: Density | None
-    memory: Any
-
-
-_TARGETS: weakref.WeakKeyDictionary[pm.Model, list[Target]] = weakref.WeakKeyDictionary()
-
-
-def targets_of(model: pm.Model) -> list[Target]:
-    """Return the backbone likelihoods that were added to ``model``."""
-    return _TARGETS.get(model, [])
 
 
 def backbone_likelihood(
@@ -117,7 +90,7 @@ def backbone_likelihood(
                                 {"linear_stiffness": k, "viscous_damping": c, "cubic_stiffness": k3})
             posterior = sample()
     """
-    model = pm.modelcontext(None)
+    pm.modelcontext(None)  # says so where there is none
     if isinstance(data, Density):
         if observables is not None and tuple(observables) != data.observables:
             raise InputError(
@@ -140,23 +113,14 @@ def backbone_likelihood(
     )
     n_specimens = 1 if isinstance(data, Density) else data.sizes["specimen"]
     theta = _stack(response, parameters, n_specimens, isinstance(data, Density))
-    memory = None
-    if isinstance(data, Density):
-        memory = pytensor.shared(make_memory(len(response.parameter_names)), name=f"{name}_memory")
-        value = BackboneLogLikelihood(response)(theta, data.codes, data.table, memory)[0]
-        result = pm.Potential(name, value)
-        draws = data.sample(2000, random_seed=0)
-        centre, spread = draws.mean(axis=0)[None], draws.std(axis=0)[None]
-    else:
-        centre, spread = np.asarray(data["value"]), np.asarray(data["standard_error"])
-        result = observe_specimens(name, response, data, theta)
-    _TARGETS.setdefault(model, []).append(
-        Target(name, response, theta, centre, spread, data if isinstance(data, Density) else None, memory)
-    )
-    return result
+    if isinstance(data, xr.Dataset):
+        return observe_specimens(name, response, data, theta)
+    codes = pt.constant(data.codes)
+    note_density(codes, data)
+    return pm.Potential(name, BackboneLogLikelihood(response)(theta, codes, data.table)[0])
 
 
-def simulated_backbone(
+def backbone_deterministic(
     name: str,
     source: Source,
     levels: ArrayLike,
@@ -187,12 +151,12 @@ def simulated_backbone(
     See Also
     --------
     backbone_likelihood : the likelihood of one.
-    simulated_backbones : numbers instead of tensors.
+    simulate_population : numbers instead of tensors.
     """
     names = None if isinstance(source, Oscillator) else tuple(parameters)
     response = make_response(source, levels, observables, parameter_names=names)
     theta = _stack(response, parameters, 1, True)
-    return pm.Deterministic(name, SimulatedBackbone(response)(theta)[0])
+    return pm.Deterministic(name, BackboneOp(response)(theta)[0])
 
 
 def build_model(
@@ -388,8 +352,3 @@ def _stack(response: Response, parameters: Mapping[str, Any], n_specimens: int, 
     if all(tensor.ndim == 0 for tensor in tensors):
         return pt.stack(tensors)
     return pt.stack([pt.broadcast_to(tensor, (n_specimens,)) for tensor in tensors], axis=-1)
-
-
-def is_differentiable(model: pm.Model) -> bool:
-    """Return whether every backbone likelihood of ``model`` has a gradient."""
-    return all(isinstance(target.response, OscillatorResponse) for target in targets_of(model))

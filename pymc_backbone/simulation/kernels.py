@@ -11,6 +11,7 @@ from collections import namedtuple
 import numpy as np
 
 from .._common.compiled import cached
+from .counts import COUNTED
 from .curves import carry_jacobian, compiled, curve_at, cycle_quantities, cycle_slope, cycles_of_decay, hermite
 from .forces import KIND, OWN_EQUATION, ROW
 from .halfcycle import (
@@ -71,6 +72,7 @@ Run.__doc__ = "A simulation: its description, its memory, and views of what lies
 
 def define() -> None:
     """Make the integrator known in this process; needed before any function of this module is called."""
+    COUNTED.define()
     HALF_CYCLE.define()
     LOAD_STATES.define()
 

@@ -188,8 +188,9 @@ def update(
     read = time.perf_counter()
 
     from ..inference.diagnostics import findings, simulations_of, summarise
-    from ..inference.model import build_model, targets_of
+    from ..inference.model import build_model
     from ..inference.sampling import sample
+    from ..inference.targets import targets_of
 
     kind = _likelihood(likelihood, measured.backbones)
     bounds = _bounds(oscillator, measured, priors or {}, fixed or {})
@@ -317,7 +318,7 @@ def _likelihood(likelihood: str, backbones: xr.Dataset) -> str:
 def _predictive(
     oscillator: Oscillator, posterior: xr.DataTree, fixed: Mapping[str, float], backbones: xr.Dataset, seed: int
 ) -> xr.Dataset:
-    from ..simulation.backbones import simulated_backbones
+    from ..simulation.backbones import simulate_population
 
     draws = posterior["posterior"].to_dataset()
     columns = [
@@ -328,7 +329,7 @@ def _predictive(
     chosen = np.random.default_rng(seed).choice(size, size=min(PREDICTIVE_DRAWS, size), replace=False)
     parameters = np.column_stack([np.broadcast_to(column, (size,))[chosen] for column in columns])
     names = [str(name) for name in backbones["observable"].values]
-    return simulated_backbones(oscillator, parameters, np.asarray(backbones["level"]), names)
+    return simulate_population(oscillator, parameters, np.asarray(backbones["level"]), names)
 
 
 def _parameters(
