@@ -55,11 +55,12 @@ class DigestCache(FunctionCache):
         return (*super()._index_key(sig, codegen), compiled_sources_digest())
 
 
-def cached(function: Callable[..., Any]) -> Any:
+def cached[**P, R](function: Callable[P, R]) -> Callable[P, R]:
     """Compile ``function`` with numba and keep the machine code on disk, keyed on all compiled sources."""
     dispatcher = numba.njit(function)
     dispatcher._cache = DigestCache(dispatcher.py_func)
-    return dispatcher
+    result: Callable[P, R] = dispatcher
+    return result
 
 
 class NativeFunction:

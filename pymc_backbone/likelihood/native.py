@@ -7,10 +7,13 @@ on disk, the address of a user's own force, is passed in as a number.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numba
 import numpy as np
 from numba import types
 
+from .._common.checks import FloatArray, IntArray
 from .._common.compiled import NativeFunction
 from ..simulation import kernels
 from ..simulation.counts import FAILURES, GRADIENTS, SIMULATIONS, count
@@ -20,7 +23,9 @@ from ..simulation.pointers import FLOATS, INTEGERS
 from .density_kernel import log_density
 
 
-def _backbone(to_integers, to_numbers, to_p, to_values, to_jacobian, to_status, wanted):
+def _backbone(
+    to_integers: Any, to_numbers: Any, to_p: Any, to_values: Any, to_jacobian: Any, to_status: Any, wanted: int
+) -> None:
     head = numba.carray(to_integers, TABLE)
     n, n_levels = head[N_PARAMETERS], head[N_LEVELS]
     integers = numba.carray(to_integers, TABLE + ROW * head[N_EFFECTS])
@@ -36,7 +41,10 @@ def _backbone(to_integers, to_numbers, to_p, to_values, to_jacobian, to_status, 
 
 
 @numba.njit
-def judge_backbone(integers, status, values, jacobian, codes, table, gradient):
+def judge_backbone(
+    integers: IntArray, status: IntArray, values: FloatArray, jacobian: FloatArray, codes: IntArray,
+    table: FloatArray, gradient: FloatArray,
+) -> float:  # fmt: skip
     """Return the log density of a simulated backbone, -inf where a level failed, and write its gradient."""
     levels = integers[N_LEVELS]
     for k in range(levels):
@@ -68,7 +76,10 @@ def judge_backbone(integers, status, values, jacobian, codes, table, gradient):
     return value
 
 
-def _log_likelihood(to_integers, to_numbers, to_p, to_codes, n_codes, to_table, n_table, to_gradient, wanted):
+def _log_likelihood(
+    to_integers: Any, to_numbers: Any, to_p: Any, to_codes: Any, n_codes: int, to_table: Any, n_table: int,
+    to_gradient: Any, wanted: int,
+) -> float:  # fmt: skip
     integers = numba.carray(to_integers, TABLE)
     n, n_levels = integers[N_PARAMETERS], integers[N_LEVELS]
     values = np.empty((3, n_levels))
@@ -77,7 +88,8 @@ def _log_likelihood(to_integers, to_numbers, to_p, to_codes, n_codes, to_table, 
     call_backbone(to_integers, to_numbers, to_p, values.ctypes, jacobian.ctypes, status.ctypes, wanted)
     codes, table = numba.carray(to_codes, n_codes), numba.carray(to_table, n_table)
     gradient = numba.carray(to_gradient, n * wanted)
-    return judge_backbone(integers, status, values, jacobian, codes, table, gradient)
+    value: float = judge_backbone(integers, status, values, jacobian, codes, table, gradient)
+    return value
 
 
 BACKBONE = NativeFunction(

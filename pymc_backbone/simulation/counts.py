@@ -44,7 +44,7 @@ def _add(typing_context: Any, pointer: Any, index: Any, number: Any) -> Any:
     return signature(types.void, INTEGERS, int64, int64), generate
 
 
-def _counted():  # type: ignore[no-untyped-def]
+def _counted() -> Any:
     return _own_integers()
 
 
@@ -53,7 +53,7 @@ _counted_here = COUNTED.call
 
 
 @cached
-def count(index, number):  # type: ignore[no-untyped-def]
+def count(index: int, number: int) -> None:
     """Add ``number`` to one of the counts."""
     _add(_counted_here(), index, number)
 
