@@ -26,7 +26,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "pymc_backbone"
 # Modules of these packages that they describe for everybody.
 STATED = {"numba", "numba.types", "numba.extending", "llvmlite", "llvmlite.binding", "pymc", "pytensor"}
-STATED |= {"pytensor.tensor", "pytensor.gradient", "pytensor.graph.basic", "pytensor.graph.op"}
+STATED |= {"pytensor.tensor", "pytensor.gradient", "pytensor.graph.basic", "pytensor.graph.fg", "pytensor.graph.op"}
 
 IMPORTED = {
     "numba.core.cgutils": {"simulation/pointers.py", "simulation/counts.py"},

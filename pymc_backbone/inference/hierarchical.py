@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import pymc as pm
 import pytensor.tensor as pt
 import xarray as xr
+from pytensor.tensor import TensorVariable as Tensor
 
 from .._common.checks import FloatArray, InputError, check_choice, check_positive
 from ..oscillator import Oscillator
@@ -150,7 +150,7 @@ def build_hierarchical_model(
     fits = fit_specimens(response, data, intervals, limits, fixed)  # type: ignore[arg-type]
     low, high = np.array(list(intervals.values())).T
     unidentified = tuple(name for name, is_free in zip(names, fits.unidentified, strict=True) if is_free)
-    coords: dict[str, Any] = {"specimen": [str(v) for v in data["specimen"].values], "parameter": names}
+    coords: dict[str, list[str]] = {"specimen": [str(v) for v in data["specimen"].values], "parameter": names}
     if correlated:
         coords["parameter_other"] = names
     with pm.Model(coords=coords) as model:
@@ -168,7 +168,7 @@ def build_hierarchical_model(
         reference = -0.5 * (offsets**2).sum() - 0.5 * fits.point.size * np.log(2.0 * np.pi)
         hint = _make_hint(fits, low, high, unidentified)
         pm.Potential("specimens_given_population", give_hint(log_density - reference, hint))
-        values: dict[str, Any] = dict(fixed)
+        values: dict[str, Tensor | float] = dict(fixed)
         for j, name in enumerate(names):
             values[name] = pm.Deterministic(name, specimens[:, j], dims="specimen")
         if linearised:
@@ -217,14 +217,14 @@ def unidentified_parameters(model: pm.Model) -> tuple[str, ...]:
 
 
 def _add_normal(
-    offsets: Any,
+    offsets: Tensor,
     names: list[str],
     low: FloatArray,
     high: FloatArray,
     correlation_shape: float | None,
     coordinates: list[Coordinate],
     fits: SpecimenFits,
-) -> tuple[Any, Any]:
+) -> tuple[Tensor, Tensor]:
     """Add the variables of a Normal population; return specimens and the log-density of their offsets."""
     location = pm.Uniform("population_location", low, high, dims="parameter")
     spread = pm.HalfNormal("population_spread", (high - low) / np.sqrt(12.0), dims="parameter")
@@ -242,8 +242,8 @@ def _add_normal(
 
 
 def _add_uniform(
-    offsets: Any, names: list[str], low: FloatArray, high: FloatArray, fits: SpecimenFits
-) -> tuple[Any, Any]:
+    offsets: Tensor, names: list[str], low: FloatArray, high: FloatArray, fits: SpecimenFits
+) -> tuple[Tensor, Tensor]:
     """Add the variables of a Uniform population; return specimens and the log-density of their offsets."""
     highest, lowest = edge_ranges(fits, low, high)
     below = pm.Uniform("population_low_share", 0.0, 1.0, shape=len(names), dims="parameter")

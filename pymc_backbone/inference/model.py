@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import pymc as pm
 import pytensor.tensor as pt
 import xarray as xr
 from numpy.typing import ArrayLike
+from pytensor.tensor import TensorVariable as Tensor
 
 from .._common.checks import OBSERVABLES, FloatArray, InputError, check_choice
 from ..likelihood.data_consistent import fit_data_consistent
@@ -30,12 +30,12 @@ def backbone_likelihood(
     name: str,
     source: Source,
     data: Density | xr.Dataset,
-    parameters: Mapping[str, Any],
+    parameters: Mapping[str, Tensor | float],
     *,
     observables: Sequence[str] | None = None,
     release_amplitude: float | None = None,
     virgin: bool = True,
-) -> Any:
+) -> Tensor:
     """Add the likelihood of a simulated backbone to the current PyMC model.
 
     With a `Density` the likelihood is that of the *population*: one parameter vector, judged by the density that was
@@ -124,10 +124,10 @@ def backbone_deterministic(
     name: str,
     source: Source,
     levels: ArrayLike,
-    parameters: Mapping[str, Any],
+    parameters: Mapping[str, Tensor | float],
     *,
     observables: Sequence[str] = ("frequency", "damping"),
-) -> Any:
+) -> Tensor:
     """Add the simulated backbone at ``levels`` to the current PyMC model as a deterministic, for predictions.
 
     Parameters
@@ -230,7 +230,7 @@ def build_model(
         else:
             data = fit_density(data, kind=density, marginal=marginal)
     names = [*intervals, *fixed] if not isinstance(source, Oscillator) else list(source.parameter_names)
-    coords: dict[str, Any] = {}
+    coords: dict[str, list[str]] = {}
     if isinstance(data, xr.Dataset):
         coords["specimen"] = [str(v) for v in data["specimen"].values]
     if blocked:
@@ -238,7 +238,7 @@ def build_model(
     low = np.array([interval[0] for interval in intervals.values()])
     high = np.array([interval[1] for interval in intervals.values()])
     with pm.Model(coords=coords) as model:
-        values: dict[str, Any] = dict(fixed)
+        values: dict[str, Tensor | float] = dict(fixed)
         if blocked:
             dims = ("specimen", "parameter") if kind == "specimen" else ("parameter",)
             block = pm.Uniform("parameters", low, high, dims=dims)
@@ -333,7 +333,9 @@ def _scales(data: Density | xr.Dataset) -> tuple[float, float]:
     return float(levels[-1]), 2.0 * np.pi * float(np.nanmedian(values))
 
 
-def _stack(response: Response, parameters: Mapping[str, Any], n_specimens: int, is_population: bool) -> Any:
+def _stack(
+    response: Response, parameters: Mapping[str, Tensor | float], n_specimens: int, is_population: bool
+) -> Tensor:
     """Return the parameters as one vector (p,), or as a matrix (n, p) where any differs between specimens."""
     for name in parameters:
         check_choice("parameters", name, response.parameter_names)

@@ -77,7 +77,7 @@ class _Difference:
     def __init__(self, conditional: _Conditional) -> None:
         self.conditional = conditional
 
-    def __call__(self, proposed: FloatArray, present: FloatArray) -> Any:
+    def __call__(self, proposed: FloatArray, present: FloatArray) -> FloatArray:
         return np.asarray(self.conditional(proposed) - self.conditional(present))
 
 

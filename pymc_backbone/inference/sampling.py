@@ -7,7 +7,7 @@ import os
 import sys
 import time
 import warnings
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 import numpy as np
@@ -116,13 +116,14 @@ def sample(
         return _run(kept.seed(random_seed), kept, *arguments)
 
 
-def _exact() -> Any:
+def _exact() -> AbstractContextManager[None]:
     """Return a context in which PyTensor compiles sums in the order they are written in.
 
     With fast mathematics the order depends on what was compiled in this process and what was read from disk: the same
     seed would not give the same digits in a resumed run, or in another process.
     """
-    return pytensor.config.change_flags(numba__fastmath=False)
+    flags: AbstractContextManager[None] = pytensor.config.change_flags(numba__fastmath=False)
+    return flags
 
 
 def _run(

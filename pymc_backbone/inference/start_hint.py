@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import ClassVar, Self
 
 import numpy as np
 import pymc as pm
 from pytensor.graph.basic import Apply, Variable
+from pytensor.graph.fg import FunctionGraph
 from pytensor.graph.op import Op
 from pytensor.graph.rewriting.basic import node_rewriter
 from pytensor.tensor.rewriting.basic import register_canonicalize
 from pytensor.tensor.type import TensorType
 
 from .._common.checks import FloatArray
+from ..likelihood.op import Shape
 from .targets import nodes_of
 
 
@@ -74,20 +76,20 @@ class HintOp(Op):
     """
 
     __props__ = ("hint",)
-    view_map = {0: [0]}
+    view_map: ClassVar[dict[int, list[int]]] = {0: [0]}
 
     def __init__(self, hint: StartHint) -> None:
         self.hint = hint
 
-    def make_node(self, value: Any) -> Apply:
+    def make_node(self, value: Variable) -> Apply:
         """Make the node; the output has the type of the input."""
         return Apply(self, [value], [value.type()])
 
-    def infer_shape(self, node: Apply, input_shapes: list[Any]) -> list[Any]:
+    def infer_shape(self, node: Apply, input_shapes: list[Shape]) -> list[Shape]:
         """Return the shape of the input."""
         return input_shapes
 
-    def perform(self, node: Apply, inputs: Sequence[Any], output_storage: Any) -> None:
+    def perform(self, node: Apply, inputs: Sequence[FloatArray], output_storage: list[list[FloatArray]]) -> None:
         """Pass the input on."""
         output_storage[0][0] = inputs[0]
 
@@ -100,7 +102,7 @@ class HintOp(Op):
 
 @register_canonicalize
 @node_rewriter([HintOp])
-def drop_hint(fgraph: Any, node: Apply) -> list[Variable]:
+def drop_hint(fgraph: FunctionGraph, node: Apply) -> list[Variable]:
     """Compute without the hint."""
     return list(node.inputs)
 

@@ -44,7 +44,7 @@ class StartFinder:
         Seed of everything random here.
     """
 
-    def __init__(self, model: pm.Model, random_seed: Any) -> None:
+    def __init__(self, model: pm.Model, random_seed: int | np.random.Generator) -> None:
         self.model = model
         self.generator = np.random.default_rng(random_seed)
         self.log_density = model.compile_logp()
@@ -255,7 +255,7 @@ class StartFinder:
         start, unpack = self._flatten(point)
         bounded = self._bounded(point)
 
-        def residuals(vector: Any) -> Any:
+        def residuals(vector: FloatArray) -> FloatArray:
             inside = vector[bounded]
             # 4 log cosh(u / 2) is twice the loss in log-density of a Uniform prior, up to a constant
             prior = np.sign(inside) * 2.0 * np.sqrt(np.logaddexp(0.5 * inside, -0.5 * inside) - np.log(2.0))

@@ -12,8 +12,11 @@ from typing import Any
 
 import numpy as np
 import pymc as pm
+from numpy.typing import NDArray
 from pytensor.graph.basic import Apply, Variable
+from pytensor.graph.op import Op
 from pytensor.graph.traversal import applys_between
+from pytensor.tensor import TensorVariable as Tensor
 
 from .._common.checks import FloatArray
 from ..likelihood.density import KINDS, Density
@@ -31,7 +34,7 @@ class Target:
 
     name: str
     response: Response
-    theta: Any
+    theta: Tensor
     centre: FloatArray
     spread: FloatArray
     density: Density | None
@@ -106,11 +109,11 @@ def _specimens(variable: Variable, value: Variable) -> Target | None:
     return Target(variable.name, responses[0], theta, centre, spread, None)
 
 
-def _core(op: Any) -> Any:
+def _core(op: Op) -> Op:
     return getattr(op, "core_op", op)
 
 
-def _constant(variable: Variable) -> Any:
+def _constant(variable: Variable) -> NDArray[Any] | None:
     """Return the numbers of a variable, or None where it depends on anything."""
     data = getattr(variable, "data", None)
     return data if isinstance(data, np.ndarray) else None

@@ -7,8 +7,6 @@ on disk, the address of a user's own force, is passed in as a number.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numba
 import numpy as np
 from numba import types
@@ -19,12 +17,18 @@ from ..simulation import kernels
 from ..simulation.counts import FAILURES, GRADIENTS, SIMULATIONS, count
 from ..simulation.forces import ROW
 from ..simulation.memory import N_EFFECTS, N_LEVELS, N_NUMBERS, N_PARAMETERS, ROWS, TABLE
-from ..simulation.pointers import FLOATS, INTEGERS
+from ..simulation.pointers import FLOATS, INTEGERS, Floats, Integers
 from .density_kernel import log_density
 
 
 def _backbone(
-    to_integers: Any, to_numbers: Any, to_p: Any, to_values: Any, to_jacobian: Any, to_status: Any, wanted: int
+    to_integers: Integers,
+    to_numbers: Floats,
+    to_p: Floats,
+    to_values: Floats,
+    to_jacobian: Floats,
+    to_status: Integers,
+    wanted: int,
 ) -> None:
     head = numba.carray(to_integers, TABLE)
     n, n_levels = head[N_PARAMETERS], head[N_LEVELS]
@@ -77,8 +81,8 @@ def judge_backbone(
 
 
 def _log_likelihood(
-    to_integers: Any, to_numbers: Any, to_p: Any, to_codes: Any, n_codes: int, to_table: Any, n_table: int,
-    to_gradient: Any, wanted: int,
+    to_integers: Integers, to_numbers: Floats, to_p: Floats, to_codes: Integers, n_codes: int, to_table: Floats,
+    n_table: int, to_gradient: Floats, wanted: int,
 ) -> float:  # fmt: skip
     integers = numba.carray(to_integers, TABLE)
     n, n_levels = integers[N_PARAMETERS], integers[N_LEVELS]

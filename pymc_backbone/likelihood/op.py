@@ -8,7 +8,7 @@ costs less. Both are pure: what they return depends on their inputs alone, and n
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numba
@@ -16,6 +16,7 @@ import numpy as np
 import pytensor.tensor as pt
 from pytensor.gradient import disconnected_type
 from pytensor.graph.basic import Apply, Variable
+from pytensor.graph.fg import FunctionGraph
 from pytensor.graph.op import Op
 from pytensor.graph.rewriting.basic import node_rewriter
 from pytensor.link.numba.dispatch.basic import generate_fallback_impl, register_funcify_and_cache_key
@@ -27,6 +28,9 @@ from ..simulation.memory import Description
 from ..simulation.response import OscillatorResponse, Response, simulator_of
 from . import native
 from .density_kernel import log_density
+
+Shape = tuple[Variable | int, ...]
+Compiled = Callable[..., tuple[FloatArray, FloatArray]]
 
 
 class _SimulatingOp(Op):
@@ -98,11 +102,11 @@ class BackboneLogLikelihood(_SimulatingOp):
                 raise TypeError(f"`{name}` must be a vector, got {variable.ndim} dimensions.")
         return Apply(self, inputs, [pt.dscalar(), pt.dvector()])
 
-    def infer_shape(self, node: Apply, input_shapes: list[Any]) -> list[Any]:
+    def infer_shape(self, node: Apply, input_shapes: list[Shape]) -> list[Shape]:
         """Return the shapes of value and gradient."""
         return [(), (input_shapes[0][0] if self.with_gradient else 0,)]
 
-    def perform(self, node: Apply, inputs: Sequence[Any], output_storage: Any) -> None:
+    def perform(self, node: Apply, inputs: Sequence[Any], output_storage: list[list[FloatArray]]) -> None:
         """Evaluate in Python: the reference for the compiled path, and the path of functions."""
         theta, codes, table = inputs
         values, jacobian, completed = self.response.evaluate(
@@ -160,15 +164,15 @@ class BackboneOp(_SimulatingOp):
         shape = (len(self.response.observables), len(self.response.levels))
         return Apply(self, [theta], [pt.tensor("backbone", shape=shape, dtype="float64"), pt.dtensor3()])
 
-    def infer_shape(self, node: Apply, input_shapes: list[Any]) -> list[Any]:
+    def infer_shape(self, node: Apply, input_shapes: list[Shape]) -> list[Shape]:
         """Return the shapes of values and derivatives."""
         shape = (len(self.response.observables), len(self.response.levels))
         return [shape, (*shape, input_shapes[0][0]) if self.with_gradient else (0, 0, 0)]
 
-    def perform(self, node: Apply, inputs: Sequence[Any], output_storage: Any) -> None:
+    def perform(self, node: Apply, inputs: Sequence[Any], output_storage: list[list[FloatArray]]) -> None:
         """Evaluate in Python."""
         theta = np.ascontiguousarray(inputs[0], dtype=np.float64)
-        values, jacobian, _completed = self.response.evaluate(theta, self.with_gradient)
+        values, jacobian, _ = self.response.evaluate(theta, self.with_gradient)
         output_storage[0][0] = values
         output_storage[1][0] = np.nan_to_num(jacobian, nan=0.0, posinf=0.0, neginf=0.0)
 
@@ -187,7 +191,7 @@ class BackboneOp(_SimulatingOp):
 
 @register_specialize
 @node_rewriter([BackboneLogLikelihood, BackboneOp, Blockwise])
-def drop_unused_gradient(fgraph: Any, node: Apply) -> dict[Variable, Variable] | None:
+def drop_unused_gradient(fgraph: FunctionGraph, node: Apply) -> dict[Variable, Variable] | None:
     """Replace an Op by its variant without gradient where nobody uses the gradient.
 
     Registered late (specialize): PyMC canonicalizes a log-density before it differentiates it, and must still find
@@ -202,7 +206,7 @@ def drop_unused_gradient(fgraph: Any, node: Apply) -> dict[Variable, Variable] |
 
 
 @register_funcify_and_cache_key(BackboneLogLikelihood)
-def _funcify_log_likelihood(op: BackboneLogLikelihood, node: Apply, **kwargs: Any) -> tuple[Any, str | None]:
+def _funcify_log_likelihood(op: BackboneLogLikelihood, node: Apply, **kwargs: Any) -> tuple[Compiled, str | None]:
     if not isinstance(op.response, OscillatorResponse):
         return _fallback(op, node), None
     response = op.response
@@ -225,7 +229,7 @@ def _funcify_log_likelihood(op: BackboneLogLikelihood, node: Apply, **kwargs: An
 
 
 @register_funcify_and_cache_key(BackboneOp)
-def _funcify_backbone(op: BackboneOp, node: Apply, **kwargs: Any) -> tuple[Any, str | None]:
+def _funcify_backbone(op: BackboneOp, node: Apply, **kwargs: Any) -> tuple[Compiled, str | None]:
     if not isinstance(op.response, OscillatorResponse):
         return _fallback(op, node), None
     response = op.response
@@ -271,7 +275,7 @@ def _cache_key(version: str, op: _SimulatingOp) -> str | None:
     return f"pymc_backbone-{version}-{op.with_gradient}-{op.response.key}"
 
 
-def _fallback(op: Op, node: Apply) -> Any:
+def _fallback(op: Op, node: Apply) -> Compiled:
     """Return numba's object-mode call of ``perform``: what a Python function needs, so no warning is due."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Numba will use object mode", category=UserWarning)

@@ -21,15 +21,15 @@ FLOATS = types.CPointer(types.float64)
 class Floats(Protocol):
     """A bare pointer to numbers, to Python's type checker; compiled code knows it as `FLOATS`."""
 
-    def __getitem__(self, index: int) -> float: ...  # noqa: D105
-    def __setitem__(self, index: int, value: float) -> None: ...  # noqa: D105
+    def __getitem__(self, index: int) -> float: ...
+    def __setitem__(self, index: int, value: float) -> None: ...
 
 
 class Integers(Protocol):
     """A bare pointer to integers, to Python's type checker; compiled code knows it as `INTEGERS`."""
 
-    def __getitem__(self, index: int) -> int: ...  # noqa: D105
-    def __setitem__(self, index: int, value: int) -> None: ...  # noqa: D105
+    def __getitem__(self, index: int) -> int: ...
+    def __setitem__(self, index: int, value: int) -> None: ...
 
 
 if TYPE_CHECKING:
