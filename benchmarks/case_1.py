@@ -16,7 +16,7 @@ import time
 import arviz as az
 import numpy as np
 
-from pymc_backbone import Oscillator, build_model, fit_density, sample, simulated_backbones
+from pymc_backbone import Oscillator, build_model, fit_density, sample, simulate_population
 
 NAMES = ("linear_stiffness", "viscous_damping", "cubic_stiffness")
 TRUE = {"linear_stiffness": (6500.0, 288.68), "viscous_damping": (1.1, 0.52), "cubic_stiffness": (6.25e6, 0.14e6)}
@@ -39,7 +39,7 @@ def main() -> None:
     rng = np.random.default_rng(options.seed)
     oscillator = Oscillator(1.0, ["cubic_stiffness"])
     drawn = np.column_stack([rng.uniform(*bounds(*TRUE[name]), options.specimens) for name in NAMES])
-    backbones = simulated_backbones(oscillator, drawn, LEVELS, observables=("frequency", "damping"))
+    backbones = simulate_population(oscillator, drawn, LEVELS, observables=("frequency", "damping"))
     density = fit_density(backbones, kind="product", marginal="best")
     model = build_model(oscillator, density, {name: bounds(*PRIOR[name]) for name in NAMES})
     begin = time.perf_counter()

@@ -43,7 +43,7 @@ def make_model() -> Any:
     oscillator = pb.Oscillator(1.0, ["cubic_stiffness"])
     truth = np.array([6500.0, 1.1, 6.25e6])
     parameters = truth * (1.0 + 0.02 * rng.standard_normal((30, 3)))
-    backbones = pb.simulated_backbones(oscillator, parameters, np.geomspace(0.005, 0.03, 6))
+    backbones = pb.simulate_population(oscillator, parameters, np.geomspace(0.005, 0.03, 6))
     bounds = {"linear_stiffness": (5000.0, 8000.0), "viscous_damping": (0.1, 3.0), "cubic_stiffness": (4e6, 8e6)}
     return pb.build_model(oscillator, pb.fit_density(backbones, kind="joint", marginal="normal"), bounds)
 

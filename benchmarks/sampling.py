@@ -21,7 +21,7 @@ import numba
 import numpy as np
 import pymc as pm
 
-from pymc_backbone import Oscillator, build_model, fit_density, sample, simulated_backbones
+from pymc_backbone import Oscillator, build_model, fit_density, sample, simulate_population
 from pymc_backbone.likelihood.native import call_log_likelihood, define_symbols
 from pymc_backbone.likelihood.op import describe
 from pymc_backbone.simulation.response import make_response
@@ -36,7 +36,7 @@ BOUNDS = {"linear_stiffness": (4500.0, 8500.0), "viscous_damping": (0.1, 2.1), "
 def make_density():
     rng = np.random.default_rng(1)
     parameters = CENTRE + SPREAD * rng.standard_normal((200, 3))
-    return fit_density(simulated_backbones(OSCILLATOR, parameters, LEVELS), marginal="normal")
+    return fit_density(simulate_population(OSCILLATOR, parameters, LEVELS), marginal="normal")
 
 
 def make_walk(density):
@@ -54,7 +54,7 @@ def make_walk(density):
                 return -np.inf
         return call_log_likelihood(
             integers.ctypes, numbers.ctypes, theta.ctypes, codes.ctypes, codes.size, table.ctypes, table.size,
-            nothing.ctypes, 0, nothing.ctypes, 0,
+            nothing.ctypes, 0,
         )  # fmt: skip
 
     @numba.njit
@@ -103,7 +103,7 @@ def second_process() -> float:
         theta = pt.dvector()
         codes = np.array([0, 20] + [v for i in range(20) for v in (1, 3 * i, 3)])
         table = np.tile([10.0, 1.0, 0.0], 20)
-        function = pytensor.function([theta], op(theta, codes, table, np.empty(0))[0])
+        function = pytensor.function([theta], op(theta, codes, table)[0])
         function(np.array([6500.0, 1.1, 6.25e6]))
         print(time.perf_counter() - begin)
         """

@@ -27,7 +27,7 @@ def main() -> None:
     oscillator = pb.Oscillator(mass=1.0, effects=["cubic_stiffness"])
     centre = np.array([6500.0, 1.1, 6.25e6])  # N/m, N s/m, N/m^3
     population = centre * (1.0 + [0.04, 0.15, 0.05] * rng.standard_normal((200, 3)))
-    backbones = pb.simulated_backbones(oscillator, population, np.geomspace(0.01, 0.1, 6))
+    backbones = pb.simulate_population(oscillator, population, np.geomspace(0.01, 0.1, 6))
     bounds = {
         "linear_stiffness": (4500.0, 8500.0),
         "viscous_damping": (0.1, 2.1),

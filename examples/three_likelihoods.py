@@ -35,7 +35,7 @@ def main() -> None:
     rng = np.random.default_rng(3)
     oscillator = pb.Oscillator(mass=1.0, effects=["cubic_stiffness"])
     population = rng.multivariate_normal(MEAN, CORRELATION * np.outer(SPREAD, SPREAD), 200)
-    backbones = pb.simulated_backbones(oscillator, population, np.geomspace(0.01, 0.1, 6))
+    backbones = pb.simulate_population(oscillator, population, np.geomspace(0.01, 0.1, 6))
     densities = {
         "product": pb.fit_density(backbones, kind="product", marginal="normal"),
         "joint": pb.fit_density(backbones, kind="joint"),

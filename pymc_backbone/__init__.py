@@ -6,6 +6,8 @@ Names are loaded when they are first used, so that the command line answers at o
 from __future__ import annotations
 
 import importlib
+import sys
+import warnings
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
@@ -18,12 +20,12 @@ if TYPE_CHECKING:
     from .effects import LIBRARY, Effect, Parameter, Signature, get_effect
     from .inference.diagnostics import findings, summarise
     from .inference.hierarchical import build_hierarchical_model, unidentified_parameters
-    from .inference.model import backbone_likelihood, build_model, simulated_backbone
+    from .inference.model import backbone_deterministic, backbone_likelihood, build_model
     from .inference.sampling import sample
     from .likelihood.data_consistent import fit_data_consistent
     from .likelihood.density import Density
     from .likelihood.density_fit import fit_density
-    from .likelihood.op import BackboneLogLikelihood, SimulatedBackbone
+    from .likelihood.op import BackboneLogLikelihood, BackboneOp
     from .measurement.conditioning.condition import ConditionedRecord, condition
     from .measurement.cycles import Cycles, extract_cycles
     from .measurement.levels import backbones_at_levels
@@ -32,7 +34,7 @@ if TYPE_CHECKING:
     from .oscillator import Oscillator
     from .reporting.output_folder import write_backbones
     from .reporting.study_files import write_study
-    from .simulation.backbones import simulated_backbones
+    from .simulation.backbones import simulate_population
     from .simulation.decay import (
         BackboneResult,
         DecayResult,
@@ -59,7 +61,7 @@ _WHERE = {
     "_common.checks": ("InputError",),
     "_common.citation": ("citation",),
     "measurement.levels": ("backbones_at_levels",),
-    "simulation.backbones": ("simulated_backbones",),
+    "simulation.backbones": ("simulate_population",),
     "measurement.conditioning.condition": ("ConditionedRecord", "condition"),
     "measurement.cycles": ("Cycles", "extract_cycles"),
     "likelihood.data_consistent": ("fit_data_consistent",),
@@ -85,8 +87,8 @@ _WHERE = {
     "effects": ("LIBRARY", "Effect", "Parameter", "Signature", "get_effect"),
     "inference.hierarchical": ("build_hierarchical_model", "unidentified_parameters"),
     "measurement.reading.measured_backbones": ("read_backbones",),
-    "inference.model": ("backbone_likelihood", "build_model", "simulated_backbone"),
-    "likelihood.op": ("BackboneLogLikelihood", "SimulatedBackbone"),
+    "inference.model": ("backbone_likelihood", "build_model", "backbone_deterministic"),
+    "likelihood.op": ("BackboneLogLikelihood", "BackboneOp"),
     "oscillator": ("Oscillator",),
     "measurement.reading.records": ("Record", "read_records", "write_records"),
     "reporting.output_folder": ("write_backbones",),
@@ -98,10 +100,17 @@ _WHERE = {
 # Modules that are public themselves: each passes on what its own `__all__` lists.
 _NAMESPACES = ("paper", "plots")
 _MODULE_OF = {name: module for module, names in _WHERE.items() for name in names}
+# Old names, which stay for one minor release.
+_RENAMED = {
+    "SimulatedBackbone": "BackboneOp",
+    "simulated_backbone": "backbone_deterministic",
+    "simulated_backbones": "simulate_population",
+}
 
 __all__ = [
     "LIBRARY",
     "BackboneLogLikelihood",
+    "BackboneOp",
     "BackboneResult",
     "ConditionedRecord",
     "Cycles",
@@ -117,12 +126,12 @@ __all__ = [
     "Record",
     "ResponseFit",
     "Signature",
-    "SimulatedBackbone",
     "Status",
     "Structure",
     "Study",
     "Survey",
     "WaveformResult",
+    "backbone_deterministic",
     "backbone_likelihood",
     "backbones_at_levels",
     "build_hierarchical_model",
@@ -148,9 +157,8 @@ __all__ = [
     "sample",
     "simulate_backbone",
     "simulate_decay",
+    "simulate_population",
     "simulate_waveform",
-    "simulated_backbone",
-    "simulated_backbones",
     "summarise",
     "unidentified_parameters",
     "write_backbones",
@@ -164,6 +172,10 @@ def __getattr__(name: str) -> Any:
     if name in _NAMESPACES:
         globals()[name] = module = importlib.import_module(f".{name}", __name__)
         return module
+    if name in _RENAMED:
+        new = _RENAMED[name]
+        warnings.warn(f"pymc_backbone.{name} is now called {new}; use that.", FutureWarning, stacklevel=2)
+        return getattr(sys.modules[__name__], new)
     if name not in _MODULE_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = getattr(importlib.import_module(f".{_MODULE_OF[name]}", __name__), name)

@@ -37,22 +37,24 @@ from __future__ import annotations
 
 import math
 
-from .forces import force_gradient, force_slopes, plain
-from .pointers import shifted
+from .forces import Model, force_gradient, force_slopes, plain
+from .pointers import Floats, shifted
 from .states import state_slopes
 
 STAGES = 12
 
 
 @plain
-def scaled_error(square5, square3, count, h, tolerance):
+def scaled_error(square5: float, square3: float, count: float, h: float, tolerance: float) -> float:
     """Return the error that Hairer's mixture of the 5th and the 3rd order estimate gives, in units of tolerance."""
     denominator = square5 + 0.01 * square3
     return abs(h) * square5 / (math.sqrt(count * denominator) * tolerance) if denominator > 0.0 else 0.0
 
 
 @plain
-def _add_quadrature(model, S, quadrature, weight, u, du, w, dw):
+def _add_quadrature(
+    model: Model, S: Floats, quadrature: Floats, weight: float, u: float, du: float, w: float, dw: float
+) -> None:
     """Add one stage to the quadratures: the fundamental matrix's inverse times (0, parameter force)."""
     weight = weight / (u * dw - w * du)
     columns = model.columns
@@ -65,7 +67,9 @@ def _add_quadrature(model, S, quadrature, weight, u, du, w, dw):
 
 
 @plain
-def _apply_fundamental_matrix(S, S1, columns, quadrature, u, du, w, dw):
+def _apply_fundamental_matrix(
+    S: Floats, S1: Floats, columns: int, quadrature: Floats, u: float, du: float, w: float, dw: float
+) -> None:
     """Write the sensitivities at the end of the step into ``S1``."""
     for c in range(columns):
         sx = S[c] + quadrature[2 * c]
@@ -85,10 +89,15 @@ def combine(coefficients: np.ndarray, symbol: str, base: str) -> str:
     return f"{base} + h * ({weighted(coefficients, symbol)})"
 
 
+# Of arguments that are not numbers.
+TYPES = {"model": "Model", **dict.fromkeys(("y", "y1", "S", "S1", "K", "quadrature"), "Floats")}
+
+
 def function(name: str, arguments: str, summary: str, lines: list[str]) -> str:
     """Return the text of a compiled function."""
     body = "\n".join("    " + line for line in lines)
-    return f'\n\n@plain\ndef {name}({arguments}):\n    """{summary}"""\n{body}\n'
+    typed = ", ".join(f"{name}: {TYPES.get(name, 'float')}" for name in arguments.split(", "))
+    return f'\n\n@plain\ndef {name}({typed}) -> float:\n    """{summary}"""\n{body}\n'
 
 
 def step(name: str, columns: list[str], sensitivity: bool) -> str:

@@ -14,7 +14,7 @@ from pymc_backbone.inference.diagnostics import findings, summarise
 from pymc_backbone.inference.model import build_model
 from pymc_backbone.inference.sampling import sample
 from pymc_backbone.oscillator import Oscillator
-from pymc_backbone.simulation.backbones import simulated_backbones
+from pymc_backbone.simulation.backbones import simulate_population
 
 SENTENCES = {
     "adequate": "Nothing is missing: base model and measurement agree within measurement error at every amplitude.",
@@ -49,7 +49,7 @@ def make_study(
     friction = (0.0015 if is_found else 0.0) * stiffness * amplitude * np.ones((specimens, 1))
     levels = np.geomspace(0.12 * amplitude, amplitude, 9)
     truth = np.hstack([k, c, friction])
-    exact = simulated_backbones(base + "coulomb_friction", truth, levels, observables, amplitude_unit=unit)
+    exact = simulate_population(base + "coulomb_friction", truth, levels, observables, amplitude_unit=unit)
     value = np.asarray(exact["value"]).copy()
     if verdict == "unexplained":
         bump = np.exp(-0.5 * ((np.log(levels / levels[4])) / 0.3) ** 2)
@@ -78,8 +78,8 @@ def make_study(
     )
     f, d = np.nanmean(value[:, 0], axis=1), np.nanmean(value[:, 1], axis=1)
     fitted = np.column_stack([mass * (2.0 * np.pi * f) ** 2, 2.0 * mass * f * d])
-    before = simulated_backbones(base, fitted, levels, observables, amplitude_unit=unit)
-    after = None if extended is None else simulated_backbones(extended, truth, levels, observables, amplitude_unit=unit)
+    before = simulate_population(base, fitted, levels, observables, amplitude_unit=unit)
+    after = None if extended is None else simulate_population(extended, truth, levels, observables, amplitude_unit=unit)
     model, best = extended or base, truth[0]
     bounds = {
         "linear_stiffness": (0.8 * stiffness, 1.25 * stiffness),

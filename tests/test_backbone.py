@@ -12,7 +12,7 @@ from pymc_backbone._common.checks import InputError
 from pymc_backbone.measurement.cycles import Cycles, extract_cycles_from_arrays
 from pymc_backbone.measurement.levels import backbones_at_levels, default_levels
 from pymc_backbone.oscillator import Oscillator
-from pymc_backbone.simulation.backbones import simulated_backbones
+from pymc_backbone.simulation.backbones import simulate_population
 from pymc_backbone.simulation.decay import simulate_backbone, simulate_waveform
 
 STIFFNESS = (2.0 * np.pi) ** 2
@@ -139,7 +139,7 @@ def test_rescaled_amplitude_and_time(request: pytest.FixtureRequest) -> None:
 def test_simulated_backbones_have_the_same_shape_and_no_error() -> None:
     oscillator, parameters, _ = CASES["cubic"]
     row = oscillator.pack({"linear_stiffness": STIFFNESS} | parameters)
-    found = simulated_backbones(oscillator, np.array([row, row * 1.01]), [0.2, 0.5, 0.9], EVERY)
+    found = simulate_population(oscillator, np.array([row, row * 1.01]), [0.2, 0.5, 0.9], EVERY)
     assert found.value.shape == (2, 3, 3)
     np.testing.assert_array_equal(found.value.values[0], simulate_backbone(oscillator, row, [0.2, 0.5, 0.9]).values)
     np.testing.assert_array_equal(found.covariance.values, 0.0)

@@ -16,7 +16,7 @@ from pymc_backbone.paper.case_files import describe_case
 from pymc_backbone.paper.case_study import KEYS, run_case
 from pymc_backbone.paper.cases import CASES
 from pymc_backbone.paper.run_cases import run_cases
-from pymc_backbone.simulation.backbones import simulated_backbones
+from pymc_backbone.simulation.backbones import simulate_population
 
 SMALL = {"draws": 250, "tune": 300, "chains": 2, "random_seed": 4}
 
@@ -83,10 +83,10 @@ def test_amplitude_and_alpha_of_the_hysteretic_case_are_one_parameter(rng):
     other = vectors.copy()
     other[:, alpha] = 1.0 - 1.3 * (1.0 - vectors[:, alpha])
     other[:, a] = vectors[:, a] / 1.3
-    one, same = (simulated_backbones(case.data, v, case.levels)["value"].values for v in (vectors, other))
+    one, same = (simulate_population(case.data, v, case.levels)["value"].values for v in (vectors, other))
     assert np.abs(same / one - 1.0).max() < 1e-6
     other[:, a] *= 1.05  # negative control: a change of the product is seen
-    moved = simulated_backbones(case.data, other, case.levels)["value"].values
+    moved = simulate_population(case.data, other, case.levels)["value"].values
     assert np.abs(moved / one - 1.0).max() > 1e-3
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from pymc_backbone import InputError
 from pymc_backbone.paper.cases import CASES, get_case, uniform_bounds
-from pymc_backbone.simulation.backbones import simulated_backbones
+from pymc_backbone.simulation.backbones import simulate_population
 
 
 def test_uniform_bounds_have_the_mean_and_the_standard_deviation():
@@ -43,7 +43,7 @@ def test_every_parameter_of_the_model_is_inferred_or_fixed(name):
 @pytest.mark.parametrize("name", CASES)
 def test_every_specimen_reaches_every_level(name, rng):
     case = CASES[name]
-    found = simulated_backbones(case.data, case.draw(50, rng), case.levels, observables=("frequency", "damping"))
+    found = simulate_population(case.data, case.draw(50, rng), case.levels, observables=("frequency", "damping"))
     assert np.isfinite(found["value"].values).all()
 
 

@@ -10,7 +10,7 @@ from pymc_backbone import InputError, Oscillator, build_model, sample
 from pymc_backbone.likelihood.data_consistent import fit_data_consistent
 from pymc_backbone.likelihood.density import Density
 from pymc_backbone.likelihood.density_fit import fit_density
-from pymc_backbone.simulation.backbones import simulated_backbones
+from pymc_backbone.simulation.backbones import simulate_population
 
 DUFFING = Oscillator(1.0, "cubic_stiffness")
 LEVELS = np.geomspace(0.01, 0.1, 4)
@@ -28,7 +28,7 @@ def weighted_moments(density: Density, observables, rng, count: int = 4000) -> t
     """Return mean and covariance of draws of the prior weighted with the density: an estimate without a sampler."""
     low, high = np.array(list(BOUNDS.values())).T
     vectors = rng.uniform(low, high, (count, 3))
-    values = np.asarray(simulated_backbones(DUFFING, vectors, LEVELS, observables)["value"])
+    values = np.asarray(simulate_population(DUFFING, vectors, LEVELS, observables)["value"])
     logs = density.log_density(values)
     weights = np.exp(logs - logs.max())
     mean = np.average(vectors, axis=0, weights=weights)
@@ -38,7 +38,7 @@ def weighted_moments(density: Density, observables, rng, count: int = 4000) -> t
 @pytest.fixture(scope="module")
 def population() -> tuple[np.ndarray, xr.Dataset]:
     vectors = correlated(150, np.random.default_rng(11))
-    return vectors, simulated_backbones(DUFFING, vectors, LEVELS)
+    return vectors, simulate_population(DUFFING, vectors, LEVELS)
 
 
 @pytest.fixture(scope="module")

@@ -37,7 +37,7 @@ def backbones(number: int) -> Any:
     truth = np.array([list(truth_of(["coulomb_friction"]).values())] * 2)
     truth[:, :2] *= 1.0 + 0.01 * rng.standard_normal((2, 2))
     levels = np.geomspace(0.002, 0.01, 6)
-    made = pb.simulated_backbones(pb.Oscillator(MASS, ["coulomb_friction"]), truth, levels, ("frequency", "damping"))
+    made = pb.simulate_population(pb.Oscillator(MASS, ["coulomb_friction"]), truth, levels, ("frequency", "damping"))
     error = np.array([1e-4 * OMEGA, 4e-4])[:, None] * np.ones(6)
     made["standard_error"] = (made["value"].dims, np.broadcast_to(error, made["value"].shape).copy())
     made["value"] = made["value"] + error * rng.standard_normal(made["value"].shape)

@@ -14,13 +14,13 @@ from scipy.stats import multivariate_normal
 from pymc_backbone import (
     InputError,
     Oscillator,
+    backbone_deterministic,
     backbone_likelihood,
     build_model,
     fit_density,
     sample,
     simulate_backbone,
-    simulated_backbone,
-    simulated_backbones,
+    simulate_population,
 )
 
 LEVELS = np.geomspace(0.005, 0.03, 4)
@@ -32,7 +32,7 @@ BOUNDS = {"linear_stiffness": (5000.0, 8000.0), "viscous_damping": (0.1, 3.0), "
 def batch(rng: np.random.Generator, n: int, scatter: float = 0.02) -> xr.Dataset:
     """Return noise-free backbones of ``n`` specimens scattered about the truth."""
     parameters = np.array(list(TRUTH.values())) * (1.0 + scatter * rng.standard_normal((n, 3)))
-    return simulated_backbones(DUFFING, parameters, LEVELS)
+    return simulate_population(DUFFING, parameters, LEVELS)
 
 
 def noisy(rng: np.random.Generator, n: int, scatter: float = 0.0, missing: bool = False) -> xr.Dataset:
@@ -176,7 +176,7 @@ def test_posterior_of_a_linear_oscillator_equals_quadrature(rng, random_seed):
 def test_simulated_backbone_in_a_model():
     with pm.Model() as model:
         k = pm.Uniform("linear_stiffness", 6000.0, 7000.0)
-        curve = simulated_backbone(
+        curve = backbone_deterministic(
             "curve", DUFFING, LEVELS, {**TRUTH, "linear_stiffness": k}, observables=("frequency",)
         )
     assert model["curve"] is curve

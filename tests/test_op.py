@@ -7,6 +7,7 @@ import pickle
 import subprocess
 import sys
 import textwrap
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numba
@@ -18,17 +19,18 @@ from pytensor.gradient import verify_grad
 
 from pymc_backbone import (
     BackboneLogLikelihood,
+    BackboneOp,
     Effect,
     InputError,
     Oscillator,
     Parameter,
-    SimulatedBackbone,
     fit_density,
     simulate_backbone,
-    simulated_backbones,
+    simulate_population,
 )
 from pymc_backbone.likelihood import native
-from pymc_backbone.likelihood.op import make_memory
+from pymc_backbone.likelihood.op import describe
+from pymc_backbone.simulation.counts import read_counts
 from pymc_backbone.simulation.response import make_response
 
 LEVELS = np.geomspace(0.004, 0.03, 5)
@@ -72,14 +74,13 @@ def population(oscillator: Oscillator, centre: np.ndarray, seed: int, marginal: 
     """Fit a density to twenty specimens around ``centre``."""
     rng = np.random.default_rng(seed)
     parameters = centre * (1.0 + 0.02 * rng.standard_normal((20, centre.size)))
-    return fit_density(simulated_backbones(oscillator, parameters, LEVELS), kind="product", marginal=marginal)
+    return fit_density(simulate_population(oscillator, parameters, LEVELS), kind="product", marginal=marginal)
 
 
 def value_and_gradient(oscillator: Oscillator, density, theta: np.ndarray):
     vector = pt.dvector("theta")
     op = BackboneLogLikelihood(make_response(oscillator, LEVELS))
-    memory = pytensor.shared(make_memory(theta.size))
-    value = op(vector, density.codes, density.table, memory)[0]
+    value = op(vector, density.codes, density.table)[0]
     return pytensor.function([vector], [value, pt.grad(value, vector)])(theta)
 
 
@@ -89,7 +90,7 @@ def test_compiled_equals_python(name, random_seed):
     density = population(oscillator, theta, random_seed)
     op = BackboneLogLikelihood(make_response(oscillator, LEVELS))
     storage = [[None], [None]]
-    op.perform(None, [theta, density.codes, density.table, make_memory(theta.size)], storage)
+    op.perform(None, [theta, density.codes, density.table], storage)
     value, gradient = value_and_gradient(oscillator, density, theta)
     # The same machine code runs on both paths; only the order of the last sum differs.
     np.testing.assert_allclose(value, storage[0][0], rtol=1e-12)
@@ -113,9 +114,7 @@ def test_gradient_of_the_likelihood(name, random_seed):
 
 
 def test_gradient_of_the_simulated_backbone(random_seed):
-    op = SimulatedBackbone(
-        make_response(Oscillator(1.0, ["cubic_stiffness"]), LEVELS, ("frequency", "damping", "offset"))
-    )
+    op = BackboneOp(make_response(Oscillator(1.0, ["cubic_stiffness"]), LEVELS, ("frequency", "damping", "offset")))
     verify_grad(lambda relative: op(relative * DUFFING)[0], [np.ones(3)], eps=1e-5, rel_tol=1e-4, abs_tol=1e-6,
                 rng=np.random.default_rng(random_seed), mode="FAST_RUN")  # fmt: skip
 
@@ -125,7 +124,7 @@ def test_value_alone_uses_the_variant_without_gradient(random_seed):
     density = population(oscillator, theta, random_seed)
     vector = pt.dvector("theta")
     op = BackboneLogLikelihood(make_response(oscillator, LEVELS))
-    value = op(vector, density.codes, density.table, np.empty(0))[0]
+    value = op(vector, density.codes, density.table)[0]
 
     def ops(function):
         return [n.op for n in function.maker.fgraph.apply_nodes if isinstance(n.op, BackboneLogLikelihood)]
@@ -144,58 +143,68 @@ def test_failed_simulation_is_minus_infinity_and_counted(theta, failures, compil
     density = population(oscillator, centre, random_seed)
     op = BackboneLogLikelihood(make_response(oscillator, LEVELS), with_gradient=False)
     point = np.array(theta)
+    before = read_counts()
     if compiled:
         vector = pt.dvector("theta")
-        memory = pytensor.shared(make_memory(3))
-        value = pytensor.function([vector], op(vector, density.codes, density.table, memory)[0])(point)
-        counts = memory.get_value()
+        value = pytensor.function([vector], op(vector, density.codes, density.table)[0])(point)
     else:
-        counts = make_memory(3)
         storage = [[None], [None]]
-        op.perform(None, [point, density.codes, density.table, counts], storage)
+        op.perform(None, [point, density.codes, density.table], storage)
         value = storage[0][0]
+    after = read_counts()
     assert value == -np.inf
-    assert counts[1] == failures
+    assert after["failures"] - before["failures"] == failures
+    assert after["simulations"] - before["simulations"] == 1
     gradient = value_and_gradient(oscillator, density, point)[1]
     np.testing.assert_array_equal(gradient, 0.0)
 
 
-def test_memory_answers_a_repeated_point_without_simulating(random_seed):
-    oscillator, theta = CASES["duffing"]
-    density = population(oscillator, theta, random_seed)
-    vector = pt.dvector("theta")
-    memory = pytensor.shared(make_memory(3))
-    op = BackboneLogLikelihood(make_response(oscillator, LEVELS))
-    function = pytensor.function([vector], op(vector, density.codes, density.table, memory)[0])
-    first, second = function(theta), function(1.01 * theta)
-    held = memory.get_value(borrow=True)
-    slots = held[native.FIRST_SLOT :].reshape(native.SLOTS, -1)
-    np.testing.assert_array_equal(slots[:2, native.BEFORE_PARAMETERS :], [theta, 1.01 * theta])
-    slots[1, 0] = 123.0  # what is remembered is what comes back: no simulation
-    assert function(1.01 * theta) == 123.0
-    assert function(theta) == first != second
-    assert held[native.EVALUATIONS] == 4 and held[native.SIMULATIONS] == 2
-
-
-def test_the_present_point_of_a_walk_outlives_many_rejections(random_seed):
-    oscillator, theta = CASES["duffing"]
-    density = population(oscillator, theta, random_seed)
-    vector = pt.dvector("theta")
-    memory = pytensor.shared(make_memory(3))
-    op = BackboneLogLikelihood(make_response(oscillator, LEVELS))
-    function = pytensor.function([vector], op(vector, density.codes, density.table, memory)[0])
-    for factor in (1.01, 1.02, 1.03, 1.04):
-        for point in (factor * theta, theta):  # the proposal, then the present point, as PyMC's Metropolis asks
-            function(point)
-    assert memory.get_value()[native.SIMULATIONS] == 5
-
-
-def test_constant_memory_is_refused(random_seed):
+def test_the_op_is_pure(random_seed):
+    """The same inputs give the same outputs, whatever was asked before, and no input is written to."""
     oscillator, theta = CASES["duffing"]
     density = population(oscillator, theta, random_seed)
     op = BackboneLogLikelihood(make_response(oscillator, LEVELS))
-    with pytest.raises(TypeError, match="shared variable"):
-        op(pt.dvector(), density.codes, density.table, make_memory(3))
+    assert not op.destroy_map and not op.view_map
+    vector, codes, table = pt.dvector(), pt.lvector(), pt.dvector()
+    function = pytensor.function([vector, codes, table], op(vector, codes, table)[0])
+    other = population(oscillator, theta, random_seed + 1)
+    inputs = [theta.copy(), density.codes.copy(), density.table.copy()]
+    before = read_counts()
+    first = function(*inputs)
+    assert function(1.01 * theta, *inputs[1:]) != first != function(theta, other.codes, other.table)
+    assert function(*inputs) == first
+    assert read_counts()["simulations"] - before["simulations"] == 4  # nothing is remembered behind its back
+    for given, kept in zip(inputs, (theta, density.codes, density.table), strict=True):
+        np.testing.assert_array_equal(given, kept)
+
+
+def test_memory_is_no_input_any_more(random_seed):
+    oscillator, theta = CASES["duffing"]
+    density = population(oscillator, theta, random_seed)
+    op = BackboneLogLikelihood(make_response(oscillator, LEVELS))
+    with pytest.warns(FutureWarning, match="takes no `memory`"):
+        old = op(pt.as_tensor(theta), density.codes, density.table, pytensor.shared(np.zeros(30)))[0]
+    assert old.eval() == op(pt.as_tensor(theta), density.codes, density.table)[0].eval()
+
+
+def test_threads_are_counted_exactly(random_seed):
+    oscillator, theta = CASES["duffing"]
+    integers, numbers = describe(make_response(oscillator, LEVELS))
+    call = native.call_backbone
+
+    @numba.njit(nogil=True)
+    def simulate(times):
+        values, status = np.empty((3, LEVELS.size)), np.zeros(LEVELS.size, np.int64)
+        for _ in range(times):
+            call(
+                integers.ctypes, numbers.ctypes, theta.ctypes, values.ctypes, values.ctypes, status.ctypes, 0
+            )  # fmt: skip
+
+    simulate(1)
+    before = read_counts()
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(simulate, [500] * 4))
+    assert read_counts()["simulations"] - before["simulations"] == 2000
 
 
 def test_batched_inputs(random_seed):
@@ -204,7 +213,7 @@ def test_batched_inputs(random_seed):
     op = BackboneLogLikelihood(make_response(oscillator, LEVELS))
     thetas = theta * (1.0 + 0.01 * np.random.default_rng(random_seed).standard_normal((4, 3)))
     matrix = pt.dmatrix("thetas")
-    values = pt.vectorize(lambda t: op(t, density.codes, density.table, np.empty(0))[0], "(p)->()")(matrix)
+    values = pt.vectorize(lambda t: op(t, density.codes, density.table)[0], "(p)->()")(matrix)
     result, gradients = pytensor.function([matrix], [values, pt.grad(values.sum(), matrix)])(thetas)
     expected = [value_and_gradient(oscillator, density, row) for row in thetas]
     np.testing.assert_allclose(result, [e[0] for e in expected], rtol=1e-12)
@@ -241,13 +250,13 @@ def test_edited_force_changes_key_and_numbers():
     responses = [make_response(Oscillator(1.0, [effect]), LEVELS) for effect in (SOFTENING, other)]
     assert responses[0].key != responses[1].key
     vector = pt.dvector()
-    values = [pytensor.function([vector], SimulatedBackbone(r)(vector)[0])(theta) for r in responses]
+    values = [pytensor.function([vector], BackboneOp(r)(vector)[0])(theta) for r in responses]
     assert np.abs(values[0][0] - values[1][0]).max() > 0.01
 
 
 EDITED = """
 import numba, numpy as np, pytensor, pytensor.tensor as pt
-from pymc_backbone import Effect, Oscillator, Parameter, SimulatedBackbone
+from pymc_backbone import Effect, Oscillator, Parameter, BackboneOp
 from pymc_backbone.likelihood import native
 from pymc_backbone.simulation.response import make_response
 
@@ -263,7 +272,7 @@ def force(x, v, direction, z, p):
 
 effect = Effect("spring", "s", "s x", "s x", (Parameter("spring", "N/m", "s", "s", lambda m, a, w: (0.0, 1.0)),), force)
 vector = pt.dvector()
-op = SimulatedBackbone(make_response(Oscillator(1.0, [effect]), [0.01], ("frequency",)))
+op = BackboneOp(make_response(Oscillator(1.0, [effect]), [0.01], ("frequency",)))
 print(pytensor.function([vector], op(vector)[0])(np.array([100.0, 0.0, 100.0]))[0, 0])
 """
 
@@ -283,19 +292,19 @@ def test_second_process_finds_everything_compiled():
     script = textwrap.dedent(
         """
         import numpy as np, pytensor, pytensor.tensor as pt
-        from pymc_backbone import Oscillator, SimulatedBackbone
+        from pymc_backbone import Oscillator, BackboneOp
         from pymc_backbone.likelihood import native
         from pymc_backbone.simulation.response import make_response
         vector = pt.dvector()
-        op = SimulatedBackbone(make_response(Oscillator(1.0, ["cubic_stiffness"]), [0.01, 0.02]))
+        op = BackboneOp(make_response(Oscillator(1.0, ["cubic_stiffness"]), [0.01, 0.02]))
         pytensor.function([vector], op(vector)[0])(np.array([6500.0, 1.1, 6.25e6]))
-        print([compiled.cache_hits for compiled in native._KEPT])
+        print([native.BACKBONE.is_from_disk, native.LOG_LIKELIHOOD.is_from_disk])
         """
     )
     runs = [
         subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True) for _ in range(2)
     ]
-    assert runs[1].stdout.strip() == "[1, 1]"
+    assert runs[1].stdout.strip() == "[True, True]"
 
 
 def _evaluate_in_child(payload: bytes, queue) -> None:
@@ -306,7 +315,7 @@ def _evaluate_in_child(payload: bytes, queue) -> None:
 
 @pytest.mark.parametrize("method", ["spawn", "forkserver"])
 def test_pickled_op_works_in_another_process(method):
-    op = SimulatedBackbone(make_response(CASES["duffing"][0], LEVELS))
+    op = BackboneOp(make_response(CASES["duffing"][0], LEVELS))
     context = multiprocessing.get_context(method)
     queue = context.Queue()
     child = context.Process(target=_evaluate_in_child, args=(pickle.dumps((op, DUFFING)), queue))
@@ -328,16 +337,39 @@ def test_a_function_stands_in_for_the_oscillator(random_seed):
     density = population(oscillator, theta, random_seed)
     op = BackboneLogLikelihood(make_response(duffing_by_hand, LEVELS, parameter_names=oscillator.parameter_names))
     vector = pt.dvector()
-    memory = pytensor.shared(make_memory(3))
-    value = op(vector, density.codes, density.table, memory)[0]
+    value = op(vector, density.codes, density.table)[0]
     function = pytensor.function([vector], value)
     reference = BackboneLogLikelihood(make_response(oscillator, LEVELS))
-    expected = pytensor.function([vector], reference(vector, density.codes, density.table, np.empty(0))[0])
+    expected = pytensor.function([vector], reference(vector, density.codes, density.table)[0])
     assert function(theta) == pytest.approx(float(expected(theta)), rel=1e-10)
+    before = read_counts()
     assert function(np.array([6500.0, 60.0, 1.0])) == -np.inf
-    assert memory.get_value()[1] == 1
+    assert read_counts()["failures"] - before["failures"] == 1
     with pytest.raises(NotImplementedError, match="no gradient"):
         pt.grad(value, vector)
+
+
+def test_a_function_remembers_the_present_point_of_a_walk(random_seed):
+    """Whoever asks: PyMC's own Metropolis wants the proposal, then the present point again."""
+    calls = []
+
+    def counted(parameters, levels):
+        calls.append(tuple(parameters.values()))
+        return duffing_by_hand(parameters, levels)
+
+    oscillator, theta = CASES["duffing"]
+    response = make_response(counted, LEVELS, parameter_names=oscillator.parameter_names)
+    expected = {}
+    for factor in (1.0, 1.01, 1.02, 1.03, 1.04):
+        for point in (factor * theta, theta):
+            values, _, completed = response.evaluate(point, False)
+            assert completed
+            np.testing.assert_array_equal(values, expected.setdefault(point.tobytes(), values.copy()))
+            values[:] = 0.0  # whoever gets them may write to them
+    assert len(calls) == len(set(calls)) == 5
+    response.evaluate(1.01 * theta, False)  # long forgotten
+    assert len(calls) == 6
+    assert response == make_response(counted, LEVELS, parameter_names=oscillator.parameter_names)
 
 
 def test_a_function_of_the_wrong_shape_is_named(random_seed):

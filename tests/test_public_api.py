@@ -263,3 +263,13 @@ def test_what_is_not_public_is_found():
         "pb.plots.Figure",
     ):
         assert len(not_public(code)) == 1, code
+
+
+@pytest.mark.parametrize("old", pymc_backbone._RENAMED)
+def test_old_names_work_and_say_what_they_are_called_now(old):
+    new = pymc_backbone._RENAMED[old]
+    with pytest.warns(FutureWarning, match=f"{old} is now called {new}"):
+        found = getattr(pymc_backbone, old)
+    assert found is getattr(pymc_backbone, new)
+    assert new in pymc_backbone.__all__ and old not in pymc_backbone.__all__
+    assert f"`{old}`" in (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")

@@ -22,7 +22,7 @@ from pymc_backbone.measurement.reading.options import Reading
 from pymc_backbone.oscillator import Oscillator
 from pymc_backbone.reporting.output_folder import RESULT_KEYS, backbone_table, read_result
 from pymc_backbone.reporting.terminal import compare, describe_measured
-from pymc_backbone.simulation.backbones import simulated_backbones
+from pymc_backbone.simulation.backbones import simulate_population
 from pymc_backbone.workflows import demo
 from pymc_backbone.workflows import update as run
 
@@ -33,7 +33,7 @@ OSCILLATOR = Oscillator(1.0, "cubic_stiffness")
 
 def make_backbones(rng: np.random.Generator, specimens: int) -> xr.Dataset:
     parameters = np.column_stack([rng.normal(mean, sd, specimens) for mean, sd in MEANS.values()])
-    dataset = simulated_backbones(OSCILLATOR, parameters, LEVELS).assign_coords(
+    dataset = simulate_population(OSCILLATOR, parameters, LEVELS).assign_coords(
         specimen=[f"beam_{i + 1}" for i in range(specimens)]
     )
     error = np.broadcast_to(np.array([0.002, 0.0002])[:, None], dataset["value"].shape)
@@ -69,7 +69,8 @@ def sampler(monkeypatch, rng) -> dict:
             density = fit_density(called["data"], kind=called["density"], marginal=called["marginal"])
         return [SimpleNamespace(density=density)]
 
-    for name, functions in (("model", (build_model, targets_of, likelihood_of)), ("sampling", (sample,))):
+    replaced = {"model": (build_model, likelihood_of), "targets": (targets_of,), "sampling": (sample,)}
+    for name, functions in replaced.items():
         module = ModuleType(f"pymc_backbone.inference.{name}")
         for function in functions:
             setattr(module, function.__name__, function)

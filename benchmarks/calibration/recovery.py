@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pymc_backbone import Oscillator, build_model, fit_density, sample, simulated_backbones, summarise
+from pymc_backbone import Oscillator, build_model, fit_density, sample, simulate_population, summarise
 from pymc_backbone.likelihood.data_consistent import fit_data_consistent
 from pymc_backbone.paper.case_study import run_case
 
@@ -36,7 +36,7 @@ def gaussian(levels: int, kind: str, seed: int):
     z = rng.standard_normal((200, 3))
     z[:, 2] = CORRELATION * z[:, 0] + np.sqrt(1.0 - CORRELATION**2) * z[:, 2]
     vectors = CENTRE + SPREAD * z
-    backbones = simulated_backbones(DUFFING, vectors, np.geomspace(0.01, 0.1, levels))
+    backbones = simulate_population(DUFFING, vectors, np.geomspace(0.01, 0.1, levels))
     if kind == "product":
         density = fit_density(backbones)
     else:

@@ -39,7 +39,7 @@ sys.path[:0] = [str(Path(__file__).resolve().parents[1])]
 
 from reuse import Reusable  # noqa: E402
 
-from pymc_backbone import build_model, sample, simulated_backbones  # noqa: E402
+from pymc_backbone import build_model, sample, simulate_population  # noqa: E402
 from pymc_backbone.inference.proposal import make_metropolis  # noqa: E402
 from pymc_backbone.inference.starts import StartFinder  # noqa: E402
 from pymc_backbone.paper.cases import CASES, get_case  # noqa: E402
@@ -60,13 +60,13 @@ def draw_data(case, levels, rng):
     names = case.model.parameter_names
     for _ in range(MAXIMUM_TRIES):
         truth = {**case.model_fixed, **{name: rng.uniform(*pair) for name, pair in case.prior_bounds.items()}}
-        data = simulated_backbones(case.model, [[truth[name] for name in names]] * SPECIMENS, levels)
+        data = simulate_population(case.model, [[truth[name] for name in names]] * SPECIMENS, levels)
         value = np.asarray(data["value"])
         if np.isfinite(value).all():
             break
     # The same for all draws: standard errors that depended on the parameters would tell about them.
     centre = {**case.model_fixed, **{name: pair[0] for name, pair in case.prior.items()}}
-    nominal = np.asarray(simulated_backbones(case.model, [centre[name] for name in names], levels)["value"])
+    nominal = np.asarray(simulate_population(case.model, [centre[name] for name in names], levels)["value"])
     share = np.array([ERRORS[str(o)] for o in data["observable"].values])[:, None]
     error = np.broadcast_to(np.abs(nominal) * share, value.shape)
     steps = np.abs(np.subtract.outer(np.arange(levels.size), np.arange(levels.size)))

@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from scipy.stats import truncnorm
 
-from pymc_backbone import backbones_at_levels, condition, extract_cycles, simulate_waveform, simulated_backbones
+from pymc_backbone import backbones_at_levels, condition, extract_cycles, simulate_population, simulate_waveform
 from pymc_backbone.measurement.reading.records import Record
 from pymc_backbone.paper.cases import get_case
 
@@ -72,7 +72,7 @@ def template(levels: np.ndarray = CASE.levels) -> np.ndarray:
 
 def measure(parameters: np.ndarray, covariance: np.ndarray, rng: np.random.Generator, levels=CASE.levels) -> xr.Dataset:
     """Return backbones of specimens with Gaussian level errors of a given covariance (observable, level, level)."""
-    data = simulated_backbones(OSCILLATOR, parameters, levels)
+    data = simulate_population(OSCILLATOR, parameters, levels)
     n = len(parameters)
     noise = np.einsum("okl,sol->sok", np.linalg.cholesky(covariance), rng.standard_normal(data["value"].shape))
     error = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))

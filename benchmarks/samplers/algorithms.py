@@ -17,7 +17,7 @@ import numpy as np
 import pymc as pm
 
 from pymc_backbone import sample
-from pymc_backbone.inference.sampling import _counts
+from pymc_backbone.simulation.counts import read_counts
 
 from problems import LogDensity, Problem  # isort: skip
 
@@ -94,7 +94,7 @@ def run_smc(problem: Problem, budget: int, seed: int) -> Run:
             compiled.append(time.process_time())
 
     model = problem.build()
-    before, begin = _counts(model), time.perf_counter()
+    before, begin = read_counts(), time.perf_counter()
     with model, warnings.catch_warnings():
         # PyMC says of every model with a potential that draws from its prior ignore it, which is what a prior is.
         warnings.filterwarnings("ignore", message="The effect of Potentials", category=UserWarning)
@@ -104,7 +104,7 @@ def run_smc(problem: Problem, budget: int, seed: int) -> Run:
             max(budget // 15, 60), kernel=Kernel, chains=SMC_CHAINS, cores=1, random_seed=seed,
             progressbar=False, compute_convergence_checks=False,
         )  # fmt: skip
-    worked, wall, after = time.process_time() - compiled[0], time.perf_counter() - begin, _counts(model)
+    worked, wall, after = time.process_time() - compiled[0], time.perf_counter() - begin, read_counts()
     statistics = result["sample_stats"]
     evidence = [last_finite(chain) for chain in statistics["log_marginal_likelihood"].values]
     return Run(

@@ -13,11 +13,11 @@ import numpy as np
 import pymc as pm
 from scipy.special import expit
 
-from pymc_backbone import Oscillator, build_model, fit_density, simulated_backbones
-from pymc_backbone.inference.sampling import _counts
+from pymc_backbone import Oscillator, build_model, fit_density, simulate_population
 from pymc_backbone.inference.starts import StartFinder
 from pymc_backbone.likelihood.density import Density
 from pymc_backbone.paper.cases import CASES, get_case
+from pymc_backbone.simulation.counts import read_counts
 
 POPULATION_SEED = 1
 BEAM_DAMPING = 0.07098  # N s/m
@@ -53,7 +53,7 @@ class Problem:
         return tuple(self.bounds)
 
     def build(self, blocked: bool = False) -> pm.Model:
-        """Return a PyMC model of its own, so that its counts are those of one sampler."""
+        """Return a PyMC model of its own."""
         return build_model(self.oscillator, self.density, self.bounds, fixed=self.fixed, blocked=blocked)
 
     def log_likelihood(self, natural: np.ndarray) -> np.ndarray:
@@ -61,7 +61,7 @@ class Problem:
         columns = dict(zip(self.parameters, natural.T, strict=True))
         known = {name: np.full(len(natural), value) for name, value in self.fixed.items()}
         theta = np.column_stack([{**columns, **known}[name] for name in self.oscillator.parameter_names])
-        backbones = simulated_backbones(
+        backbones = simulate_population(
             self.oscillator, theta, self.density.levels, observables=self.density.observables
         )
         return self.density.log_density(np.asarray(backbones["value"]))
@@ -77,12 +77,12 @@ def make_problem(name: str, specimens: int = 200) -> Problem:
             "cubic_stiffness": -1e9 * BEAM[:, 1],
         }
         drawn = np.column_stack([columns[parameter] for parameter in oscillator.parameter_names])
-        backbones = simulated_backbones(oscillator, drawn, BEAM_LEVELS, observables=("frequency",))
+        backbones = simulate_population(oscillator, drawn, BEAM_LEVELS, observables=("frequency",))
         density = fit_density(backbones, kind="product")
         return Problem(name, "beam", oscillator, density, BEAM_BOUNDS, {"viscous_damping": BEAM_DAMPING})
     case = get_case(name)
     drawn = case.draw(specimens, np.random.default_rng(POPULATION_SEED))
-    backbones = simulated_backbones(case.data, drawn, case.levels, observables=("frequency", "damping"))
+    backbones = simulate_population(case.data, drawn, case.levels, observables=("frequency", "damping"))
     density = fit_density(backbones, kind="product")
     bounds = {name: case.prior_bounds[name] for name in case.model.parameter_names if name in case.prior}
     return Problem(name, case.title, case.model, density, bounds, case.model_fixed)
@@ -125,6 +125,6 @@ class LogDensity:
         names = [variable.name for variable in self.model.free_RVs]
         return self.unconstrained(np.array([[float(start[name]) for name in names] for start in starts]))
 
-    def counts(self) -> dict[str, float]:
-        """Return what the likelihood has counted so far."""
-        return _counts(self.model)
+    def counts(self) -> dict[str, int]:
+        """Return what was counted in this process so far."""
+        return read_counts()

@@ -23,7 +23,7 @@ GROUPS = {
     "Records": ("Record", "read_records", "write_records", "demo_folder", "demo_parameters", "condition",
                 "ConditionedRecord"),
     "Backbones": (
-        "extract_cycles", "Cycles", "backbones_at_levels", "simulated_backbones", "read_backbones", "write_backbones",
+        "extract_cycles", "Cycles", "backbones_at_levels", "simulate_population", "read_backbones", "write_backbones",
     ),
     "Models": ("Oscillator", "Effect", "Parameter", "Signature", "LIBRARY", "get_effect"),
     "Simulation": (
@@ -36,8 +36,8 @@ GROUPS = {
     ),
     "Densities": ("fit_density", "fit_data_consistent", "Density"),
     "Inference": (
-        "build_model", "build_hierarchical_model", "backbone_likelihood", "simulated_backbone",
-        "BackboneLogLikelihood", "SimulatedBackbone", "sample", "findings", "summarise", "unidentified_parameters",
+        "build_model", "build_hierarchical_model", "backbone_likelihood", "backbone_deterministic",
+        "BackboneLogLikelihood", "BackboneOp", "sample", "findings", "summarise", "unidentified_parameters",
     ),
     "The missing effect": ("find_missing_effect", "Study", "write_study"),
     "Many structures": ("diagnose_many", "Structure", "Survey"),

@@ -34,6 +34,7 @@ def compiled_sources_digest() -> str:
 _COMPILED_MODULES = (
     "_common/compiled.py",
     "likelihood/density_kernel.py",
+    "simulation/counts.py",
     "simulation/curves.py",
     "simulation/forces.py",
     "simulation/halfcycle.py",
@@ -54,11 +55,12 @@ class DigestCache(FunctionCache):
         return (*super()._index_key(sig, codegen), compiled_sources_digest())
 
 
-def cached(function: Callable[..., Any]) -> Any:
+def cached[**P, R](function: Callable[P, R]) -> Callable[P, R]:
     """Compile ``function`` with numba and keep the machine code on disk, keyed on all compiled sources."""
     dispatcher = numba.njit(function)
     dispatcher._cache = DigestCache(dispatcher.py_func)
-    return dispatcher
+    result: Callable[P, R] = dispatcher
+    return result
 
 
 class NativeFunction:
@@ -91,3 +93,13 @@ class NativeFunction:
             compiled.compile()
             llvmlite.binding.add_symbol(self.call.symbol, compiled.address)
             self._compiled = compiled
+
+    @property
+    def address(self) -> int:
+        """Where the machine code stands in this process, once it is defined."""
+        return int(self._compiled.address)
+
+    @property
+    def is_from_disk(self) -> bool:
+        """Whether the machine code was read from disk, once it is defined."""
+        return bool(self._compiled.cache_hits)

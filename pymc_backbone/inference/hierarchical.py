@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import logging
-import weakref
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import pymc as pm
 import pytensor.tensor as pt
 import xarray as xr
+from pytensor.tensor import TensorVariable as Tensor
 
 from .._common.checks import FloatArray, InputError, check_choice, check_positive
 from ..oscillator import Oscillator
@@ -18,12 +17,11 @@ from ..simulation.response import make_response
 from .model import backbone_likelihood, prior_intervals, select_observables
 from .population import Coordinate, cut_moments, edge_ranges, normal_specimens, uniform_specimens
 from .specimen_fits import SpecimenFits, fit_specimens
-from .starts import StartRule, set_starts
+from .start_hint import StartHint, give_hint, start_hint_of
 
 POPULATIONS = ("normal", "uniform")
 MINIMUM_SPECIMENS = 3
 logger = logging.getLogger("pymc_backbone")
-_UNIDENTIFIED: weakref.WeakKeyDictionary[pm.Model, tuple[str, ...]] = weakref.WeakKeyDictionary()
 
 
 def build_hierarchical_model(
@@ -151,7 +149,8 @@ def build_hierarchical_model(
     limits = intervals if population == "uniform" else physical
     fits = fit_specimens(response, data, intervals, limits, fixed)  # type: ignore[arg-type]
     low, high = np.array(list(intervals.values())).T
-    coords: dict[str, Any] = {"specimen": [str(v) for v in data["specimen"].values], "parameter": names}
+    unidentified = tuple(name for name, is_free in zip(names, fits.unidentified, strict=True) if is_free)
+    coords: dict[str, list[str]] = {"specimen": [str(v) for v in data["specimen"].values], "parameter": names}
     if correlated:
         coords["parameter_other"] = names
     with pm.Model(coords=coords) as model:
@@ -167,8 +166,9 @@ def build_hierarchical_model(
             specimens, log_density = _add_uniform(offsets, names, low, high, fits)
         # The offsets' own standard normal density is a helper only: it is taken out again.
         reference = -0.5 * (offsets**2).sum() - 0.5 * fits.point.size * np.log(2.0 * np.pi)
-        pm.Potential("specimens_given_population", log_density - reference)
-        values: dict[str, Any] = dict(fixed)
+        hint = _make_hint(fits, low, high, unidentified)
+        pm.Potential("specimens_given_population", give_hint(log_density - reference, hint))
+        values: dict[str, Tensor | float] = dict(fixed)
         for j, name in enumerate(names):
             values[name] = pm.Deterministic(name, specimens[:, j], dims="specimen")
         if linearised:
@@ -179,12 +179,8 @@ def build_hierarchical_model(
             backbone_likelihood(
                 "backbone", oscillator, data, values, release_amplitude=release_amplitude, virgin=virgin
             )
-    _UNIDENTIFIED[model] = tuple(name for name, is_free in zip(names, fits.unidentified, strict=True) if is_free)
-    if _UNIDENTIFIED[model]:
-        logger.warning(
-            "the backbones say nothing about %s: the posterior is the prior there", ", ".join(_UNIDENTIFIED[model])
-        )
-    set_starts(model, _make_starts(model, fits, low, high))
+    if unidentified:
+        logger.warning("the backbones say nothing about %s: the posterior is the prior there", ", ".join(unidentified))
     return model
 
 
@@ -214,20 +210,21 @@ def unidentified_parameters(model: pm.Model) -> tuple[str, ...]:
     build_hierarchical_model : the model that needs to know.
     findings : what the draws say.
     """
-    if model not in _UNIDENTIFIED:
+    hint = start_hint_of(model)
+    if hint is None:
         raise InputError("`model` must come from build_hierarchical_model.")
-    return _UNIDENTIFIED[model]
+    return hint.unidentified
 
 
 def _add_normal(
-    offsets: Any,
+    offsets: Tensor,
     names: list[str],
     low: FloatArray,
     high: FloatArray,
     correlation_shape: float | None,
     coordinates: list[Coordinate],
     fits: SpecimenFits,
-) -> tuple[Any, Any]:
+) -> tuple[Tensor, Tensor]:
     """Add the variables of a Normal population; return specimens and the log-density of their offsets."""
     location = pm.Uniform("population_location", low, high, dims="parameter")
     spread = pm.HalfNormal("population_spread", (high - low) / np.sqrt(12.0), dims="parameter")
@@ -245,8 +242,8 @@ def _add_normal(
 
 
 def _add_uniform(
-    offsets: Any, names: list[str], low: FloatArray, high: FloatArray, fits: SpecimenFits
-) -> tuple[Any, Any]:
+    offsets: Tensor, names: list[str], low: FloatArray, high: FloatArray, fits: SpecimenFits
+) -> tuple[Tensor, Tensor]:
     """Add the variables of a Uniform population; return specimens and the log-density of their offsets."""
     highest, lowest = edge_ranges(fits, low, high)
     below = pm.Uniform("population_low_share", 0.0, 1.0, shape=len(names), dims="parameter")
@@ -263,8 +260,8 @@ def _add_uniform(
     return uniform_specimens(offsets, edge_low, edge_high, fits)
 
 
-def _make_starts(model: pm.Model, fits: SpecimenFits, low: FloatArray, high: FloatArray) -> StartRule:
-    """Return a rule for starts: the moments of the fits, dispersed, and offsets near zero."""
+def _make_hint(fits: SpecimenFits, low: FloatArray, high: FloatArray, unidentified: tuple[str, ...]) -> StartHint:
+    """Return where chains start: at the moments of the fits, dispersed, and offsets near zero."""
     width = high - low
     share = np.clip((fits.point.mean(axis=0) - low) / width, 0.05, 0.95)
     spread = np.clip(fits.point.std(axis=0), 0.02 * width, 0.5 * width)
@@ -278,9 +275,4 @@ def _make_starts(model: pm.Model, fits: SpecimenFits, low: FloatArray, high: Flo
         "population_high_share": (np.full(p, -1.0), 0.7),
         "correlation_factor": (np.zeros(p * (p - 1) // 2), 0.2),
     }
-    chosen = {model.rvs_to_values[variable].name: centres[variable.name] for variable in model.free_RVs}
-
-    def draw(rng: np.random.Generator) -> dict[str, FloatArray]:
-        return {name: middle + sd * rng.standard_normal(middle.shape) for name, (middle, sd) in chosen.items()}
-
-    return draw
+    return StartHint.of(centres, unidentified)

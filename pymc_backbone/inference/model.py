@@ -2,67 +2,40 @@
 
 from __future__ import annotations
 
-import weakref
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pymc as pm
-import pytensor
 import pytensor.tensor as pt
 import xarray as xr
 from numpy.typing import ArrayLike
+from pytensor.tensor import TensorVariable as Tensor
 
 from .._common.checks import OBSERVABLES, FloatArray, InputError, check_choice
 from ..likelihood.data_consistent import fit_data_consistent
 from ..likelihood.density import Density
 from ..likelihood.density_fit import fit_density
-from ..likelihood.op import BackboneLogLikelihood, SimulatedBackbone, make_memory
+from ..likelihood.op import BackboneLogLikelihood, BackboneOp
 from ..likelihood.specimen_likelihood import observe_specimens
 from ..oscillator import Oscillator
-from ..simulation.response import OscillatorResponse, Response, make_response
+from ..simulation.response import Response, make_response
+from .targets import note_density
 
 Source = Oscillator | Callable[[dict[str, float], FloatArray], ArrayLike]
 LIKELIHOODS = ("auto", "population", "specimen", "pooled")
 POPULATION_SIZE = 8  # from this many complete specimens on, "auto" fits a density over them
 
 
-@dataclass(frozen=True, eq=False)
-class Target:
-    """What one likelihood compares: parameters in, a backbone out, and the values it should have.
-
-    ``centre`` and ``spread`` (n, o, l) are the measured values and their standard errors per specimen, or mean and
-    standard deviation of the population (n = 1); NaN where there is none.
-    """
-
-    name: str
-    response: Response
-    theta: Any
-    centre: FloatArray
-    spread: FloatArray
-    density: Density | None
-    memory: Any
-
-
-_TARGETS: weakref.WeakKeyDictionary[pm.Model, list[Target]] = weakref.WeakKeyDictionary()
-
-
-def targets_of(model: pm.Model) -> list[Target]:
-    """Return the backbone likelihoods that were added to ``model``."""
-    return _TARGETS.get(model, [])
-
-
 def backbone_likelihood(
     name: str,
     source: Source,
     data: Density | xr.Dataset,
-    parameters: Mapping[str, Any],
+    parameters: Mapping[str, Tensor | float],
     *,
     observables: Sequence[str] | None = None,
     release_amplitude: float | None = None,
     virgin: bool = True,
-) -> Any:
+) -> Tensor:
     """Add the likelihood of a simulated backbone to the current PyMC model.
 
     With a `Density` the likelihood is that of the *population*: one parameter vector, judged by the density that was
@@ -117,7 +90,7 @@ def backbone_likelihood(
                                 {"linear_stiffness": k, "viscous_damping": c, "cubic_stiffness": k3})
             posterior = sample()
     """
-    model = pm.modelcontext(None)
+    pm.modelcontext(None)  # says so where there is none
     if isinstance(data, Density):
         if observables is not None and tuple(observables) != data.observables:
             raise InputError(
@@ -140,30 +113,21 @@ def backbone_likelihood(
     )
     n_specimens = 1 if isinstance(data, Density) else data.sizes["specimen"]
     theta = _stack(response, parameters, n_specimens, isinstance(data, Density))
-    memory = None
-    if isinstance(data, Density):
-        memory = pytensor.shared(make_memory(len(response.parameter_names)), name=f"{name}_memory")
-        value = BackboneLogLikelihood(response)(theta, data.codes, data.table, memory)[0]
-        result = pm.Potential(name, value)
-        draws = data.sample(2000, random_seed=0)
-        centre, spread = draws.mean(axis=0)[None], draws.std(axis=0)[None]
-    else:
-        centre, spread = np.asarray(data["value"]), np.asarray(data["standard_error"])
-        result = observe_specimens(name, response, data, theta)
-    _TARGETS.setdefault(model, []).append(
-        Target(name, response, theta, centre, spread, data if isinstance(data, Density) else None, memory)
-    )
-    return result
+    if isinstance(data, xr.Dataset):
+        return observe_specimens(name, response, data, theta)
+    codes = pt.constant(data.codes)
+    note_density(codes, data)
+    return pm.Potential(name, BackboneLogLikelihood(response)(theta, codes, data.table)[0])
 
 
-def simulated_backbone(
+def backbone_deterministic(
     name: str,
     source: Source,
     levels: ArrayLike,
-    parameters: Mapping[str, Any],
+    parameters: Mapping[str, Tensor | float],
     *,
     observables: Sequence[str] = ("frequency", "damping"),
-) -> Any:
+) -> Tensor:
     """Add the simulated backbone at ``levels`` to the current PyMC model as a deterministic, for predictions.
 
     Parameters
@@ -187,12 +151,12 @@ def simulated_backbone(
     See Also
     --------
     backbone_likelihood : the likelihood of one.
-    simulated_backbones : numbers instead of tensors.
+    simulate_population : numbers instead of tensors.
     """
     names = None if isinstance(source, Oscillator) else tuple(parameters)
     response = make_response(source, levels, observables, parameter_names=names)
     theta = _stack(response, parameters, 1, True)
-    return pm.Deterministic(name, SimulatedBackbone(response)(theta)[0])
+    return pm.Deterministic(name, BackboneOp(response)(theta)[0])
 
 
 def build_model(
@@ -266,7 +230,7 @@ def build_model(
         else:
             data = fit_density(data, kind=density, marginal=marginal)
     names = [*intervals, *fixed] if not isinstance(source, Oscillator) else list(source.parameter_names)
-    coords: dict[str, Any] = {}
+    coords: dict[str, list[str]] = {}
     if isinstance(data, xr.Dataset):
         coords["specimen"] = [str(v) for v in data["specimen"].values]
     if blocked:
@@ -274,7 +238,7 @@ def build_model(
     low = np.array([interval[0] for interval in intervals.values()])
     high = np.array([interval[1] for interval in intervals.values()])
     with pm.Model(coords=coords) as model:
-        values: dict[str, Any] = dict(fixed)
+        values: dict[str, Tensor | float] = dict(fixed)
         if blocked:
             dims = ("specimen", "parameter") if kind == "specimen" else ("parameter",)
             block = pm.Uniform("parameters", low, high, dims=dims)
@@ -374,7 +338,9 @@ def _scales(data: Density | xr.Dataset) -> tuple[float, float]:
     return float(levels[-1]), 2.0 * np.pi * float(np.nanmedian(values))
 
 
-def _stack(response: Response, parameters: Mapping[str, Any], n_specimens: int, is_population: bool) -> Any:
+def _stack(
+    response: Response, parameters: Mapping[str, Tensor | float], n_specimens: int, is_population: bool
+) -> Tensor:
     """Return the parameters as one vector (p,), or as a matrix (n, p) where any differs between specimens."""
     for name in parameters:
         check_choice("parameters", name, response.parameter_names)
@@ -393,8 +359,3 @@ def _stack(response: Response, parameters: Mapping[str, Any], n_specimens: int, 
     if all(tensor.ndim == 0 for tensor in tensors):
         return pt.stack(tensors)
     return pt.stack([pt.broadcast_to(tensor, (n_specimens,)) for tensor in tensors], axis=-1)
-
-
-def is_differentiable(model: pm.Model) -> bool:
-    """Return whether every backbone likelihood of ``model`` has a gradient."""
-    return all(isinstance(target.response, OscillatorResponse) for target in targets_of(model))

@@ -11,10 +11,10 @@ linearisation.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pytensor.tensor as pt
+from pytensor.tensor import TensorVariable as Tensor
 
 from .._common.checks import FloatArray
 from .specimen_fits import SpecimenFits
@@ -48,7 +48,7 @@ class Coordinate:
     def _is_between(self) -> bool:
         return bool(np.isfinite(self.lower) and np.isfinite(self.upper))
 
-    def value(self, eta: Any) -> Any:
+    def value(self, eta: Tensor) -> Tensor:
         """Return the parameter."""
         if self._is_free:
             return self.unit * eta
@@ -56,7 +56,7 @@ class Coordinate:
             return self.lower + (self.upper - self.lower) * pt.sigmoid(eta)
         return (self.lower if self._sign > 0.0 else self.upper) + self._sign * self.unit * pt.exp(eta)
 
-    def log_slope(self, eta: Any) -> Any:
+    def log_slope(self, eta: Tensor) -> Tensor:
         """Return the logarithm of the size of the parameter's derivative."""
         if self._is_free:
             return np.log(self.unit) + pt.zeros_like(eta)
@@ -77,7 +77,7 @@ class Coordinate:
         distance = np.maximum(self._sign * (value - edge), error / 3.0)
         return np.log(distance / self.unit), self._sign * distance
 
-    def of_normal(self, mean: Any, sd: Any) -> tuple[Any, Any]:
+    def of_normal(self, mean: Tensor, sd: Tensor) -> tuple[Tensor, Tensor]:
         """Return where a Normal distribution of the parameter peaks in this coordinate, and the curvature there."""
         if self._is_free:
             return mean / self.unit, (self.unit / sd) ** 2
@@ -92,8 +92,13 @@ class Coordinate:
 
 
 def normal_specimens(
-    offsets: Any, mean: Any, sd: Any, correlation_factor: Any | None, coordinates: list[Coordinate], fits: SpecimenFits
-) -> tuple[Any, Any]:
+    offsets: Tensor,
+    mean: Tensor,
+    sd: Tensor,
+    correlation_factor: Tensor | None,
+    coordinates: list[Coordinate],
+    fits: SpecimenFits,
+) -> tuple[Tensor, Tensor]:
     """Return specimens (n, p) of a Normal population, and the log-density of their offsets under it.
 
     Parameters
@@ -141,7 +146,7 @@ def normal_specimens(
     return specimens, log_density + log_slopes + log_determinant
 
 
-def cut_moments(coordinate: Coordinate, mean: Any, sd: Any) -> tuple[Any, Any]:
+def cut_moments(coordinate: Coordinate, mean: Tensor, sd: Tensor) -> tuple[Tensor, Tensor]:
     """Return mean and standard deviation of a Normal that is cut at the physical limits."""
     share, low, high, low_height, high_height = _cut(coordinate, mean, sd)
     shift = (low_height - high_height) / share
@@ -149,7 +154,7 @@ def cut_moments(coordinate: Coordinate, mean: Any, sd: Any) -> tuple[Any, Any]:
     return mean + sd * shift, sd * pt.sqrt(variance)
 
 
-def _cut(coordinate: Coordinate, mean: Any, sd: Any) -> tuple[Any, Any, Any, Any, Any]:
+def _cut(coordinate: Coordinate, mean: Tensor, sd: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     """Return the share inside the limits, the standardised limits and the standard normal's height there."""
     zero = pt.zeros_like(mean)
     low = (coordinate.lower - mean) / sd if np.isfinite(coordinate.lower) else zero
@@ -163,7 +168,7 @@ def _cut(coordinate: Coordinate, mean: Any, sd: Any) -> tuple[Any, Any, Any, Any
     return 1.0 - below - above, low, high, *heights
 
 
-def uniform_specimens(offsets: Any, low: Any, high: Any, fits: SpecimenFits) -> tuple[Any, Any]:
+def uniform_specimens(offsets: Tensor, low: Tensor, high: Tensor, fits: SpecimenFits) -> tuple[Tensor, Tensor]:
     """Return specimens (n, p) of a Uniform population, and the log-density of their offsets under it.
 
     Parameters
@@ -193,18 +198,18 @@ def edge_ranges(fits: SpecimenFits, low: FloatArray, high: FloatArray) -> tuple[
     return np.minimum(highest, high), np.maximum(lowest, low)
 
 
-def _softly_positive(distance: Any, error: FloatArray) -> Any:
+def _softly_positive(distance: Tensor, error: FloatArray) -> Tensor:
     """Return a distance that passes over to a positive one where it is within an error of zero or negative."""
     return 0.5 * (distance + pt.sqrt(distance**2 + 4.0 * error**2))
 
 
-def _invert_lower(factor: Any, p: int) -> Any:
+def _invert_lower(factor: Tensor, p: int) -> Tensor:
     """Return the inverse of a small lower triangular matrix.
 
     Entry by entry, as sums are taken here instead of products of matrices: these would look for a BLAS library to link
     with, and warn where there is none.
     """
-    rows: list[Any] = []
+    rows: list[Tensor] = []
     for i in range(p):
         total = pt.as_tensor(np.eye(p)[i])
         for k, row in enumerate(rows):
@@ -213,25 +218,25 @@ def _invert_lower(factor: Any, p: int) -> Any:
     return pt.stack(rows)
 
 
-def _standardise(offsets: Any, precision: Any, known: Any) -> tuple[Any, Any]:
+def _standardise(offsets: Tensor, precision: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
     """Return (n, p) draws ``precision^-1 known + precision^(-T/2) offsets``, and the log-determinant of that map.
 
     Cholesky column by column over all specimens at once: PyTensor's batched one is some fifty times slower.
     """
     p = int(offsets.type.shape[1])
-    columns: list[Any] = []
+    columns: list[Tensor] = []
     for j in range(p):
         column = precision[:, j:, j]
         for k, other in enumerate(columns):
             column = column - other[:, j - k :] * other[:, j - k, None]
         columns.append(column / pt.sqrt(column[:, 0, None]))
-    forward: list[Any] = []
+    forward: list[Tensor] = []
     for j in range(p):
         total = known[:, j]
         for k in range(j):
             total = total - columns[k][:, j - k] * forward[k]
         forward.append(total / columns[j][:, 0])
-    result: list[Any] = [None] * p
+    result: list[Tensor] = [None] * p
     for j in reversed(range(p)):
         total = forward[j] + offsets[:, j]
         for i in range(j + 1, p):

@@ -8,6 +8,7 @@ the shape from its own tuning draws.
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from pymc.step_methods.metropolis import MetropolisState
 from pymc.step_methods.state import dataclass_state
 
 from .._common.checks import FloatArray
+from .remembering import make_remembering
 from .starts import StartFinder
 
 _FIRST_WINDOW = (50, 150)  # tuning draws; each next window is twice as long
@@ -130,5 +132,6 @@ class JointMetropolis(pm.Metropolis):
 
 def make_metropolis(model: pm.Model, finder: StartFinder) -> pm.Metropolis:
     """Return a Metropolis step for ``model``: joint where the finder knows the posterior's shape, else PyMC's own."""
-    with model:
-        return pm.Metropolis() if finder.shape is None else JointMetropolis(finder.shape)
+    if finder.shape is None:
+        return make_remembering(pm.Metropolis, model)
+    return make_remembering(functools.partial(JointMetropolis, finder.shape), model)

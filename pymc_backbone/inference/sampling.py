@@ -7,7 +7,7 @@ import os
 import sys
 import time
 import warnings
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 import numpy as np
@@ -16,19 +16,14 @@ import pytensor
 import xarray as xr
 
 from .._common.checks import InputError, check_choice
-from ..likelihood import native
-from .model import is_differentiable, targets_of
+from ..simulation.counts import read_counts
 from .proposal import make_metropolis
+from .remembering import make_remembering
 from .starts import StartFinder
 from .store.run_folder import DrawStore
+from .targets import is_differentiable
 
 STEPS = ("metropolis", "elementwise", "demetropolisz", "slice", "nuts", "nutpie")
-_COUNTS = {
-    "evaluations": native.EVALUATIONS,
-    "failures": native.FAILURES,
-    "simulations": native.SIMULATIONS,
-    "gradients": native.GRADIENTS,
-}
 _LOG_EVERY = 15.0  # seconds between lines where there is no terminal
 logger = logging.getLogger("pymc_backbone")
 
@@ -80,10 +75,10 @@ def sample(
     Returns
     -------
     xarray.DataTree
-        Groups ``posterior``, ``sample_stats``, ...; ``attrs`` holds ``step``, ``seconds`` and, of the population
-        likelihoods in this process while it sampled (with ``store``: of the run): ``evaluations`` asked for,
-        ``simulations`` made for a value alone (fewer: the present point is remembered), ``gradients`` made with a
-        value, and ``failures``; and ``interrupted``, a sentence, where Ctrl-C ended a stored run.
+        Groups ``posterior``, ``sample_stats``, ...; ``attrs`` holds ``step``, ``seconds`` and, of this process while
+        it sampled (with ``store``: of the run), in parameter vectors: ``evaluations`` asked for, ``simulations`` made
+        for values alone (fewer: the present point is remembered), ``gradients`` made with values, and ``failures``;
+        and ``interrupted``, a sentence, where Ctrl-C ended a stored run.
 
     Raises
     ------
@@ -121,13 +116,14 @@ def sample(
         return _run(kept.seed(random_seed), kept, *arguments)
 
 
-def _exact() -> Any:
+def _exact() -> AbstractContextManager[None]:
     """Return a context in which PyTensor compiles sums in the order they are written in.
 
     With fast mathematics the order depends on what was compiled in this process and what was read from disk: the same
     seed would not give the same digits in a resumed run, or in another process.
     """
-    return pytensor.config.change_flags(numba__fastmath=False)
+    flags: AbstractContextManager[None] = pytensor.config.change_flags(numba__fastmath=False)
+    return flags
 
 
 def _run(
@@ -151,18 +147,18 @@ def _run(
     else:
         settings = {"draws": draws, "tune": tune, "chains": chains, "step": step, "random_seed": random_seed}
         starts = kept.starts(model, finder, settings)
-    before = _counts(model)
+    before = read_counts()
     shown = sys.stderr.isatty() if progressbar is None else progressbar
     recorder = None
     if step == "nutpie":
         result = _sample_nutpie(model, draws, tune, chains, int(seeds[1]), starts, shown, cores, kwargs)
     else:
         stepper = make_metropolis(model, finder) if step == "metropolis" else _make_step(step, model)
-        recorder = None if kept is None else kept.record(stepper, lambda: _counts(model))
+        recorder = None if kept is None else kept.record(stepper, read_counts)
         if not shown and progressbar is None:
             repeated = 0 if recorder is None else recorder.kept
             kwargs.setdefault("callback", _Reporter(chains * (draws + tune), repeated))
-        before = _counts(model)
+        before = read_counts()
         with model, warnings.catch_warnings(), nullcontext() if recorder is None else recorder.ending_early():
             # PyMC warns that several processes under fork may deadlock; one process is the default here.
             warnings.filterwarnings("ignore", message="We recommend running at least 4 chains", category=UserWarning)
@@ -179,7 +175,7 @@ def _run(
                 compute_convergence_checks=False,
                 **kwargs,
             )
-    after = _counts(model)
+    after = read_counts()
     earlier = [] if kept is None else kept.stored
     result.attrs.update(
         {
@@ -199,15 +195,12 @@ def _run(
 
 
 def _make_step(step: str | Any, model: pm.Model) -> Any:
-    makers = {"elementwise": pm.Metropolis, "demetropolisz": pm.DEMetropolisZ, "slice": pm.Slice, "nuts": pm.NUTS}
-    with model:
-        return makers[step]() if isinstance(step, str) else step
-
-
-def _counts(model: pm.Model) -> dict[str, float]:
-    """Return what the population likelihoods counted so far, in this process."""
-    memories = [target.memory.get_value(borrow=True) for target in targets_of(model) if target.memory is not None]
-    return {name: sum(float(memory[entry]) for memory in memories) for name, entry in _COUNTS.items()}
+    if not isinstance(step, str):
+        return step
+    if step == "nuts":
+        return pm.NUTS(model=model)
+    makers = {"elementwise": pm.Metropolis, "demetropolisz": pm.DEMetropolisZ, "slice": pm.Slice}
+    return make_remembering(makers[step], model)
 
 
 def _sample_nutpie(
@@ -225,7 +218,6 @@ def _sample_nutpie(
     import nutpie
 
     compiled = nutpie.compile_pymc_model(model, initial_points=starts[0], jitter_rvs=set())
-    copies = _copies_of_memories(model, compiled)
     begin = time.perf_counter()
     # Backbones determine combinations of parameters: a mass matrix that follows their correlation halves the cost.
     kwargs.setdefault("adaptation", "low_rank")
@@ -241,23 +233,7 @@ def _sample_nutpie(
         **kwargs,
     )
     result["posterior"].attrs.setdefault("sampling_time", time.perf_counter() - begin)  # as PyMC notes it
-    for memory, copy in copies:
-        memory.set_value(copy)
     return result
-
-
-def _copies_of_memories(model: pm.Model, compiled: Any) -> list[tuple[Any, Any]]:
-    """Return the memory of each population likelihood with the copy that nutpie made of it and counts in.
-
-    nutpie keeps its copies under random keys, so a copy is known by what it holds.
-    """
-    copies = list(compiled.shared_data.values())
-    pairs = []
-    for target in targets_of(model):
-        if target.memory is not None:
-            value = target.memory.get_value(borrow=True)
-            pairs += [(target.memory, copy) for copy in copies if np.array_equal(copy, value, equal_nan=True)][:1]
-    return pairs
 
 
 class _Reporter:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import weakref
 from collections.abc import Callable
 from typing import Any
 
@@ -15,7 +14,8 @@ from scipy.optimize import least_squares
 from .._common.checks import OBSERVABLE_UNITS, FloatArray, InputError
 from ..simulation.decay import Status, simulate_backbone
 from ..simulation.response import OscillatorResponse
-from .model import Target, targets_of
+from .start_hint import StartHint, start_hint_of
+from .targets import Target, targets_of
 
 PRIOR_DRAWS = 128
 SEARCHES = 24
@@ -26,15 +26,7 @@ _FORLORN = 30.0  # a mode this much lower in log-density holds nothing of the po
 _PRIOR_PRECISION = 3.0 / np.pi**2  # of a Uniform prior on PyMC's unconstrained (logistic) scale, near its middle
 _AT_BOUND = 25.0  # unconstrained value that lies 1e-11 of the interval beside its bound
 _FAILED = 30.0  # standardised distance that stands for a failed simulation in a search
-_RULE_DRAWS = 64
-
-StartRule = Callable[[np.random.Generator], dict[str, FloatArray]]
-_RULES: weakref.WeakKeyDictionary[pm.Model, StartRule] = weakref.WeakKeyDictionary()
-
-
-def set_starts(model: pm.Model, rule: StartRule) -> None:
-    """Let ``model`` start where ``rule`` draws: unconstrained values of its variables, by the names of these."""
-    _RULES[model] = rule
+_HINT_DRAWS = 64
 
 
 class StartFinder:
@@ -52,7 +44,7 @@ class StartFinder:
         Seed of everything random here.
     """
 
-    def __init__(self, model: pm.Model, random_seed: Any) -> None:
+    def __init__(self, model: pm.Model, random_seed: int | np.random.Generator) -> None:
         self.model = model
         self.generator = np.random.default_rng(random_seed)
         self.log_density = model.compile_logp()
@@ -79,8 +71,9 @@ class StartFinder:
             Where no point with a finite log-density exists within the prior, as far as the search can tell; the
             sentence names the observable and the level at fault.
         """
-        if self.model in _RULES:
-            return self._find_by_rule(chains, _RULES[self.model])
+        hint = start_hint_of(self.model)
+        if hint is not None:
+            return self._find_by_hint(chains, hint)
         draws = [self.draw_point(int(seed)) for seed in self.generator.integers(2**31, size=PRIOR_DRAWS)]
         spread = np.std([self._flatten(point)[0] for point in draws], axis=0)
         self.prior_sd = np.where(np.isfinite(spread) & (spread > 0.0), spread, 1.0)
@@ -109,11 +102,12 @@ class StartFinder:
         self.shape = self._find_shape()
         return [self._natural(self._disperse(good[i % len(good)])) for i in range(chains)]
 
-    def _find_by_rule(self, chains: int, rule: StartRule) -> list[dict[str, FloatArray]]:
-        """Return starts that the model's own rule draws, those with a finite log-density."""
+    def _find_by_hint(self, chains: int, hint: StartHint) -> list[dict[str, FloatArray]]:
+        """Return starts where the model's own hint says, those with a finite log-density."""
+        names = {variable.name: self.model.rvs_to_values[variable].name for variable in self.model.free_RVs}
         found = []
-        for _ in range(_RULE_DRAWS * chains):
-            point = rule(self.generator)
+        for _ in range(_HINT_DRAWS * chains):
+            point = hint.draw(names, self.generator)
             if np.isfinite(self.height(point)):
                 found.append(self._natural(point))
             if len(found) == chains:
@@ -261,7 +255,7 @@ class StartFinder:
         start, unpack = self._flatten(point)
         bounded = self._bounded(point)
 
-        def residuals(vector: Any) -> Any:
+        def residuals(vector: FloatArray) -> FloatArray:
             inside = vector[bounded]
             # 4 log cosh(u / 2) is twice the loss in log-density of a Uniform prior, up to a constant
             prior = np.sign(inside) * 2.0 * np.sqrt(np.logaddexp(0.5 * inside, -0.5 * inside) - np.log(2.0))

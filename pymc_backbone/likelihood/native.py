@@ -7,29 +7,29 @@ on disk, the address of a user's own force, is passed in as a number.
 
 from __future__ import annotations
 
-import functools
-from typing import Any
-
-import llvmlite.binding
 import numba
 import numpy as np
 from numba import types
-from numba.core.ccallback import CFunc
 
-from .._common.compiled import DigestCache
+from .._common.checks import FloatArray, IntArray
+from .._common.compiled import NativeFunction
 from ..simulation import kernels
+from ..simulation.counts import FAILURES, GRADIENTS, SIMULATIONS, count
 from ..simulation.forces import ROW
 from ..simulation.memory import N_EFFECTS, N_LEVELS, N_NUMBERS, N_PARAMETERS, ROWS, TABLE
-from ..simulation.pointers import FLOATS, INTEGERS
+from ..simulation.pointers import FLOATS, INTEGERS, Floats, Integers
 from .density_kernel import log_density
 
-# Entries of the memory of a log-likelihood: counts, then slots of (value, when last asked for, parameters). A walk asks
-# for the next point and the present one: of three slots, the one not asked for longest holds neither.
-EVALUATIONS, FAILURES, SIMULATIONS, GRADIENTS, FIRST_SLOT = range(5)
-SLOTS, BEFORE_PARAMETERS = 3, 2
 
-
-def _backbone(to_integers, to_numbers, to_p, to_values, to_jacobian, to_status, wanted):
+def _backbone(
+    to_integers: Integers,
+    to_numbers: Floats,
+    to_p: Floats,
+    to_values: Floats,
+    to_jacobian: Floats,
+    to_status: Integers,
+    wanted: int,
+) -> None:
     head = numba.carray(to_integers, TABLE)
     n, n_levels = head[N_PARAMETERS], head[N_LEVELS]
     integers = numba.carray(to_integers, TABLE + ROW * head[N_EFFECTS])
@@ -39,62 +39,20 @@ def _backbone(to_integers, to_numbers, to_p, to_values, to_jacobian, to_status, 
     jacobian = numba.carray(to_jacobian, (3 * wanted, n_levels * wanted, n * wanted))
     status = numba.carray(to_status, n_levels)
     kernels.backbone(integers, numbers, p, values, jacobian, status)
+    count(GRADIENTS if wanted else SIMULATIONS, 1)
+    if status.any():
+        count(FAILURES, 1)
 
 
 @numba.njit
-def remembered(memory, theta):
-    """Return where in ``memory`` the value for ``theta`` stands, or -1; count the evaluation."""
-    n = theta.size
-    width = n + BEFORE_PARAMETERS
-    if memory.size < FIRST_SLOT + SLOTS * width:
-        return -1
-    memory[EVALUATIONS] += 1.0
-    for slot in range(SLOTS):
-        first = FIRST_SLOT + slot * width
-        same = True
-        for j in range(n):
-            same = same and memory[first + BEFORE_PARAMETERS + j] == theta[j]
-        if same:
-            memory[first + 1] = memory[EVALUATIONS]
-            return first
-    return -1
-
-
-@numba.njit
-def remember(memory, theta, value):
-    """Put the value for ``theta`` where the one stands that was not asked for longest; count the simulation."""
-    n = theta.size
-    width = n + BEFORE_PARAMETERS
-    if memory.size < FIRST_SLOT + SLOTS * width:
-        return
-    memory[SIMULATIONS] += 1.0
-    oldest = FIRST_SLOT
-    for slot in range(1, SLOTS):
-        first = FIRST_SLOT + slot * width
-        if memory[first + 1] < memory[oldest + 1]:
-            oldest = first
-    memory[oldest] = value
-    memory[oldest + 1] = memory[EVALUATIONS]
-    for j in range(n):
-        memory[oldest + BEFORE_PARAMETERS + j] = theta[j]
-
-
-@numba.njit
-def count_gradient(memory):
-    """Count an evaluation of value and gradient; several threads may lose one now and then."""
-    if memory.size > GRADIENTS:
-        memory[EVALUATIONS] += 1.0
-        memory[GRADIENTS] += 1.0
-
-
-@numba.njit
-def judge_backbone(integers, status, values, jacobian, codes, table, memory, gradient):
+def judge_backbone(
+    integers: IntArray, status: IntArray, values: FloatArray, jacobian: FloatArray, codes: IntArray,
+    table: FloatArray, gradient: FloatArray,
+) -> float:  # fmt: skip
     """Return the log density of a simulated backbone, -inf where a level failed, and write its gradient."""
     levels = integers[N_LEVELS]
     for k in range(levels):
         if status[k] != 0:
-            if memory.size > FAILURES:
-                memory[FAILURES] += 1.0
             for j in range(gradient.size):
                 gradient[j] = 0.0
             return -np.inf
@@ -123,51 +81,40 @@ def judge_backbone(integers, status, values, jacobian, codes, table, memory, gra
 
 
 def _log_likelihood(
-    to_integers, to_numbers, to_p, to_codes, n_codes, to_table, n_table, to_memory, n_memory, to_gradient, wanted
-):
+    to_integers: Integers, to_numbers: Floats, to_p: Floats, to_codes: Integers, n_codes: int, to_table: Floats,
+    n_table: int, to_gradient: Floats, wanted: int,
+) -> float:  # fmt: skip
     integers = numba.carray(to_integers, TABLE)
     n, n_levels = integers[N_PARAMETERS], integers[N_LEVELS]
-    theta = numba.carray(to_p, n)
-    memory = numba.carray(to_memory, n_memory)
-    if wanted == 0:
-        found = remembered(memory, theta)
-        if found >= 0:
-            return memory[found]
-    else:
-        count_gradient(memory)
     values = np.empty((3, n_levels))
     jacobian = np.empty((3 * wanted, n_levels * wanted, n * wanted))
     status = np.zeros(n_levels, np.int64)
     call_backbone(to_integers, to_numbers, to_p, values.ctypes, jacobian.ctypes, status.ctypes, wanted)
     codes, table = numba.carray(to_codes, n_codes), numba.carray(to_table, n_table)
     gradient = numba.carray(to_gradient, n * wanted)
-    value = judge_backbone(integers, status, values, jacobian, codes, table, memory, gradient)
-    if wanted == 0:
-        remember(memory, theta, value)
+    value: float = judge_backbone(integers, status, values, jacobian, codes, table, gradient)
     return value
 
 
-_BACKBONE_SIGNATURE = types.void(INTEGERS, FLOATS, FLOATS, FLOATS, FLOATS, INTEGERS, types.int64)
-_LIKELIHOOD_SIGNATURE = types.float64(
-    INTEGERS, FLOATS, FLOATS, INTEGERS, types.int64, FLOATS, types.int64, FLOATS, types.int64, FLOATS, types.int64
+BACKBONE = NativeFunction(
+    "backbone", types.void(INTEGERS, FLOATS, FLOATS, FLOATS, FLOATS, INTEGERS, types.int64), _backbone
 )
-call_backbone = types.ExternalFunction("pymc_backbone_backbone", _BACKBONE_SIGNATURE)
-call_log_likelihood = types.ExternalFunction("pymc_backbone_log_likelihood", _LIKELIHOOD_SIGNATURE)
+call_backbone = BACKBONE.call
+"""``backbone(integers, numbers, p, values, jacobian, status, wanted)``: simulate, with derivatives if ``wanted``."""
+LOG_LIKELIHOOD = NativeFunction(
+    "log_likelihood",
+    types.float64(INTEGERS, FLOATS, FLOATS, INTEGERS, types.int64, FLOATS, types.int64, FLOATS, types.int64),
+    _log_likelihood,
+)
+call_log_likelihood = LOG_LIKELIHOOD.call
+"""``log_likelihood(integers, numbers, p, codes, n_codes, table, n_table, gradient, wanted) -> log density``."""
 
 
-@functools.cache
 def define_symbols() -> None:
     """Make the native functions known by name; compiled once, then read from disk.
 
     Must have run in a process before code that calls them is loaded there: every Op runs it when it is made.
     """
     kernels.define()
-    for external, function in ((call_backbone, _backbone), (call_log_likelihood, _log_likelihood)):
-        compiled: Any = CFunc(function, (external.sig.args, external.sig.return_type), locals={}, options={})
-        compiled._cache = DigestCache(function)
-        compiled.compile()
-        llvmlite.binding.add_symbol(external.symbol, compiled.address)
-        _KEPT.append(compiled)
-
-
-_KEPT: list[Any] = []  # compiled code lives as long as its CFunc
+    BACKBONE.define()
+    LOG_LIKELIHOOD.define()

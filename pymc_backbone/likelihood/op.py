@@ -2,14 +2,13 @@
 
 Both have two outputs, the value and its derivative with respect to the parameters, so that a gradient reuses the
 simulation that gave the value. Where nobody asks for the derivative, a rewrite puts the variant without it, which
-costs less and remembers the last three parameter vectors: PyMC's Metropolis evaluates the present point again with
-every proposal.
+costs less. Both are pure: what they return depends on their inputs alone, and nothing is written in place.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numba
@@ -17,12 +16,12 @@ import numpy as np
 import pytensor.tensor as pt
 from pytensor.gradient import disconnected_type
 from pytensor.graph.basic import Apply, Variable
+from pytensor.graph.fg import FunctionGraph
 from pytensor.graph.op import Op
 from pytensor.graph.rewriting.basic import node_rewriter
 from pytensor.link.numba.dispatch.basic import generate_fallback_impl, register_funcify_and_cache_key
 from pytensor.tensor.blockwise import Blockwise
 from pytensor.tensor.rewriting.basic import register_specialize
-from pytensor.tensor.variable import TensorConstant
 
 from .._common.checks import FloatArray, IntArray
 from ..simulation.memory import Description
@@ -30,10 +29,11 @@ from ..simulation.response import OscillatorResponse, Response, simulator_of
 from . import native
 from .density_kernel import log_density
 
-MEMORY_HEAD = native.FIRST_SLOT
+Shape = tuple[Variable | int, ...]
+Compiled = Callable[..., tuple[FloatArray, FloatArray]]
 
 
-class _BackboneOp(Op):
+class _SimulatingOp(Op):
     """What both Ops share: the response, whether the derivative is computed, equality by both."""
 
     __props__ = ("response", "with_gradient")
@@ -57,18 +57,17 @@ class _BackboneOp(Op):
                 "a backbone function has no gradient: sample with a step that needs none, for example pm.Metropolis()."
             )
 
-    def without_gradient(self) -> _BackboneOp:
+    def without_gradient(self) -> _SimulatingOp:
         """Return the variant that computes the value only."""
         return type(self)(self.response, with_gradient=False)
 
 
-class BackboneLogLikelihood(_BackboneOp):
+class BackboneLogLikelihood(_SimulatingOp):
     """Log density of a simulated backbone.
 
-    Inputs are the parameter vector ``theta`` (p,), the plain data of a density (``codes``, ``table``; see
-    `Density`) and ``memory``, scratch that counts evaluations, simulations and failures and remembers the
-    last three values (`make_memory`; may be empty). Outputs are the log density, -inf where a level cannot be simulated
-    or lies outside the density's support, never NaN, and its gradient (p,), zero there.
+    Inputs are the parameter vector ``theta`` (p,) and the plain data of a density (``codes``, ``table``; see
+    `Density`). Outputs are the log density, -inf where a level cannot be simulated or lies outside the density's
+    support, never NaN, and its gradient (p,), zero there.
 
     Parameters
     ----------
@@ -80,70 +79,53 @@ class BackboneLogLikelihood(_BackboneOp):
     See Also
     --------
     backbone_likelihood : adds it to a PyMC model.
-    SimulatedBackbone : the simulation alone.
-
-    Notes
-    -----
-    ``memory`` is written in place. It changes how fast the value is found, never which value, so the Op is pure in
-    every respect that PyTensor's rewrites rely on.
+    BackboneOp : the simulation alone.
     """
 
-    gufunc_signature = "(p),(c),(t),(m)->(),(g)"
+    gufunc_signature = "(p),(c),(t)->(),(g)"
 
-    def make_node(self, theta: Any, codes: Any, table: Any, memory: Any) -> Apply:
-        """Check the inputs and make the node."""
+    def make_node(self, theta: Any, codes: Any, table: Any, memory: Any = None) -> Apply:
+        """Check the inputs and make the node; ``memory`` is no longer used."""
+        if memory is not None:
+            warnings.warn(
+                "BackboneLogLikelihood takes no `memory` any more; leave it out. `sample` remembers what it asked for.",
+                FutureWarning,
+                stacklevel=3,
+            )
         inputs = [
             pt.as_tensor_variable(theta, dtype="float64"),
             pt.as_tensor_variable(codes, dtype="int64"),
             pt.as_tensor_variable(table, dtype="float64"),
-            pt.as_tensor_variable(memory, dtype="float64"),
         ]
-        for name, variable in zip(("theta", "codes", "table", "memory"), inputs, strict=True):
+        for name, variable in zip(("theta", "codes", "table"), inputs, strict=True):
             if variable.ndim != 1:
                 raise TypeError(f"`{name}` must be a vector, got {variable.ndim} dimensions.")
-        if isinstance(inputs[3], TensorConstant) and inputs[3].data.size:
-            # Compiled code holds constants in read-only memory, and `memory` is written.
-            raise TypeError("`memory` must be a shared variable, or an empty constant for none.")
         return Apply(self, inputs, [pt.dscalar(), pt.dvector()])
 
-    def infer_shape(self, node: Apply, input_shapes: list[Any]) -> list[Any]:
+    def infer_shape(self, node: Apply, input_shapes: list[Shape]) -> list[Shape]:
         """Return the shapes of value and gradient."""
         return [(), (input_shapes[0][0] if self.with_gradient else 0,)]
 
-    def perform(self, node: Apply, inputs: Sequence[Any], output_storage: Any) -> None:
+    def perform(self, node: Apply, inputs: Sequence[Any], output_storage: list[list[FloatArray]]) -> None:
         """Evaluate in Python: the reference for the compiled path, and the path of functions."""
-        theta, codes, table, memory = inputs
-        gradient = np.zeros(theta.size if self.with_gradient else 0)
-        value = self._evaluate(np.ascontiguousarray(theta, dtype=np.float64), codes, table, memory, gradient)
-        output_storage[0][0] = np.asarray(value)
-        output_storage[1][0] = gradient
-
-    def _evaluate(
-        self, theta: FloatArray, codes: Any, table: FloatArray, memory: FloatArray, gradient: FloatArray
-    ) -> float:
-        if not self.with_gradient:
-            found = native.remembered(memory, theta)
-            if found >= 0:
-                return float(memory[found])
-        else:
-            native.count_gradient(memory)
-        values, jacobian, completed = self.response.evaluate(theta, self.with_gradient)
+        theta, codes, table = inputs
+        values, jacobian, completed = self.response.evaluate(
+            np.ascontiguousarray(theta, dtype=np.float64), self.with_gradient
+        )
         value = -np.inf
+        gradient = np.zeros(theta.size if self.with_gradient else 0)
         if completed:
             slope = np.empty(values.size)
             value = log_density(codes, table, np.ascontiguousarray(values).ravel(), slope)
             if self.with_gradient:
                 total = np.tensordot(slope.reshape(values.shape), jacobian, axes=2)
                 gradient[:] = np.where(np.isfinite(total), total, 0.0)
-        elif memory.size > native.FAILURES:
-            memory[native.FAILURES] += 1.0
-        if not self.with_gradient:
-            native.remember(memory, theta, value)
-        return value
+        output_storage[0][0] = np.asarray(value)
+        output_storage[1][0] = gradient
 
     def connection_pattern(self, node: Apply) -> list[list[bool]]:
         """Only the parameters carry a derivative, and only to the value."""
-        return [[True, False], [False, False], [False, False], [False, False]]
+        return [[True, False], [False, False], [False, False]]
 
     def pullback(
         self, inputs: Sequence[Variable], outputs: Sequence[Variable], cotangents: Sequence[Variable]
@@ -151,10 +133,10 @@ class BackboneLogLikelihood(_BackboneOp):
         """Return the cotangent of the parameters: the node's own second output, times that of the value."""
         self.require_gradient()
         gradient = outputs[1] if self.with_gradient else BackboneLogLikelihood(self.response)(*inputs)[1]
-        return [cotangents[0] * gradient, disconnected_type(), disconnected_type(), disconnected_type()]
+        return [cotangents[0] * gradient, disconnected_type(), disconnected_type()]
 
 
-class SimulatedBackbone(_BackboneOp):
+class BackboneOp(_SimulatingOp):
     """The simulated backbone: parameters (p,) in, values (o, l) and their derivatives (o, l, p) out.
 
     Values are NaN where a level cannot be simulated, the derivatives zero there.
@@ -168,7 +150,7 @@ class SimulatedBackbone(_BackboneOp):
 
     See Also
     --------
-    simulated_backbone : calls it with named parameters.
+    backbone_deterministic : calls it with named parameters.
     BackboneLogLikelihood : the simulation under a density.
     """
 
@@ -182,15 +164,15 @@ class SimulatedBackbone(_BackboneOp):
         shape = (len(self.response.observables), len(self.response.levels))
         return Apply(self, [theta], [pt.tensor("backbone", shape=shape, dtype="float64"), pt.dtensor3()])
 
-    def infer_shape(self, node: Apply, input_shapes: list[Any]) -> list[Any]:
+    def infer_shape(self, node: Apply, input_shapes: list[Shape]) -> list[Shape]:
         """Return the shapes of values and derivatives."""
         shape = (len(self.response.observables), len(self.response.levels))
         return [shape, (*shape, input_shapes[0][0]) if self.with_gradient else (0, 0, 0)]
 
-    def perform(self, node: Apply, inputs: Sequence[Any], output_storage: Any) -> None:
+    def perform(self, node: Apply, inputs: Sequence[Any], output_storage: list[list[FloatArray]]) -> None:
         """Evaluate in Python."""
         theta = np.ascontiguousarray(inputs[0], dtype=np.float64)
-        values, jacobian, _completed = self.response.evaluate(theta, self.with_gradient)
+        values, jacobian, _ = self.response.evaluate(theta, self.with_gradient)
         output_storage[0][0] = values
         output_storage[1][0] = np.nan_to_num(jacobian, nan=0.0, posinf=0.0, neginf=0.0)
 
@@ -203,36 +185,28 @@ class SimulatedBackbone(_BackboneOp):
     ) -> list[Variable]:
         """Return the cotangent of the parameters through the node's own second output."""
         self.require_gradient()
-        jacobian = outputs[1] if self.with_gradient else SimulatedBackbone(self.response)(*inputs)[1]
+        jacobian = outputs[1] if self.with_gradient else BackboneOp(self.response)(*inputs)[1]
         return [pt.tensordot(cotangents[0], jacobian, axes=[[0, 1], [0, 1]])]
 
 
 @register_specialize
-@node_rewriter([BackboneLogLikelihood, SimulatedBackbone, Blockwise])
-def drop_unused_gradient(fgraph: Any, node: Apply) -> dict[Variable, Variable] | None:
+@node_rewriter([BackboneLogLikelihood, BackboneOp, Blockwise])
+def drop_unused_gradient(fgraph: FunctionGraph, node: Apply) -> dict[Variable, Variable] | None:
     """Replace an Op by its variant without gradient where nobody uses the gradient.
 
     Registered late (specialize): PyMC canonicalizes a log-density before it differentiates it, and must still find
     the gradient there.
     """
     core = node.op.core_op if isinstance(node.op, Blockwise) else node.op
-    if not isinstance(core, _BackboneOp) or not core.with_gradient or fgraph.clients[node.outputs[1]]:
+    if not isinstance(core, _SimulatingOp) or not core.with_gradient or fgraph.clients[node.outputs[1]]:
         return None
     plain = core.without_gradient()
     operator = Blockwise(plain, signature=node.op.signature) if isinstance(node.op, Blockwise) else plain
     return {node.outputs[0]: operator(*node.inputs, return_list=True)[0]}
 
 
-def make_memory(n_parameters: int) -> FloatArray:
-    """Return fresh scratch for `BackboneLogLikelihood`: counts at zero, nothing remembered."""
-    memory = np.zeros(MEMORY_HEAD + native.SLOTS * (native.BEFORE_PARAMETERS + n_parameters))
-    slots = memory[MEMORY_HEAD:].reshape(native.SLOTS, -1)
-    slots[:, native.BEFORE_PARAMETERS :] = np.nan  # equal to no parameter vector
-    return memory
-
-
 @register_funcify_and_cache_key(BackboneLogLikelihood)
-def _funcify_log_likelihood(op: BackboneLogLikelihood, node: Apply, **kwargs: Any) -> tuple[Any, str | None]:
+def _funcify_log_likelihood(op: BackboneLogLikelihood, node: Apply, **kwargs: Any) -> tuple[Compiled, str | None]:
     if not isinstance(op.response, OscillatorResponse):
         return _fallback(op, node), None
     response = op.response
@@ -240,24 +214,22 @@ def _funcify_log_likelihood(op: BackboneLogLikelihood, node: Apply, **kwargs: An
     call, wanted = native.call_log_likelihood, int(op.with_gradient)
 
     @numba.njit
-    def log_likelihood(
-        theta: FloatArray, codes: IntArray, table: FloatArray, memory: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+    def log_likelihood(theta: FloatArray, codes: IntArray, table: FloatArray) -> tuple[FloatArray, FloatArray]:
         point = np.ascontiguousarray(theta)
         density_codes = np.ascontiguousarray(codes)
         density = np.ascontiguousarray(table)
         gradient = np.zeros(point.size * wanted)
         value = call(
             integers.ctypes, numbers.ctypes, point.ctypes, density_codes.ctypes, codes.size,
-            density.ctypes, density.size, memory.ctypes, memory.size, gradient.ctypes, wanted,
+            density.ctypes, density.size, gradient.ctypes, wanted,
         )  # fmt: skip
         return np.asarray(value), gradient
 
-    return log_likelihood, _cache_key("log_likelihood-3", op)
+    return log_likelihood, _cache_key("log_likelihood-4", op)
 
 
-@register_funcify_and_cache_key(SimulatedBackbone)
-def _funcify_backbone(op: SimulatedBackbone, node: Apply, **kwargs: Any) -> tuple[Any, str | None]:
+@register_funcify_and_cache_key(BackboneOp)
+def _funcify_backbone(op: BackboneOp, node: Apply, **kwargs: Any) -> tuple[Compiled, str | None]:
     if not isinstance(op.response, OscillatorResponse):
         return _fallback(op, node), None
     response = op.response
@@ -295,7 +267,7 @@ def describe(response: OscillatorResponse) -> Description:
     )
 
 
-def _cache_key(version: str, op: _BackboneOp) -> str | None:
+def _cache_key(version: str, op: _SimulatingOp) -> str | None:
     """Return the key under which compiled code is kept; None where it holds the address of a user's force."""
     assert isinstance(op.response, OscillatorResponse)
     if simulator_of(op.response.oscillator).user:
@@ -303,7 +275,7 @@ def _cache_key(version: str, op: _BackboneOp) -> str | None:
     return f"pymc_backbone-{version}-{op.with_gradient}-{op.response.key}"
 
 
-def _fallback(op: Op, node: Apply) -> Any:
+def _fallback(op: Op, node: Apply) -> Compiled:
     """Return numba's object-mode call of ``perform``: what a Python function needs, so no warning is due."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Numba will use object mode", category=UserWarning)

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pymc as pm
 import pytensor.tensor as pt
 import xarray as xr
+from pytensor.tensor import TensorVariable as Tensor
 
 from .._common.checks import FloatArray, InputError
 from ..simulation.response import Response
-from .op import SimulatedBackbone
+from .op import BackboneOp
 
 
 def whiten_specimens(data: xr.Dataset) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -50,34 +49,40 @@ def whiten_specimens(data: xr.Dataset) -> tuple[FloatArray, FloatArray, FloatArr
     return np.where(held, values, 0.0).reshape(n, size), whitening, constants
 
 
-def observe_specimens(name: str, response: Response, data: xr.Dataset, theta: Any) -> Any:
+def observe_specimens(name: str, response: Response, data: xr.Dataset, theta: Tensor) -> Tensor:
     """Return the observed variable: one Gaussian vector of level values per specimen."""
     values, whitening, constants = whiten_specimens(data)
-    op = SimulatedBackbone(response)
+    held = np.diagonal(whitening, axis1=1, axis2=2) != 0.0
+    errors = np.where(held, np.asarray(data["standard_error"]).reshape(values.shape), 1.0)
+    correlation = whitening * errors[:, None, :]  # of residuals in standard errors
+    op = BackboneOp(response)
     size = values.shape[1]
 
-    def simulate(point: Any) -> Any:
+    def simulate(point: Tensor) -> Tensor:
         backbone = op(point)[0] if point.ndim == 1 else pt.vectorize(lambda t: op(t)[0], "(p)->(o,l)")(point)
         return backbone.reshape((size,)) if point.ndim == 1 else backbone.reshape((backbone.shape[0], size))
 
-    def log_probability(value: Any, point: Any, whitener: Any, constant: Any, spread: Any) -> Any:
-        residual = value - simulate(point)
+    def log_probability(
+        value: Tensor, point: Tensor, whitener: Tensor, constant: Tensor, factor: Tensor, error: Tensor
+    ) -> Tensor:
+        residual = (value - simulate(point)) / error
         standardised = (whitener * residual[..., None, :]).sum(axis=-1)
         total = constant - 0.5 * (standardised**2).sum(axis=-1)
         return pt.switch(pt.isnan(total), -np.inf, total)
 
-    def draw(point: Any, whitener: Any, constant: Any, spread: Any, size: Any) -> Any:
+    def draw(point: Tensor, whitener: Tensor, constant: Tensor, factor: Tensor, error: Tensor, size: Tensor) -> Tensor:
         noise = pm.Normal.dist(0.0, 1.0, size=values.shape)
-        return simulate(point) + (spread * noise[:, None, :]).sum(axis=-1)
+        return simulate(point) + error * (factor * noise[:, None, :]).sum(axis=-1)
 
     return pm.CustomDist(
         name,
         theta,
-        whitening,
+        correlation,
         constants,
-        np.linalg.pinv(whitening),
+        np.linalg.pinv(correlation),
+        errors,
         dist=draw,
         logp=log_probability,
-        signature="(p),(d,e),(),(d,e)->(d)",
+        signature="(p),(d,e),(),(d,e),(d)->(d)",
         observed=values,
     )

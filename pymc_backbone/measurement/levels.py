@@ -113,7 +113,7 @@ def backbones_at_levels(
     --------
     extract_cycles : where cycles come from.
     fit_density : the density of the population.
-    simulated_backbones : the same of simulated specimens.
+    simulate_population : the same of simulated specimens.
     """
     items = [cycles] if isinstance(cycles, Cycles) else list(cycles)
     if not items:

@@ -158,7 +158,7 @@ def run_case(
 
 def _predict(case: Case, posterior: xr.DataTree, backbones: xr.Dataset, random_seed: int) -> xr.Dataset:
     """Return the backbones of some posterior draws."""
-    from ..simulation.backbones import simulated_backbones
+    from ..simulation.backbones import simulate_population
 
     chains, draws = (posterior["posterior"].sizes[dim] for dim in ("chain", "draw"))
     chosen = np.random.default_rng(random_seed).choice(chains * draws, min(PREDICTIVE_DRAWS, chains * draws), False)
@@ -169,7 +169,7 @@ def _predict(case: Case, posterior: xr.DataTree, backbones: xr.Dataset, random_s
         for name in case.model.parameter_names
     ]
     names = [str(value) for value in backbones["observable"].values]
-    return simulated_backbones(case.model, np.column_stack(columns), case.levels, names)
+    return simulate_population(case.model, np.column_stack(columns), case.levels, names)
 
 
 def refused_records(

@@ -37,7 +37,7 @@ import xarray as xr
 
 from .._common.checks import FloatArray, check_choice
 from ..oscillator import Oscillator
-from ..simulation.backbones import simulated_backbones
+from ..simulation.backbones import simulate_population
 from .beam import PAPER_BEAM
 
 Pair = tuple[float, float]
@@ -119,9 +119,9 @@ class Case:
     def measure(
         self, vectors: FloatArray, rng: np.random.Generator, observables: Sequence[str] | None = None
     ) -> xr.Dataset:
-        """Return the measured backbones (`simulated_backbones`) of these specimens, with the case's scatter if any."""
+        """Return the measured backbones (`simulate_population`) of these specimens, with the case's scatter if any."""
         names = self.observables if observables is None else tuple(observables)
-        backbones = simulated_backbones(self.data, vectors, self.levels, names)
+        backbones = simulate_population(self.data, vectors, self.levels, names)
         for name, relative in self.scatter.items():
             if name in names:
                 value = backbones["value"].sel(observable=name)

@@ -154,7 +154,7 @@ def plot_predictive(measured: xr.Dataset, simulated: xr.Dataset, *, probability:
 
     See Also
     --------
-    simulated_backbones : simulates the draws.
+    simulate_population : simulates the draws.
     plots.plot_backbones : the measured ones alone.
     """
     levels, scale, amplitude_label = amplitude_axis(measured)

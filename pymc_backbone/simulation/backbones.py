@@ -1,4 +1,4 @@
-"""Backbones at levels of many simulated specimens, in the Dataset of measured ones."""
+"""Backbones at levels of a population of simulated specimens, in the Dataset of measured ones."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..oscillator import Oscillator
 from .decay import simulate_backbone
 
 
-def simulated_backbones(
+def simulate_population(
     oscillator: Oscillator,
     parameters: ArrayLike,
     levels: ArrayLike,

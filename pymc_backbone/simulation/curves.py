@@ -7,17 +7,26 @@ of the derivatives of a decay is the parameters', behind the one of the release 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numba
 import numpy as np
 
+from .._common.checks import FloatArray, IntArray
+
 _NODES = 4  # a local cubic
 
-compiled = numba.njit(error_model="numpy")
+_compiled = numba.njit(error_model="numpy")
+
+
+def compiled[**P, R](function: Callable[P, R]) -> Callable[P, R]:
+    """Compile a function; to the type checker it stays what it was. Division by zero gives inf or nan."""
+    result: Callable[P, R] = _compiled(function)
+    return result
 
 
 @compiled
-def cycle_quantities(p0, q, p1, time):
+def cycle_quantities(p0: float, q: float, p1: float, time: float) -> tuple[float, float, float, float]:
     """Return amplitude, frequency, damping and offset of the cycle p0, q, p1."""
     amplitude = 0.25 * (p0 + p1 - 2.0 * q)
     damping = 2.0 * math.log((p0 - q) / (p1 - q))
@@ -25,7 +34,9 @@ def cycle_quantities(p0, q, p1, time):
 
 
 @compiled
-def cycle_slope(p0, q, p1, time, d0, dq, d1, dtime, offset):
+def cycle_slope(
+    p0: float, q: float, p1: float, time: float, d0: float, dq: float, d1: float, dtime: float, offset: float
+) -> tuple[float, float, float, float]:
     """Return the derivatives of the four cycle quantities along one column."""
     amplitude = 0.25 * (p0 + p1 - 2.0 * q)
     slope = 0.25 * (d0 + d1 - 2.0 * dq)
@@ -34,7 +45,10 @@ def cycle_slope(p0, q, p1, time, d0, dq, d1, dtime, offset):
 
 
 @compiled
-def cycles_of_decay(turns, times, slopes, time_slopes, count, columns, values, jacobian):
+def cycles_of_decay(
+    turns: FloatArray, times: FloatArray, slopes: FloatArray, time_slopes: FloatArray, count: int, columns: int,
+    values: FloatArray, jacobian: FloatArray,
+) -> int:  # fmt: skip
     """Write the quantities of each peak-to-peak cycle and their derivatives; return how many there are."""
     i = 0 if turns[0] > turns[1] else 1
     cycles = 0
@@ -58,7 +72,10 @@ def cycles_of_decay(turns, times, slopes, time_slopes, count, columns, values, j
 
 
 @compiled
-def curve_at(cycles, cycle_slopes, found, level, k, columns, values, jacobian, weights, tilts):
+def curve_at(
+    cycles: FloatArray, cycle_slopes: FloatArray, found: int, level: float, k: int, columns: int, values: FloatArray,
+    jacobian: FloatArray, weights: FloatArray, tilts: FloatArray,
+) -> bool:  # fmt: skip
     """Write the three observables at ``level`` by the cubic in log amplitude through the nearest four cycles.
 
     ``weights`` and ``tilts`` are room for four numbers each. Returns whether the cycles enclose the level.
@@ -101,7 +118,7 @@ def curve_at(cycles, cycle_slopes, found, level, k, columns, values, jacobian, w
 
 
 @compiled
-def _curve_slopes(cycles, first, size, column, out):
+def _curve_slopes(cycles: FloatArray, first: int, size: int, column: int, out: FloatArray) -> None:
     """Write the slope along log amplitude, at each of ``size`` cycles, of the polynomial through all of them."""
     for i in range(size):
         out[i] = 0.0
@@ -118,7 +135,7 @@ def _curve_slopes(cycles, first, size, column, out):
 
 
 @compiled
-def hermite(nodes, far, near, column, at):
+def hermite(nodes: FloatArray, far: int, near: int, column: int, at: float) -> float:
     """Return the cubic through two rows of ``nodes`` (place first, value in ``column``, slope behind it)."""
     width = nodes[far, 0] - nodes[near, 0]
     value, slope, far_slope = nodes[near, column], nodes[near, column + 1], nodes[far, column + 1]
@@ -126,11 +143,12 @@ def hermite(nodes, far, near, column, at):
     second = (3.0 * secant - 2.0 * slope - far_slope) / width
     third = (slope + far_slope - 2.0 * secant) / (width * width)
     e = at - nodes[near, 0]
-    return value + e * (slope + e * (second + e * third))
+    result: float = value + e * (slope + e * (second + e * third))
+    return result
 
 
 @compiled
-def carry_jacobian(levels, nodes, status, jacobian):
+def carry_jacobian(levels: FloatArray, nodes: FloatArray, status: IntArray, jacobian: FloatArray) -> None:
     """Take derivatives at cycles with log amplitudes ``nodes`` to the ``levels`` next to them.
 
     The slopes along log amplitude are those of the parabola through the cycle and the two nearest good ones.

@@ -72,7 +72,7 @@ class BackboneResult:
     See Also
     --------
     simulate_backbone : returns it.
-    simulated_backbones : many at once, as a Dataset.
+    simulate_population : many at once, as a Dataset.
     """
 
     levels: FloatArray
@@ -313,7 +313,7 @@ def simulate_backbone(
     --------
     simulate_decay : the whole decay, cycle by cycle.
     simulate_waveform : the motion itself.
-    simulated_backbones : many specimens.
+    simulate_population : many specimens.
 
     Notes
     -----

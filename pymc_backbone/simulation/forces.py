@@ -6,9 +6,8 @@ all models and kept on disk. Effects written by a user are reached through one c
 
 from __future__ import annotations
 
-from collections import namedtuple
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -17,26 +16,39 @@ from numpy.typing import NDArray
 
 from .._common.checks import InputError
 from ..effects import BASE_EFFECTS, LIBRARY, Effect
-from .pointers import function_type, matrix, shifted, view
+from .pointers import Floats, Integers, function_type, matrix, shifted, view
 
 FORCE, GRADIENT, REGIME, RATE, RATE_GRADIENT = range(5)
 NO_USER_EFFECT = 0  # the address where there are library effects only
 USER = 1_000_000  # codes from here on are effects written by the user
 NO_STATE, MEMORY, OWN_EQUATION = range(3)
 
-Model = namedtuple(
-    "Model",
-    [
-        "user", "table", "n_effects", "stiffness", "damping", "n_states", "n_parameters", "columns", "mass",
-        "p", "scales", "user_scales", "fp", "fz", "scratch",
-    ],
-)  # fmt: skip
-Model.__doc__ = (
-    "What the integrator knows of an oscillator: address of the user's effects, one row of `table` for each effect "
-    "but linear stiffness and viscous damping, where these two stand among the parameters `p`, how many sensitivities "
-    "are carried (`columns`); amplitude and speed of the motion and sizes of the states (`scales`), room for "
-    "derivatives. All but the counts and the mass are pointers."
-)
+
+class Model(NamedTuple):
+    """What the integrator knows of an oscillator; all but the counts and the mass are pointers.
+
+    Address of the user's effects, one row of ``table`` for each effect but linear stiffness and viscous damping, where
+    these two stand among the parameters ``p``, how many sensitivities are carried (``columns``); amplitude and speed of
+    the motion and sizes of the states (``scales``), room for derivatives.
+    """
+
+    user: int
+    table: Integers
+    n_effects: int
+    stiffness: int
+    damping: int
+    n_states: int
+    n_parameters: int
+    columns: int
+    mass: float
+    p: Floats
+    scales: Floats
+    user_scales: Floats
+    fp: Floats
+    fz: Floats
+    scratch: Floats
+
+
 CODE, P_FIRST, P_LAST, Z_FIRST, Z_LAST, KIND, ROW = range(7)  # columns of the table and their number
 
 USER_SIGNATURE = float64(
@@ -44,9 +56,17 @@ USER_SIGNATURE = float64(
 )
 function_at = function_type(USER_SIGNATURE)
 
-# No function on the hot path allocates, and without reference counting it is six times as fast. Division by zero
-# gives inf or nan, which the integrator looks for, instead of an exception.
-plain = numba.njit(_nrt=False, error_model="numpy", fastmath={"contract"})
+_plain = numba.njit(_nrt=False, error_model="numpy", fastmath={"contract"})
+
+
+def plain[**P, R](function: Callable[P, R]) -> Callable[P, R]:
+    """Compile a function of the hot path; to the type checker it stays what it was.
+
+    None of them allocates, and without reference counting they are six times as fast. Division by zero gives inf or
+    nan, which the integrator looks for, instead of an exception.
+    """
+    compiled: Callable[P, R] = _plain(function)
+    return compiled
 
 
 def _switch(cases: Sequence[tuple[int, Sequence[Any]]], arrays: Sequence[str], result: str) -> Any:
@@ -84,8 +104,8 @@ _incomplete = [effect.name for _, effect in _numbered if effect.gradient is None
 if _incomplete:
     raise TypeError(f"library effects need a gradient: {', '.join(_incomplete)}")
 
-_library_force = _switch([(i, (e.force,)) for i, e in _numbered], (), "0.0")
-_library_slopes = _switch([(i, (e.gradient, e.force)) for i, e in _numbered], ("out",), "0.0")
+_library_force: Callable[..., float] = _switch([(i, (e.force,)) for i, e in _numbered], (), "0.0")
+_library_slopes: Callable[..., float] = _switch([(i, (e.gradient, e.force)) for i, e in _numbered], ("out",), "0.0")
 _library_regime = _switch([(i, (e.regime,)) for i, e in _numbered if e.regime], (), "0")
 _library_rate = _switch([(i, (e.state_rate,)) for i, e in _stateful], ("rates",), "None")
 _library_rate_gradient = _switch([(i, (e.state_rate_gradient,)) for i, e in _stateful], ("rows",), "None")
@@ -119,7 +139,10 @@ def describe_effects(effects: Sequence[Effect]) -> tuple[NDArray[np.int64], int,
 
 
 @plain
-def _call_user(model, kind, row, x, v, direction, z, p, out, size):
+def _call_user(
+    model: Model, kind: int, row: Integers, x: float, v: float, direction: float, z: Floats, p: Floats, out: Floats,
+    size: int,
+) -> float:  # fmt: skip
     """Call the user's effects, with what difference steps are measured by: amplitude, speed, size of each state."""
     n_z = row[Z_LAST] - row[Z_FIRST]
     n_p = row[P_LAST] - row[P_FIRST]
@@ -134,7 +157,7 @@ def _call_user(model, kind, row, x, v, direction, z, p, out, size):
 
 
 @plain
-def effect_force(model, i, x, v, direction, z):
+def effect_force(model: Model, i: int, x: float, v: float, direction: float, z: Floats) -> float:
     """Return the force of effect ``i`` [N]."""
     row = shifted(model.table, ROW * i)
     n_z = row[Z_LAST] - row[Z_FIRST]
@@ -147,7 +170,7 @@ def effect_force(model, i, x, v, direction, z):
 
 
 @plain
-def effect_slopes(model, i, x, v, direction, z):
+def effect_slopes(model: Model, i: int, x: float, v: float, direction: float, z: Floats) -> float:
     """Return the force of effect ``i`` [N] and write dF/dx, dF/dv, dF/dp, dF/dz into the model's scratch."""
     row = shifted(model.table, ROW * i)
     n_z = row[Z_LAST] - row[Z_FIRST]
@@ -161,7 +184,7 @@ def effect_slopes(model, i, x, v, direction, z):
 
 
 @plain
-def total_force(model, x, v, direction, z):
+def total_force(model: Model, x: float, v: float, direction: float, z: Floats) -> float:
     """Return the sum of all forces [N]."""
     total = model.p[model.stiffness] * x + model.p[model.damping] * v
     for i in range(model.n_effects):
@@ -170,7 +193,7 @@ def total_force(model, x, v, direction, z):
 
 
 @plain
-def force_slopes(model, x, v, direction, z):
+def force_slopes(model: Model, x: float, v: float, direction: float, z: Floats) -> tuple[float, float, float]:
     """Return the total force [N], dF/dx and dF/dv."""
     fx = model.p[model.stiffness]
     fv = model.p[model.damping]
@@ -183,7 +206,7 @@ def force_slopes(model, x, v, direction, z):
 
 
 @plain
-def force_gradient(model, x, v, direction, z):
+def force_gradient(model: Model, x: float, v: float, direction: float, z: Floats) -> tuple[float, float, float]:
     """Return the total force [N], dF/dx and dF/dv, and write dF/dp and dF/dz into the model's ``fp`` and ``fz``."""
     fx = model.p[model.stiffness]
     fv = model.p[model.damping]
@@ -206,7 +229,7 @@ def force_gradient(model, x, v, direction, z):
 
 
 @plain
-def smooth_branch(model, x, v, direction, z):
+def smooth_branch(model: Model, x: float, v: float, direction: float, z: Floats) -> int:
     """Return one integer that labels the smooth branch of all forces together."""
     label = 0
     for i in range(model.n_effects):
@@ -223,7 +246,7 @@ def smooth_branch(model, x, v, direction, z):
 
 
 @plain
-def state_rates(model, x, v, direction, z, out):
+def state_rates(model: Model, x: float, v: float, direction: float, z: Floats, out: Floats) -> None:
     """Write dz/dt of all states into ``out``; states that remember a turning point do not move."""
     for i in range(model.n_effects):
         row = shifted(model.table, ROW * i)
@@ -242,7 +265,7 @@ def state_rates(model, x, v, direction, z, out):
 
 
 @plain
-def state_rate_gradients(model, i, x, v, direction, z):
+def state_rate_gradients(model: Model, i: int, x: float, v: float, direction: float, z: Floats) -> None:
     """Write the derivatives of dz/dt of effect ``i`` into the model's scratch, row by row."""
     row = shifted(model.table, ROW * i)
     n_z = row[Z_LAST] - row[Z_FIRST]

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
-from collections import namedtuple
+from typing import NamedTuple
 
-from .forces import force_gradient, plain
-from .pointers import shifted
+from .forces import Model, force_gradient, plain
+from .pointers import Floats, shifted
 
-Samples = namedtuple("Samples", ["time", "displacement", "slopes", "sensitivities", "count"])
-Samples.__doc__ = "Instants [s], room for displacement and derivatives, whether these are wanted, how many instants."
+
+class Samples(NamedTuple):
+    """Instants [s], room for displacement and derivatives, whether these are wanted, how many instants."""
+
+    time: Floats
+    displacement: Floats
+    slopes: Floats
+    sensitivities: bool
+    size: int
 
 
 @plain
-def hermite_position(x0, v0, a0, x1, v1, a1, h, theta):
+def hermite_position(x0: float, v0: float, a0: float, x1: float, v1: float, a1: float, h: float, theta: float) -> float:
     """Return the quintic through position, velocity and acceleration at both ends, at ``theta`` of the step."""
     t2 = theta * theta
     t3 = t2 * theta
@@ -29,7 +36,9 @@ def hermite_position(x0, v0, a0, x1, v1, a1, h, theta):
 
 
 @plain
-def _missed_jerk(x0, v0, a0, jerk0, x1, v1, a1, jerk1, h):
+def _missed_jerk(
+    x0: float, v0: float, a0: float, jerk0: float, x1: float, v1: float, a1: float, jerk1: float, h: float
+) -> tuple[float, float]:
     """Return the jerk at both ends less that of the quintic of `hermite_position`."""
     d = 60.0 * (x1 - x0) / (h * h * h)
     left = d - (36.0 * v0 + 24.0 * v1) / (h * h) + (-9.0 * a0 + 3.0 * a1) / h
@@ -38,7 +47,7 @@ def _missed_jerk(x0, v0, a0, jerk0, x1, v1, a1, jerk1, h):
 
 
 @plain
-def sensitivity_slopes(model, y, direction, out):
+def sensitivity_slopes(model: Model, y: Floats, direction: float, out: Floats) -> None:
     """Write the acceleration's total derivatives, one per column of the sensitivities behind ``y``, into ``out``."""
     columns = model.columns
     _, fx, fv = force_gradient(model, y[0], y[1], direction, shifted(y, 2))
@@ -53,14 +62,17 @@ def sensitivity_slopes(model, y, direction, out):
 
 
 @plain
-def write_samples(model, y, a0, jerk0, y1, a1, jerk1, start, h, smooth, cursor, until, direction, dt, room, samples):
+def write_samples(
+    model: Model, y: Floats, a0: float, jerk0: float, y1: Floats, a1: float, jerk1: float, start: float, h: float,
+    smooth: bool, cursor: int, until: float, direction: float, dt: Floats, room: Floats, samples: Samples,
+) -> int:  # fmt: skip
     """Write displacement and sensitivities at the instants up to ``until`` in a step from ``y`` to ``y1``.
 
     Where the step is ``smooth``, the jerk at both ends lifts the displacement's quintic to a septic. The sensitivities
     behind the state are those at a fixed time since the last turning point; that moves by ``dt``. Returns how many
     instants are done.
     """
-    if cursor >= samples.count or samples.time[cursor] > until:
+    if cursor >= samples.size or samples.time[cursor] > until:
         return cursor
     columns = model.columns if samples.sensitivities else 0
     slope0 = room
@@ -73,7 +85,7 @@ def write_samples(model, y, a0, jerk0, y1, a1, jerk1, start, h, smooth, cursor, 
         left, right = _missed_jerk(y[0], y[1], a0, jerk0, y1[0], y1[1], a1, jerk1, h)
     S = shifted(y, 2 + model.n_states)
     S1 = shifted(y1, 2 + model.n_states)
-    while cursor < samples.count and samples.time[cursor] <= until:
+    while cursor < samples.size and samples.time[cursor] <= until:
         theta = (samples.time[cursor] - start) / h
         rest = 1.0 - theta
         bump = h * theta * rest

@@ -6,11 +6,13 @@ Column 0 of a derivative is the one with respect to the release amplitude, the p
 from __future__ import annotations
 
 import math
-from collections import namedtuple
+from typing import NamedTuple
 
 import numpy as np
 
+from .._common.checks import FloatArray, IntArray
 from .._common.compiled import cached
+from .counts import COUNTED
 from .curves import carry_jacobian, compiled, curve_at, cycle_quantities, cycle_slope, cycles_of_decay, hermite
 from .forces import KIND, OWN_EQUATION, ROW
 from .halfcycle import (
@@ -65,18 +67,43 @@ _COARSE, _LARGEST_COARSE_STEP = 1e-8, 1.0  # where less is asked for, it is good
 _RELEASE_GROWTH = 1.25
 _CHECK_PROGRESS = 400  # after so many turning points, and then each time so many
 
-Run = namedtuple("Run", ["integers", "memory", "p", "y", "slopes", "dt", "columns", "n_states"])
-Run.__doc__ = "A simulation: its description, its memory, and views of what lies in that memory."
+
+class Run(NamedTuple):
+    """A simulation: its description, its memory, and views of what lies in that memory."""
+
+    integers: IntArray
+    memory: FloatArray
+    p: FloatArray
+    y: FloatArray
+    slopes: FloatArray
+    dt: FloatArray
+    columns: int
+    n_states: int
+
+
+class Cycle(NamedTuple):
+    """One cycle: its starting peak, trough and peak, its quantities, and their derivatives along the starting peak.
+
+    Quantities are amplitude, frequency, damping and offset. Derivatives along the parameters are left in the run and in
+    the slopes of the trough.
+    """
+
+    start: float
+    trough: float
+    peak: float
+    quantities: tuple[float, float, float, float]
+    along: tuple[float, float, float, float]
 
 
 def define() -> None:
     """Make the integrator known in this process; needed before any function of this module is called."""
+    COUNTED.define()
     HALF_CYCLE.define()
     LOAD_STATES.define()
 
 
 @compiled
-def _prepare(integers, numbers, p, sensitivities, largest_step):
+def _prepare(integers: IntArray, numbers: FloatArray, p: FloatArray, sensitivities: bool, largest_step: float) -> Run:
     """Return a run of what is described, with a copy of the description and memory of its own."""
     mode = SENSITIVITY if sensitivities else VALUE
     for i in range(integers[N_EFFECTS]):
@@ -99,7 +126,7 @@ def _prepare(integers, numbers, p, sensitivities, largest_step):
 
 
 @compiled
-def _release(run, amplitude):
+def _release(run: Run, amplitude: float) -> None:
     """Put the oscillator at ``amplitude``, at rest, its states as loaded from rest (virgin) or relaxed."""
     for i in range(run.y.size):
         run.y[i] = 0.0
@@ -115,14 +142,14 @@ def _release(run, amplitude):
 
 
 @compiled
-def _swing(run, direction):
+def _swing(run: Run, direction: float) -> int:
     """Run to the next turning point, without sampling."""
     memory = address(run.memory)
     return half_cycle(address(run.integers), memory, address(run.p), direction, memory, memory, memory)
 
 
 @compiled
-def _all_finite(p):
+def _all_finite(p: FloatArray) -> bool:
     """Return whether all parameters are finite: a comparison with nan may take a force past it unnoticed."""
     for value in p:
         if not math.isfinite(value):
@@ -131,7 +158,7 @@ def _all_finite(p):
 
 
 @compiled
-def _derivatives_near(levels, k, has_regime):
+def _derivatives_near(levels: FloatArray, k: int, has_regime: bool) -> float:
     """Return how close to level ``k`` a cycle has to be for derivatives; their slopes come from the levels beside."""
     if has_regime or levels.size < 3:
         return _ALONE
@@ -140,7 +167,7 @@ def _derivatives_near(levels, k, has_regime):
 
 
 @compiled
-def _no_answer(k, values, jacobian):
+def _no_answer(k: int, values: FloatArray, jacobian: FloatArray) -> None:
     """Mark level ``k`` as not answered; ``jacobian`` may be empty."""
     for i in range(3):
         values[i, k] = np.nan
@@ -150,20 +177,100 @@ def _no_answer(k, values, jacobian):
 
 
 @compiled
-def _backbone_by_cycles(integers, numbers, p, values, jacobian, status):
+def _run_cycle(run: Run, start: float, trough: FloatArray) -> tuple[Cycle, int]:
+    """Run one cycle from a peak at ``start`` and leave its slopes there in ``trough``; return it and the status."""
+    none = (0.0, 0.0, 0.0, 0.0)
+    _release(run, start)
+    code = _swing(run, -1.0)
+    if code != COMPLETED:
+        return Cycle(start, 0.0, 0.0, none, none), code
+    q = run.y[0]
+    for c in range(run.columns):
+        trough[c] = run.slopes[c]
+    code = _swing(run, 1.0)
+    p1 = run.y[0]
+    if code == COMPLETED and not (p1 > q and start > q):
+        code = NO_RETURN
+    if code != COMPLETED:
+        return Cycle(start, q, p1, none, none), code
+    time = run.memory[TIME]
+    quantities = cycle_quantities(start, q, p1, time)
+    along = cycle_slope(start, q, p1, time, 1.0, trough[0], run.slopes[0], run.dt[0], quantities[3])
+    return Cycle(start, q, p1, quantities, along), code
+
+
+@compiled
+def _find_cycle(
+    run: Run, level: float, start: float, near: float, is_predicted: bool, trough: FloatArray
+) -> tuple[Cycle, int]:
+    """Return a cycle within ``near`` of ``level``, by Newton's method on its starting peak, and the status.
+
+    The derivative along the starting peak, which the integrator carries anyway, gives the next one.
+    """
+    good = 0.0
+    cycle, code = _run_cycle(run, start, trough)
+    for attempt in range(1, _CYCLES_PER_LEVEL + 1):
+        if code != COMPLETED:
+            # Too far a Newton step, or a prediction beyond what swings: back to where a cycle was completed.
+            run.memory[STEP] = 0.0
+            if good > 0.0:
+                start = 0.5 * (start + good)
+            elif attempt == 1 and is_predicted and abs(start - level) > 1e-6 * level:
+                start = level
+            else:
+                return cycle, code
+        else:
+            error = level - cycle.quantities[0]
+            if not (cycle.along[0] > 0.0 and np.isfinite(error)):
+                return cycle, OUT_OF_REACH
+            if abs(error) <= near * level:
+                return cycle, COMPLETED
+            code = OUT_OF_REACH
+            good = start
+            start += min(max(error / cycle.along[0], -0.5 * start), start)
+        if attempt < _CYCLES_PER_LEVEL:
+            cycle, code = _run_cycle(run, start, trough)
+    return cycle, code
+
+
+@compiled
+def _predict_start(level: float, node: FloatArray, last: int, previous: int, known: int) -> float:
+    """Return where a cycle of this level may start: along the curve through those found last."""
+    at = math.log(level)
+    start = level
+    if known == 1:
+        start = math.exp(node[last, 1] + node[last, 2] * (at - node[last, 0]))
+    elif known > 1:
+        start = math.exp(hermite(node, previous, last, 1, at))
+    return min(max(start, 0.3 * level), 30.0 * level)
+
+
+@compiled
+def _note_cycle(cycle: Cycle, node: FloatArray, last: int) -> None:
+    """Write a cycle into row ``last`` of ``node``: log amplitude; log starting peak and observables with slopes."""
+    node[last, 0] = math.log(cycle.quantities[0])
+    node[last, 1] = math.log(cycle.start)
+    node[last, 2] = cycle.quantities[0] / (cycle.along[0] * cycle.start)
+    for i in range(3):
+        node[last, 3 + 2 * i] = cycle.quantities[1 + i]
+        node[last, 4 + 2 * i] = cycle.along[1 + i] / cycle.along[0] * cycle.quantities[0]
+
+
+@compiled
+def _backbone_by_cycles(
+    integers: IntArray, numbers: FloatArray, p: FloatArray, values: FloatArray, jacobian: FloatArray,
+    status: IntArray,
+) -> None:  # fmt: skip
     """Write the backbone at the levels from one cycle each; for oscillators without internal states.
 
-    The starting peak of a cycle is found by Newton's method on its amplitude. The derivative along the starting
-    amplitude, which the integrator carries anyway, predicts the next start and takes a cycle onto its level.
+    A cycle is sought for each level, from the highest down, and taken onto it along the curve, whose slope the
+    integrator carries anyway.
     """
     levels = numbers[N_NUMBERS:]
     has_regime = integers[HAS_REGIME] != 0
     sensitivities = jacobian.size > 0
     run = _prepare(integers, numbers, p, sensitivities, _LARGEST_STEP)
-    memory = run.memory
     trough = np.zeros(run.columns)
-    quantity = (0.0, 0.0, 0.0, 0.0)
-    along = quantity
     nodes = np.zeros(levels.size)
     # Rows: log amplitude; then value and slope, along log amplitude, of log starting peak and of each observable.
     node = np.zeros((2, 9))
@@ -171,80 +278,35 @@ def _backbone_by_cycles(integers, numbers, p, values, jacobian, status):
     usable = _all_finite(p)
     for k in range(levels.size - 1, -1, -1):
         level = levels[k]
-        at = math.log(level)
-        start = level
-        if known == 1:
-            start = math.exp(node[last, 1] + node[last, 2] * (at - node[last, 0]))
-        elif known > 1:
-            start = math.exp(hermite(node, previous, last, 1, at))
-        start = min(max(start, 0.3 * level), 30.0 * level)
         near = _ON_LEVEL
         if sensitivities:
             near = _derivatives_near(levels, k, has_regime)
         elif known > 0 and not has_regime:
             near = _NEAR_LEVEL
-        good = 0.0
-        code = OUT_OF_REACH
-        error = np.inf
-        q, p1 = 0.0, 0.0
-        for attempt in range(_CYCLES_PER_LEVEL):
-            if not usable:
-                code = RUNAWAY
-                break
-            _release(run, start)
-            code = _swing(run, -1.0)
-            if code == COMPLETED:
-                q = run.y[0]
-                for c in range(run.columns):
-                    trough[c] = run.slopes[c]
-                code = _swing(run, 1.0)
-            if code == COMPLETED:
-                p1 = run.y[0]
-                if not (p1 > q and start > q):
-                    code = NO_RETURN
-            if code != COMPLETED:
-                # Too far a Newton step, or a prediction beyond what swings: back to where a cycle was completed.
-                memory[STEP] = 0.0
-                if good > 0.0:
-                    start = 0.5 * (start + good)
-                elif attempt == 0 and known > 0 and abs(start - level) > 1e-6 * level:
-                    start = level
-                else:
-                    break
-                continue
-            quantity = cycle_quantities(start, q, p1, memory[TIME])
-            along = cycle_slope(start, q, p1, memory[TIME], 1.0, trough[0], run.slopes[0], run.dt[0], quantity[3])
-            error = level - quantity[0]
-            if not (along[0] > 0.0 and np.isfinite(error)):
-                code = OUT_OF_REACH
-                break
-            if abs(error) <= near * level:
-                break
-            code = OUT_OF_REACH
-            good = start
-            start += min(max(error / along[0], -0.5 * start), start)
-        status[k] = code
-        if code != COMPLETED:
+        status[k] = RUNAWAY
+        if usable:
+            start = _predict_start(level, node, last, previous, known)
+            cycle, status[k] = _find_cycle(run, level, start, near, known > 0, trough)
+        if status[k] != COMPLETED:
             _no_answer(k, values, jacobian)
             continue
         if known > 0:
             last, previous = previous, last
         known += 1
-        node[last, 0] = math.log(quantity[0])
-        node[last, 1] = math.log(start)
-        node[last, 2] = quantity[0] / (along[0] * start)
+        _note_cycle(cycle, node, last)
         nodes[k] = node[last, 0]
+        along = cycle.along
         for i in range(3):
-            node[last, 3 + 2 * i] = quantity[1 + i]
-            node[last, 4 + 2 * i] = along[1 + i] / along[0] * quantity[0]
             if known > 1 and not has_regime:
-                values[i, k] = hermite(node, previous, last, 3 + 2 * i, at)
+                values[i, k] = hermite(node, previous, last, 3 + 2 * i, math.log(level))
             else:
-                values[i, k] = quantity[1 + i] + along[1 + i] / along[0] * error
+                values[i, k] = cycle.quantities[1 + i] + along[1 + i] / along[0] * (level - cycle.quantities[0])
         if sensitivities:
             for j in range(p.size):
-                d1, dq = run.slopes[j + 1], trough[j + 1]
-                slope = cycle_slope(start, q, p1, memory[TIME], 0.0, dq, d1, run.dt[j + 1], quantity[3])
+                slope = cycle_slope(
+                    cycle.start, cycle.trough, cycle.peak, run.memory[TIME], 0.0, trough[j + 1], run.slopes[j + 1],
+                    run.dt[j + 1], cycle.quantities[3],
+                )  # fmt: skip
                 for i in range(3):
                     jacobian[i, k, j] = slope[1 + i] - along[1 + i] / along[0] * slope[0]
     if sensitivities and levels.size > 1:
@@ -252,7 +314,9 @@ def _backbone_by_cycles(integers, numbers, p, values, jacobian, status):
 
 
 @compiled
-def _whole_decay(run, release, stop, more, maximum, turns, waveform):
+def _whole_decay(
+    run: Run, release: float, stop: float, more: int, maximum: int, turns: Turns, waveform: Waveform
+) -> tuple[int, int]:
     """Run a decay turning point by turning point until a cycle is smaller than ``stop``, then ``more`` of them.
 
     Writes `Turns` and, at the instants of the `Waveform`, what it has room for. Returns how many turning points there
@@ -312,7 +376,10 @@ def _whole_decay(run, release, stop, more, maximum, turns, waveform):
 
 
 @compiled
-def _backbone_by_decay(integers, numbers, p, values, jacobian, status):
+def _backbone_by_decay(
+    integers: IntArray, numbers: FloatArray, p: FloatArray, values: FloatArray, jacobian: FloatArray,
+    status: IntArray,
+) -> None:  # fmt: skip
     """Write the backbone at the levels from the whole decay, by local cubics in log amplitude between its cycles.
 
     Without a release (0) it is raised in fixed steps, so that it does not slide with the parameters, until the first
@@ -359,7 +426,10 @@ def _backbone_by_decay(integers, numbers, p, values, jacobian, status):
 
 
 @cached
-def backbone(integers, numbers, p, values, jacobian, status):
+def backbone(
+    integers: IntArray, numbers: FloatArray, p: FloatArray, values: FloatArray, jacobian: FloatArray,
+    status: IntArray,
+) -> None:  # fmt: skip
     """Write the backbone that is described into ``values`` (3, l), ``jacobian`` (3, l, p or all 0), ``status`` (l,)."""
     if integers[BY_DECAY] != 0:
         _backbone_by_decay(integers, numbers, p, values, jacobian, status)
@@ -368,7 +438,7 @@ def backbone(integers, numbers, p, values, jacobian, status):
 
 
 @cached
-def decay(integers, numbers, p, turns, waveform):
+def decay(integers: IntArray, numbers: FloatArray, p: FloatArray, turns: Turns, waveform: Waveform) -> tuple[int, int]:
     """Run the whole decay that is described, up to as many turning points as there is room for.
 
     Derivatives are carried with respect to the parameters where ``turns`` has columns for them. Returns the number of

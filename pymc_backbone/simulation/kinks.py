@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from .forces import plain, smooth_branch, state_rates
+from .forces import Model, plain, smooth_branch, state_rates
 from .instants import hermite_position, sensitivity_slopes
-from .pointers import shifted
+from .pointers import Floats, shifted
 from .states import state_slopes
 
 HOP = 2e-7  # radians from just before a kink to just behind it (error: its square)
@@ -17,7 +17,10 @@ KINK_WINDOW = 0.08  # radians within which a Taylor polynomial finds a kink (err
 
 
 @plain
-def fraction_before_kink(model, y, a, y1, a1, h, label, direction, precision, rates, moving, middle):
+def fraction_before_kink(
+    model: Model, y: Floats, a: float, y1: Floats, a1: float, h: float, label: int, direction: float,
+    precision: float, rates: Floats, moving: bool, middle: Floats,
+) -> float:  # fmt: skip
     """Return the share of a step at which the label of the smooth branch changes, by bisection.
 
     ``rates`` holds the states' rates at the start, where they are ``moving``; those at the end are computed.
@@ -43,7 +46,10 @@ def fraction_before_kink(model, y, a, y1, a1, h, label, direction, precision, ra
 
 
 @plain
-def time_to_kink(model, y, y1, a, jerk, window, label, direction, precision, rates, moving, middle):
+def time_to_kink(
+    model: Model, y: Floats, y1: Floats, a: float, jerk: float, window: float, label: int, direction: float,
+    precision: float, rates: Floats, moving: bool, middle: Floats,
+) -> float:  # fmt: skip
     """Return when within ``window`` the label of the smooth branch changes, by a Taylor polynomial, or inf."""
     y1[0] = y[0] + window * (y[1] + window * (0.5 * a + window * jerk / 6.0))
     y1[1] = y[1] + window * (a + 0.5 * window * jerk)
@@ -58,7 +64,10 @@ def time_to_kink(model, y, y1, a, jerk, window, label, direction, precision, rat
 
 
 @plain
-def hop_over(model, y, y1, a, direction, step, moving, K, room):
+def hop_over(
+    model: Model, y: Floats, y1: Floats, a: float, direction: float, step: float, moving: bool, K: Floats,
+    room: Floats,
+) -> None:  # fmt: skip
     """Take an Euler step, so short that what it passes over does not matter."""
     columns = model.columns
     rows = 2 + model.n_states

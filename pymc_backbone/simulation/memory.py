@@ -6,12 +6,11 @@ the native functions; a run takes a copy of the integers and notes in it how it 
 
 from __future__ import annotations
 
-from collections import namedtuple
 from typing import NamedTuple
 
 from .._common.checks import FloatArray, IntArray
 from .forces import Model, plain
-from .pointers import shifted
+from .pointers import Floats, Integers, shifted
 from .stepper import STAGES
 
 VALUE, SENSITIVITY, OWN_STATES = range(3)  # which stepper; with OWN_STATES as many columns as wanted, or none
@@ -56,21 +55,31 @@ class Waveform(NamedTuple):
     slopes: FloatArray
 
 
-Memory = namedtuple(
-    "Memory",
-    [
-        "scales", "user_scales", "dt", "shift", "fp", "fz", "middle", "room", "quadrature", "scratch", "now", "next",
-        "K", "size",
-    ],
-)  # fmt: skip
-Memory.__doc__ = (
-    "Where things stand in the memory of a run. `dt`: derivatives of time; `now`, `next`: x, v, states, and behind "
-    "them the derivatives of each with respect to the release amplitude and the parameters."
-)
+class Memory(NamedTuple):
+    """Where things stand in the memory of a run.
+
+    ``dt``: derivatives of time; ``now``, ``next``: x, v, states, and behind them the derivatives of each with respect
+    to the release amplitude and the parameters.
+    """
+
+    scales: int
+    user_scales: int
+    dt: int
+    shift: int
+    fp: int
+    fz: int
+    middle: int
+    room: int
+    quadrature: int
+    scratch: int
+    now: int
+    next: int
+    K: int
+    size: int
 
 
 @plain
-def memory_of(n_parameters, n_states, columns, mode):
+def memory_of(n_parameters: int, n_states: int, columns: int, mode: int) -> Memory:
     """Return the places of a run's arrays in its memory, and the size of all."""
     rows = 2 + n_states
     length = rows * (1 + columns)
@@ -92,7 +101,7 @@ def memory_of(n_parameters, n_states, columns, mode):
 
 
 @plain
-def model_of(run, memory, p, place):
+def model_of(run: Integers, memory: Floats, p: Floats, place: Memory) -> Model:
     """Return what the integrator knows of the oscillator, as pointers into a run's memory."""
     return Model(
         run[USER], shifted(run, TABLE), run[N_EFFECTS], run[STIFFNESS], run[DAMPING], run[N_STATES],
@@ -103,6 +112,6 @@ def model_of(run, memory, p, place):
 
 
 @plain
-def place_of(run):
+def place_of(run: Integers) -> Memory:
     """Return the places of a run's arrays in its memory."""
     return memory_of(run[N_PARAMETERS], run[N_STATES], run[COLUMNS], run[MODE])

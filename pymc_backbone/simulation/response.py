@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from hashlib import sha256
 
 import numpy as np
@@ -14,7 +14,12 @@ from numpy.typing import ArrayLike
 from .._common.checks import OBSERVABLES, FloatArray, InputError, check_levels, check_observables, check_positive
 from .._common.compiled import compiled_sources_digest
 from ..oscillator import Oscillator
+from .counts import FAILURES, GRADIENTS, REMEMBERED, SIMULATIONS, count
 from .decay import Simulator
+
+# Parameter vectors that are remembered. A walk asks for the next point and the present one: of three, the one not asked
+# for longest is neither; of two, a second rejection in a row would drop the present one.
+MEMORY = 3
 
 
 @dataclass(frozen=True)
@@ -71,6 +76,9 @@ class OscillatorResponse:
         jacobian = np.empty((3, levels.size, theta.size) if wanted else (0, 0, 0))
         status = np.zeros(levels.size, dtype=np.int64)
         simulator.backbone(theta, levels, self.release_amplitude, self.virgin, values, jacobian, status)
+        count(GRADIENTS if wanted else SIMULATIONS, 1)
+        if status.any():
+            count(FAILURES, 1)
         rows = list(self.rows)
         return values[rows], jacobian[rows] if wanted else jacobian, not status.any()
 
@@ -97,17 +105,38 @@ class CallableResponse:
         Amplitudes [m or rad].
     observables : tuple of str
         Which of frequency, damping, offset the rows are.
+
+    Notes
+    -----
+    The last few parameter vectors are remembered with what the function returned for them: it may be slow, and PyMC's
+    steps ask for the present point again with every proposal.
     """
 
     function: Callable[[dict[str, float], FloatArray], ArrayLike]
     parameter_names: tuple[str, ...]
     levels: tuple[float, ...]
     observables: tuple[str, ...]
+    _known: dict[bytes, FloatArray] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     has_gradient = False
 
     def evaluate(self, theta: FloatArray, wanted: bool) -> tuple[FloatArray, FloatArray, bool]:
         """Return values (o, l), an empty array, and whether the function returned finite values."""
+        key = theta.tobytes()
+        values = self._known.pop(key, None)
+        if values is None:
+            values = self._call(theta)
+            count(SIMULATIONS, 1)
+            count(FAILURES, 0 if np.isfinite(values).all() else 1)
+        else:
+            count(REMEMBERED, 1)
+        self._known[key] = values
+        while len(self._known) > MEMORY:
+            self._known.pop(next(iter(self._known)))
+        return values.copy(), np.empty((0, 0, 0)), bool(np.isfinite(values).all())
+
+    def _call(self, theta: FloatArray) -> FloatArray:
+        """Return what the function says, NaN where it fails."""
         shape = (len(self.observables), len(self.levels))
         try:
             values = np.asarray(
@@ -115,13 +144,13 @@ class CallableResponse:
                 dtype=np.float64,
             )
         except (ArithmeticError, ValueError, RuntimeError, np.linalg.LinAlgError):
-            return np.full(shape, np.nan), np.empty((0, 0, 0)), False
+            return np.full(shape, np.nan)
         if values.shape != shape:
             raise InputError(
                 f"the backbone function must return an array of shape {shape} (observables, levels), "
                 f"got {values.shape}."
             )
-        return values, np.empty((0, 0, 0)), bool(np.isfinite(values).all())
+        return values
 
 
 Response = OscillatorResponse | CallableResponse

@@ -14,20 +14,21 @@ from .forces import (
     ROW,
     Z_FIRST,
     Z_LAST,
+    Model,
     force_gradient,
     plain,
     state_rate_gradients,
     state_rates,
     total_force,
 )
-from .pointers import shifted
+from .pointers import Floats, Integers, shifted
 
 _RAMP_STEPS = 128
 _NEWTON_STEPS = 30
 
 
 @plain
-def state_slopes(model, y, direction, out):
+def state_slopes(model: Model, y: Floats, direction: float, out: Floats) -> None:
     """Write the time derivatives of a state vector into ``out``."""
     columns = model.columns
     x = y[0]
@@ -73,21 +74,21 @@ def state_slopes(model, y, direction, out):
 
 
 @plain
-def _write_along(out, S, columns, by_x, by_v):
+def _write_along(out: Floats, S: Floats, columns: int, by_x: float, by_v: float) -> None:
     """Write what the first two rows of sensitivities contribute to the derivatives of a slope."""
     for c in range(columns):
         out[c] = by_x * S[c] + by_v * S[columns + c]
 
 
 @plain
-def _add_row(out, row, columns, factor):
+def _add_row(out: Floats, row: Floats, columns: int, factor: float) -> None:
     """Add a multiple of one row of sensitivities."""
     for c in range(columns):
         out[c] += factor * row[c]
 
 
 @plain
-def _along(model, row, state, c, dx, dv, Sz):
+def _along(model: Model, row: Integers, state: int, c: int, dx: float, dv: float, Sz: Floats) -> float:
     """Return the derivative of one state's rate along column ``c``; the model's scratch holds the rate's gradient."""
     n_parameters = row[P_LAST] - row[P_FIRST]
     n = row[Z_LAST] - row[Z_FIRST]
@@ -101,7 +102,7 @@ def _along(model, row, state, c, dx, dv, Sz):
 
 
 @plain
-def load_slowly(model, y, side, room):
+def load_slowly(model: Model, y: Floats, side: float, room: Floats) -> None:
     """Bring states with their own equation to where slow loading from zero to the displacement ``y[0]`` takes them.
 
     First the part of their rates that the motion causes (Runge-Kutta 4 along the path); then, if they are not at rest
@@ -142,7 +143,7 @@ def load_slowly(model, y, side, room):
 
 
 @plain
-def _ramp_slopes(model, amplitude, u, zS, side, out):
+def _ramp_slopes(model: Model, amplitude: float, u: float, zS: Floats, side: float, out: Floats) -> None:
     """Write slopes along the loading path ``x = amplitude * u**3``: the rates with the motion less those without.
 
     The cube takes small steps at first, where states grow from zero and their rates may have no second derivative.
@@ -177,7 +178,9 @@ def _ramp_slopes(model, amplitude, u, zS, side, out):
 
 
 @plain
-def _hold(model, i, row, amplitude, z, Sz, side, room):
+def _hold(
+    model: Model, i: int, row: Integers, amplitude: float, z: Floats, Sz: Floats, side: float, room: Floats
+) -> None:
     """Let the states of effect ``i`` come to rest at a held displacement, if they are not at rest already."""
     n = row[Z_LAST] - row[Z_FIRST]
     width = 2 + row[P_LAST] - row[P_FIRST] + n
@@ -225,7 +228,7 @@ def _hold(model, i, row, amplitude, z, Sz, side, room):
 
 
 @plain
-def _solve(matrix, right, n):
+def _solve(matrix: Floats, right: Floats, n: int) -> bool:
     """Solve a small linear system in place by elimination with pivoting; return whether it could be solved."""
     for k in range(n):
         pivot = k

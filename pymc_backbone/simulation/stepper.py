@@ -17,22 +17,24 @@ from __future__ import annotations
 
 import math
 
-from .forces import force_gradient, force_slopes, plain
-from .pointers import shifted
+from .forces import Model, force_gradient, force_slopes, plain
+from .pointers import Floats, shifted
 from .states import state_slopes
 
 STAGES = 12
 
 
 @plain
-def scaled_error(square5, square3, count, h, tolerance):
+def scaled_error(square5: float, square3: float, count: float, h: float, tolerance: float) -> float:
     """Return the error that Hairer's mixture of the 5th and the 3rd order estimate gives, in units of tolerance."""
     denominator = square5 + 0.01 * square3
     return abs(h) * square5 / (math.sqrt(count * denominator) * tolerance) if denominator > 0.0 else 0.0
 
 
 @plain
-def _add_quadrature(model, S, quadrature, weight, u, du, w, dw):
+def _add_quadrature(
+    model: Model, S: Floats, quadrature: Floats, weight: float, u: float, du: float, w: float, dw: float
+) -> None:
     """Add one stage to the quadratures: the fundamental matrix's inverse times (0, parameter force)."""
     weight = weight / (u * dw - w * du)
     columns = model.columns
@@ -45,7 +47,9 @@ def _add_quadrature(model, S, quadrature, weight, u, du, w, dw):
 
 
 @plain
-def _apply_fundamental_matrix(S, S1, columns, quadrature, u, du, w, dw):
+def _apply_fundamental_matrix(
+    S: Floats, S1: Floats, columns: int, quadrature: Floats, u: float, du: float, w: float, dw: float
+) -> None:
     """Write the sensitivities at the end of the step into ``S1``."""
     for c in range(columns):
         sx = S[c] + quadrature[2 * c]
@@ -55,7 +59,7 @@ def _apply_fundamental_matrix(S, S1, columns, quadrature, u, du, w, dw):
 
 
 @plain
-def step_value(model, y, S, a1, fx, fv, direction, h, tolerance, y1, S1):
+def step_value(model: Model, y: Floats, S: Floats, a1: float, fx: float, fv: float, direction: float, h: float, tolerance: float, y1: Floats, S1: Floats) -> float:
     """Advance the state and its slope along the starting amplitude by ``h``."""
     minus = -1.0 / model.mass
     z = shifted(y, 2)
@@ -156,7 +160,7 @@ def step_value(model, y, S, a1, fx, fv, direction, h, tolerance, y1, S1):
 
 
 @plain
-def step_sensitivity(model, y, S, a1, fx, fv, direction, h, tolerance, y1, S1, quadrature):
+def step_sensitivity(model: Model, y: Floats, S: Floats, a1: float, fx: float, fv: float, direction: float, h: float, tolerance: float, y1: Floats, S1: Floats, quadrature: Floats) -> float:
     """Advance the state and all sensitivities by ``h``."""
     minus = -1.0 / model.mass
     z = shifted(y, 2)
@@ -303,7 +307,7 @@ def step_sensitivity(model, y, S, a1, fx, fv, direction, h, tolerance, y1, S1, q
 
 
 @plain
-def step_states(model, y, direction, h, tolerance, y1, K):
+def step_states(model: Model, y: Floats, direction: float, h: float, tolerance: float, y1: Floats, K: Floats) -> float:
     """Advance the state ``y``, behind which its sensitivities stand, by ``h``; ``K`` is room for the slopes."""
     rows = 2 + model.n_states
     size = rows * (1 + model.columns)

@@ -8,6 +8,7 @@ from typing import Any
 import numba
 import numpy as np
 
+from .._common.checks import FloatArray
 from ..effects import Effect
 from .forces import FORCE, GRADIENT, NO_USER_EFFECT, RATE, REGIME, USER, USER_SIGNATURE, plain
 
@@ -16,12 +17,15 @@ _FUNCTIONS = ("force", "gradient", "regime", "state_rate", "state_rate_gradient"
 
 
 @plain
-def _no_more_effects(kind, code, x, v, direction, z, p, scales, out):
+def _no_more_effects(
+    kind: int, code: int, x: float, v: float, direction: float, z: FloatArray, p: FloatArray, scales: FloatArray,
+    out: FloatArray,
+) -> float:  # fmt: skip
     return 0.0
 
 
 @plain
-def _step(column, z, p, scales):
+def _step(column: int, z: FloatArray, p: FloatArray, scales: FloatArray) -> float:
     """Return the difference step of a column: x, v, then parameters by their values, then states by their sizes."""
     if column < 2:
         return _STEP * scales[column]
@@ -33,7 +37,7 @@ def _numeric_gradient(force: Any, regime: Any) -> Any:
     """Return a compiled gradient of ``force`` by differences scaled with the motion, none of them across a kink."""
 
     @numba.njit
-    def at(column, h, x, v, direction, z, p):
+    def at(column: int, h: float, x: float, v: float, direction: float, z: FloatArray, p: FloatArray) -> Any:
         if column < 2:
             x, v = (x + h, v) if column == 0 else (x, v + h)
             return force(x, v, direction, z, p), regime(x, v, direction, z, p)
@@ -45,7 +49,9 @@ def _numeric_gradient(force: Any, regime: Any) -> Any:
         return result
 
     @numba.njit
-    def gradient(x, v, direction, z, p, scales, out):
+    def gradient(
+        x: float, v: float, direction: float, z: FloatArray, p: FloatArray, scales: FloatArray, out: FloatArray
+    ) -> None:
         label = regime(x, v, direction, z, p)
         for column in range(2 + p.size + z.size):
             h = _step(column, z, p, scales)
@@ -64,7 +70,9 @@ def _numeric_gradient(force: Any, regime: Any) -> Any:
 
 def _given_gradient(given: Any) -> Any:
     @numba.njit
-    def gradient(x, v, direction, z, p, scales, out):
+    def gradient(
+        x: float, v: float, direction: float, z: FloatArray, p: FloatArray, scales: FloatArray, out: FloatArray
+    ) -> None:
         given(x, v, direction, z, p, out)
 
     return gradient
@@ -74,7 +82,9 @@ def _numeric_rate_gradient(rate: Any, regime: Any) -> Any:
     """Return compiled derivatives of ``rate``, like those of `_numeric_gradient`, row by row into a flat array."""
 
     @numba.njit
-    def at(column, h, x, v, direction, z, p, rates):
+    def at(
+        column: int, h: float, x: float, v: float, direction: float, z: FloatArray, p: FloatArray, rates: FloatArray
+    ) -> Any:
         if column < 2:
             x, v = (x + h, v) if column == 0 else (x, v + h)
             rate(x, v, direction, z, p, rates)
@@ -88,7 +98,9 @@ def _numeric_rate_gradient(rate: Any, regime: Any) -> Any:
         return label
 
     @numba.njit
-    def gradient(x, v, direction, z, p, scales, out):
+    def gradient(
+        x: float, v: float, direction: float, z: FloatArray, p: FloatArray, scales: FloatArray, out: FloatArray
+    ) -> None:
         n, width = z.size, 2 + p.size + z.size
         above, below, here = np.empty(n), np.empty(n), np.empty(n)
         rate(x, v, direction, z, p, here)
@@ -113,7 +125,9 @@ def _numeric_rate_gradient(rate: Any, regime: Any) -> Any:
 
 def _given_rate_gradient(given: Any) -> Any:
     @numba.njit
-    def gradient(x, v, direction, z, p, scales, out):
+    def gradient(
+        x: float, v: float, direction: float, z: FloatArray, p: FloatArray, scales: FloatArray, out: FloatArray
+    ) -> None:
         n, width = z.size, 2 + p.size + z.size
         given(x, v, direction, z, p, out[: n * width].reshape((n, width)))
 
@@ -121,17 +135,19 @@ def _given_rate_gradient(given: Any) -> Any:
 
 
 @plain
-def _no_rate(x, v, direction, z, p, out):
+def _no_rate(x: float, v: float, direction: float, z: FloatArray, p: FloatArray, out: FloatArray) -> None:
     out[:] = 0.0
 
 
 @plain
-def _no_rate_gradient(x, v, direction, z, p, scales, out):
+def _no_rate_gradient(
+    x: float, v: float, direction: float, z: FloatArray, p: FloatArray, scales: FloatArray, out: FloatArray
+) -> None:
     out[:] = 0.0
 
 
 @plain
-def _single_regime(x, v, direction, z, p):
+def _single_regime(x: float, v: float, direction: float, z: FloatArray, p: FloatArray) -> int:
     return 0
 
 
@@ -146,7 +162,10 @@ def _link_user(index: int, effect: Effect, rest: Any) -> Any:
         rate_gradient = _given_rate_gradient(given) if given else _numeric_rate_gradient(effect.state_rate, regime)
 
     @numba.njit
-    def link(kind, code, x, v, direction, z, p, scales, out):
+    def link(
+        kind: int, code: int, x: float, v: float, direction: float, z: FloatArray, p: FloatArray, scales: FloatArray,
+        out: FloatArray,
+    ) -> float:  # fmt: skip
         if code != index:
             return rest(kind, code, x, v, direction, z, p, scales, out)
         if kind == FORCE:
@@ -179,7 +198,10 @@ def compose_user_effects(effects: Sequence[Effect]) -> int:
         for index, effect in reversed(list(enumerate(effects))):
             chain = _link_user(USER + index, effect, chain)
 
-        def call(kind, code, x, v, direction, z, p, scales, out):
+        def call(
+            kind: int, code: int, x: float, v: float, direction: float, z: FloatArray, p: FloatArray,
+            scales: FloatArray, out: FloatArray,
+        ) -> float:  # fmt: skip
             return chain(kind, code, x, v, direction, z, p, scales, out)
 
         # The effects are kept with the pointer: their ids are the key, so they must not be collected.

@@ -156,8 +156,9 @@ def _infer(
 ) -> Updated:
     """Build the model, sample it, and simulate backbones with draws of its posterior."""
     from ..inference.diagnostics import summarise
-    from ..inference.model import build_model, likelihood_of, targets_of
+    from ..inference.model import build_model, likelihood_of
     from ..inference.sampling import sample
+    from ..inference.targets import targets_of
 
     kind = likelihood_of(measured.backbones, comparing.likelihood)
     bounds = _bounds(oscillator, measured, modelling)
@@ -272,7 +273,7 @@ def _predictive(
     backbones: xr.Dataset,
     seed: int | None,
 ) -> xr.Dataset:
-    from ..simulation.backbones import simulated_backbones
+    from ..simulation.backbones import simulate_population
 
     draws = posterior["posterior"].to_dataset()
     columns = [
@@ -283,7 +284,7 @@ def _predictive(
     chosen = np.random.default_rng(seed).choice(size, size=min(PREDICTIVE_DRAWS, size), replace=False)
     parameters = np.column_stack([np.broadcast_to(column, (size,))[chosen] for column in columns])
     names = [str(name) for name in backbones["observable"].values]
-    return simulated_backbones(oscillator, parameters, np.asarray(backbones["level"]), names)
+    return simulate_population(oscillator, parameters, np.asarray(backbones["level"]), names)
 
 
 def _parameters(

@@ -11,7 +11,7 @@ import pymc as pm
 
 from ..._common.digests import FunctionDigest
 from ...simulation.response import OscillatorResponse
-from ..model import Target, targets_of
+from ..targets import Target, targets_of
 
 _SHOWN = 60  # characters of a value in a sentence
 

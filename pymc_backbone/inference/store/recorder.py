@@ -6,7 +6,7 @@ import logging
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -47,7 +47,7 @@ class Recorder:
         step: Any,
         folders: Sequence[ChunkFolder],
         stored: Sequence[StoredChain],
-        count: Callable[[], dict[str, float]],
+        count: Callable[[], Mapping[str, float]],
     ) -> None:
         self.target, self.folders, self.stored, self.count = step, folders, stored, count
         self._inner_step, self._inner_setup = step.step, step.setup_chain

@@ -150,7 +150,7 @@ class DrawStore:
                         "folder."
                     )
 
-    def record(self, step: Any, count: Callable[[], dict[str, float]]) -> Recorder:
+    def record(self, step: Any, count: Callable[[], Mapping[str, float]]) -> Recorder:
         """Let a step write into this store, after it has repeated what is there."""
         self.recorder = Recorder(step, self.folders, self.stored, count)
         return self.recorder
