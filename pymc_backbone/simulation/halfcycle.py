@@ -42,6 +42,7 @@ from .memory import (
     MODE,
     N_SAMPLES,
     OWN_STATES,
+    QUANTITY,
     SAMPLE_SLOPES,
     SENSITIVITY,
     STEP,
@@ -187,10 +188,10 @@ def _growth(error):
 
 
 @plain
-def _half_cycle(run, memory, p, direction, time, displacement, slopes):
+def _half_cycle(run, memory, p, direction, time, values, slopes):
     place = place_of(run)
     model = model_of(run, memory, p, place)
-    samples = Samples(time, displacement, slopes, run[SAMPLE_SLOPES] != 0, run[N_SAMPLES])
+    samples = Samples(time, values, slopes, run[SAMPLE_SLOPES] != 0, run[N_SAMPLES], run[QUANTITY])
     y = shifted(memory, place.now)
     y1 = shifted(memory, place.next)
     z = shifted(y, 2)
@@ -302,7 +303,7 @@ def _half_cycle(run, memory, p, direction, time, displacement, slopes):
             if y1[1] * direction < 0.0 and a1 * direction < 0.0:
                 until += _turning_time(y1[1], a1, jerk1)
             run[CURSOR] = write_samples(
-                model, y, a, jerk, y1, a1, jerk1, memory[TIME], step, not hop, run[CURSOR], until,
+                model, y, a, jerk, y1, a1, jerk1, memory[TIME], step, not hop, moving, run[CURSOR], until,
                 direction, dt, room, samples,
             )  # fmt: skip
         memory[TIME] += step
@@ -341,7 +342,7 @@ def _half_cycle(run, memory, p, direction, time, displacement, slopes):
                         a1 = -force / mass
                         jerk1 = _jerk(model, y1[0], 0.0, a1, fx1, fv1, direction, z1, moving, middle)
                         run[CURSOR] = write_samples(
-                            model, y, a, jerk, y1, a1, jerk1, memory[TIME], tau, True, run[CURSOR],
+                            model, y, a, jerk, y1, a1, jerk1, memory[TIME], tau, True, moving, run[CURSOR],
                             memory[TIME] + tau, direction, dt, room, samples,
                         )  # fmt: skip
                     for k in range(rows * (1 + columns)):
@@ -388,7 +389,7 @@ def _load_states(run, memory, p, virgin):
 
 HALF_CYCLE = NativeFunction("half_cycle", int64(INTEGERS, FLOATS, FLOATS, float64, FLOATS, FLOATS, FLOATS), _half_cycle)
 half_cycle = HALF_CYCLE.call
-"""``half_cycle(run, memory, p, direction, time, displacement, slopes) -> status``: on to the next turning point.
+"""``half_cycle(run, memory, p, direction, time, values, slopes) -> status``: on to the next turning point.
 
 On entry the memory's ``now`` describes a turning point, on return the next one; time and ``dt`` gain what that took.
 """
