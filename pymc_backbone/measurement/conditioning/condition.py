@@ -287,7 +287,7 @@ class _Conditioning:
     def _spectrum(self, values: FloatArray, path: Track, band_pass: BandPass | None) -> NoiseSpectrum:
         """Return the spectrum of the noise of the measured quantity."""
         if band_pass is None:
-            return noise_spectrum(values, self.rate, path, self.step)
+            return noise_spectrum(values, self.rate, path, self.step, self.integrations)
         return noise_in_band(values, self.rate, path, lambda f: np.abs(band_pass.gain(f)), self.step)
 
     def _baseline(

@@ -17,7 +17,7 @@ _PASSED = 0.25
 _QUIET_CYCLES, _QUIET_SAMPLES = 3.0, 100
 _FINE_SAMPLING = 24.0
 _MAXIMUM_SEGMENTS = 24
-_MAXIMUM_HARMONICS = 8
+_MAXIMUM_HARMONICS = 8  # of a displacement; each differentiation gives the higher ones more weight
 _FINE_BINS = 12
 _USABLE = 0.4
 _GRID = 4096
@@ -66,18 +66,21 @@ def quantum(values: FloatArray) -> float:
     return step if np.median(off[ratio < 20.0]) < 0.05 else 0.0
 
 
-def noise_spectrum(values: FloatArray, sampling_rate: float, track: Track, step: float = 0.0) -> NoiseSpectrum:
+def noise_spectrum(
+    values: FloatArray, sampling_rate: float, track: Track, step: float = 0.0, integrations: int = 0
+) -> NoiseSpectrum:
     """Estimate the noise spectrum of a decay from what its own harmonics leave.
 
     In segments of six cycles the harmonics, with amplitudes that vary as the tracked amplitude times a
     low-order polynomial, are fitted and subtracted; the periodogram of what is left, divided by
     the share of white noise that the fit leaves at each frequency, is the noise. The mean over segments leaves out
     glitches, the median over wide bins keeps out narrow lines (a second mode, mains hum). The noise is at
-    least that of rounding to the ``step`` of the converter (variance step^2 / 12).
+    least that of rounding to the ``step`` of the converter (variance step^2 / 12). Friction makes acceleration jump: with
+    ``integrations`` more harmonics are fitted, which would else be taken for noise.
     """
     edges = _bin_edges(track.frequency, 0.5 * sampling_rate)
     rows = [
-        _binned(edges, *_periodogram(values[first:last], first, sampling_rate, track))
+        _binned(edges, *_periodogram(values[first:last], first, sampling_rate, track, integrations))
         for first, last in _segments(values.size, sampling_rate, track, _SEGMENT_CYCLES)
     ]
     return _spectrum(edges, rows, step)
@@ -162,12 +165,14 @@ def _bin_edges(frequency: float, nyquist: float) -> FloatArray:
     return np.array(edges)
 
 
-def _periodogram(values: FloatArray, first: int, sampling_rate: float, track: Track) -> tuple[FloatArray, FloatArray]:
+def _periodogram(
+    values: FloatArray, first: int, sampling_rate: float, track: Track, integrations: int = 0
+) -> tuple[FloatArray, FloatArray]:
     """Return frequencies and noise densities of one segment that begins at sample ``first``."""
     n = values.size
     time = np.arange(first, first + n) / sampling_rate
     cycles = n * track.frequency / sampling_rate
-    harmonics = int(np.clip(0.5 * sampling_rate / track.frequency - 0.5, 1, _MAXIMUM_HARMONICS))
+    harmonics = int(np.clip(0.5 * sampling_rate / track.frequency - 0.5, 1, _MAXIMUM_HARMONICS * (1 + integrations)))
     while harmonics > 1 and 6 + 4 * harmonics > 0.65 * n:
         harmonics -= 1
     is_fine = sampling_rate / track.frequency >= _FINE_SAMPLING
