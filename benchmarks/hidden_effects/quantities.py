@@ -4,9 +4,9 @@
     python benchmarks/hidden_effects/quantities.py DIR [--tiers acceleration velocity] [--diagnose]
 
 DIR holds a folder for each of the tiers `displacement`, `velocity`, `acceleration`, `band_passed` and
-`band_passed_acceleration`, whose batches hide the same motions. For each batch the hidden effect is fitted from its true
-parameters: the reduced chi-square says whether data and model are compared without an error of the comparison. Then
-every other single effect is fitted as the search would, and the evidence ranks them. With ``--diagnose`` the whole
+`band_passed_acceleration`, whose batches hide the same motions. For each batch the hidden effect is fitted from its
+true parameters: the reduced chi-square says whether data and model are compared without an error of the comparison.
+Then every other single effect is fitted as the search would, and the evidence ranks them. With ``--diagnose`` the whole
 search runs on records alone, as a user would run it.
 """
 

@@ -75,8 +75,8 @@ def noise_spectrum(
     low-order polynomial, are fitted and subtracted; the periodogram of what is left, divided by
     the share of white noise that the fit leaves at each frequency, is the noise. The mean over segments leaves out
     glitches, the median over wide bins keeps out narrow lines (a second mode, mains hum). The noise is at
-    least that of rounding to the ``step`` of the converter (variance step^2 / 12). Friction makes acceleration jump: with
-    ``integrations`` more harmonics are fitted, which would else be taken for noise.
+    least that of rounding to the ``step`` of the converter (variance step^2 / 12). Friction makes acceleration jump:
+    with ``integrations`` more harmonics are fitted, which would else be taken for noise.
     """
     edges = _bin_edges(track.frequency, 0.5 * sampling_rate)
     rows = [
