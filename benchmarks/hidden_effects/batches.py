@@ -179,7 +179,7 @@ def _usable_cycles(
     omega = math.sqrt(nominal["linear_stiffness"] / nominal["mass"])
     wanted = log_uniform(rng, *plan.cycles)
     tail = rng.uniform(1.0, 1.4)
-    fewest = 10.0 if rng.random() < 0.9 else 6.0
+    fewest = max(10.0 if rng.random() < 0.9 else 6.0, plan.fewest_cycles)
     lengths, frequency = [], 0.0
     for release in (max(releases), min(releases)):
         decay = simulate(pack(nominal), release, np.array([2.0 * math.pi * wanted / omega]))

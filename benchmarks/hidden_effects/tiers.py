@@ -75,6 +75,8 @@ class Plan:
         Whether strengths are drawn from the range that most records show.
     quantity : str
         What is measured.
+    fewest_cycles : float
+        Of the record; 6 or 10 in any case.
     is_banded : bool
         Whether a second mode at 2.6 to 3.4 times the frequency has to be filtered away with the band in the truth.
     damping_ratio, cycles, samples_per_cycle, noise_db, bits, specimens, release_factor : tuple
@@ -90,6 +92,7 @@ class Plan:
     second_mode: bool = False
     quantity: str = "displacement"
     is_banded: bool = False
+    fewest_cycles: float = 0.0
     damping_ratio: tuple[float, float] = (0.001, 0.03)
     cycles: tuple[int, int] = (20, 120)
     samples_per_cycle: tuple[float, float] = (8.0, 200.0)
@@ -168,6 +171,7 @@ def draw_plan(tier: str, rng: np.random.Generator, index: int = 0) -> Plan:
         plan.present = (effect,) if effect else ()
         plan.visible = True
         plan.specimens, plan.cycles, plan.samples_per_cycle = (5,), (40, 80), (20.0, 60.0)
+        plan.fewest_cycles = 25.0  # a band-pass takes some ten of them
         plan.noise_db, plan.bits = (50.0, 50.0), (24, 24)
     else:
         raise KeyError(f"tier must be one of {', '.join(TIERS)}, got {tier!r}.")

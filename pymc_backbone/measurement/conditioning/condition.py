@@ -122,18 +122,17 @@ class _Conditioning:
         self.band = None if band is None else check_band(band, self.rate, self.name)
         self.frequency = self._dominant(time, values)
         self.begin = self.samples.start
+        self.whole = self.samples.values
         self.search = start is None
 
     def run(self) -> ConditionedRecord:
         """Condition the record."""
         measured, is_cut = self._released(self.samples.values)
-        released = self.begin
+        self.whole, released = measured, self.begin
         band_pass = None
         if self.band is not None:
             band_pass = design_band_pass(self.band, self.frequency, self.rate, self.name)
-            whole, measured = measured, self._filtered(measured, band_pass)
-        else:
-            whole = measured
+            measured = self._filtered(measured, band_pass)
         what = "after the release" if band_pass is None else "left by the band-pass"
         path = check_cycles(track(measured, self.rate, self.frequency), self.name, what)
         spectrum, path, end = self._motion(measured, path, band_pass)
@@ -148,7 +147,7 @@ class _Conditioning:
         amplitude = displacement_amplitude(path, self.integrations)
         if self.integrations or band_pass:
             lag = 0.0 if band_pass is None else band_pass.half / self.rate
-            mid_line = self._mid_line(whole, path.shifted(-lag), second, is_filtered=band_pass is not None)
+            mid_line = self._mid_line(self.whole, path.shifted(-lag), second, is_filtered=band_pass is not None)
         if mid_line is not None:
             displacement += mid_line.at(amplitude.amplitude_at(time))
         self._note_band_pass(band_pass, path)
@@ -175,7 +174,7 @@ class _Conditioning:
             second_mode_frequency=second.frequency if second else np.nan,
             second_mode_share=second.share if second else np.nan,
             source=self.record.source,
-            measured=self._measured(whole, before, is_cut, (first, last), path, spectrum, band_pass),
+            measured=self._measured(before, is_cut, (first, last), path, spectrum, band_pass),
             notes=tuple(self.notes),
         )
 
@@ -288,7 +287,7 @@ class _Conditioning:
         """Return the spectrum of the noise of the measured quantity."""
         if band_pass is None:
             return noise_spectrum(values, self.rate, path, self.step, self.integrations)
-        return noise_in_band(values, self.rate, path, lambda f: np.abs(band_pass.gain(f)), self.step)
+        return noise_in_band(values, self.rate, path, lambda f: np.abs(band_pass.gain(f)), self.step, self.whole)
 
     def _baseline(
         self, values: FloatArray, path: Track, end: float, spectrum: NoiseSpectrum, band_pass: BandPass | None
@@ -339,7 +338,6 @@ class _Conditioning:
 
     def _measured(
         self,
-        whole: FloatArray,
         before: int,
         is_cut: bool,
         kept: tuple[int, int],
@@ -352,7 +350,7 @@ class _Conditioning:
         if band_pass is not None:
             # a passed sample stems from those around it: none of them may be driven, or touched by hand or hammer
             is_driven = before > band_pass.half
-            last = min(whole.size, last + before + band_pass.half)
+            last = min(self.whole.size, last + before + band_pass.half)
             first = self._undisturbed(path, -before / self.rate) if is_cut else 0
             rest = (last - before - 2 * band_pass.half) * path.frequency / self.rate
             if is_driven:
@@ -361,7 +359,7 @@ class _Conditioning:
         noise = noise_of(spectrum, np.ones_like, path.frequency, self.rate)
         return MeasuredSamples(
             time=_frozen(begin + np.arange(last - first) / self.rate),
-            values=_frozen(np.array(whole[first:last])),
+            values=_frozen(np.array(self.whole[first:last])),
             autocovariance=_frozen(noise.autocovariance),
             order=self.integrations,
             band_pass=band_pass,
