@@ -289,6 +289,19 @@ class Decay:
                 out[inside] = sol(time[inside])[0]
         return out
 
+    def rates(self, time):
+        """Return velocity and acceleration at such instants; the acceleration by differences of the velocity."""
+        out = np.full((2, *np.shape(time)), np.nan)
+        for first, last, sol in self.segments:
+            inside = (time >= first) & (time <= last)
+            if inside.any():
+                at, step = time[inside], 1e-3 * (last - first)
+                # five points; the polynomial of a segment also holds a little way beyond its ends
+                v = [sol(at + k * step)[1] for k in (-2, -1, 0, 1, 2)]
+                out[0, inside] = v[2]
+                out[1, inside] = (v[0] - 8.0 * v[1] + 8.0 * v[3] - v[4]) / (12.0 * step)
+        return out
+
 
 def cycles(times, x):
     """Return amplitude, frequency, decrement and offset of the cycles between positive peaks, shape (4, n)."""

@@ -68,6 +68,6 @@ def test_the_command_ends_in_the_report_that_the_page_shows(folder):
         word = re.search(r"^[A-Z]+(?=: )", page, flags=re.MULTILINE)[0]
         return [word, *sorted(re.findall(r"^  (\w[\w +]*?)  +best", page, flags=re.MULTILINE))]
 
-    assert verdict(text) == verdict(TEXT) == ["AMBIGUOUS", "cubic stiffness"]
+    assert verdict(text) == verdict(TEXT) == ["FOUND", "cubic stiffness"]
     page = (folder / "diagnosis" / "report.html").read_text(encoding="utf-8")
     assert "converted from g to m/s^2" in page and "decimal commas" in page

@@ -15,6 +15,8 @@ from tiers import Plan, draw_amplitude, draw_plan, draw_tier
 LARGEST_RECORD = 12000
 """Samples."""
 ATTEMPTS = 200
+QUANTITIES = ("displacement", "velocity", "acceleration")
+"""What can be measured, by how often the displacement is differentiated."""
 
 
 class _RedrawError(Exception):
@@ -25,13 +27,13 @@ class _RedrawError(Exception):
 class Record:
     """One record: what was measured and what it would have been without noise.
 
-    ``displacement`` is without noise and without ``offset``; ``measured`` holds both and is rounded to the converter's
-    steps. ``noise_sd`` is the standard deviation of noise and rounding together.
+    ``exact`` is the measured quantity without noise and ``offset``; ``measured`` holds both and is rounded to the
+    converter's steps. ``noise_sd`` is the standard deviation of noise and rounding together.
     """
 
     time: np.ndarray
     measured: np.ndarray
-    displacement: np.ndarray
+    exact: np.ndarray
     offset: float
     noise_sd: float
     release_amplitude: float
@@ -71,7 +73,7 @@ def make_batch(seed: int, index: int, tier: str | None = None) -> Batch:
     for attempt in range(ATTEMPTS):
         # After a dozen failures the plan itself may be at fault, for example three effects that stop the motion.
         if attempt % 12 == 0:
-            plan = draw_plan(tier, rng)
+            plan = draw_plan(tier, rng, index)
         try:
             batch = _draw_batch(plan, rng)
         except (_RedrawError, FloatingPointError):
@@ -124,11 +126,12 @@ def _draw_batch(plan: Plan, rng: np.random.Generator) -> Batch:
         sampling = per_cycle * actual_frequency
         held = _draw_release_time(start, actual_frequency, sampling, rng)
         time = np.arange(int((duration + held) * sampling) + 1) / sampling
-        displacement, decay = _respond(parameters, release, time - held, second)
+        exact, decay = _respond(parameters, release, time - held, second, plan.quantity)
         if decay.stuck and decay.turn_values.size < 8:
             raise _RedrawError
-        offset = offset_share * amplitude
-        records.append(_measure(time, displacement, offset, noise_db, bits, release, held, rng))
+        scale = (2.0 * math.pi * actual_frequency) ** QUANTITIES.index(plan.quantity)
+        offset = offset_share * amplitude * scale
+        records.append(_measure(time, exact, offset, noise_db, bits, release, scale, held, rng))
         specimens.append({"specimen": f"specimen_{number}", **parameters})
     truth = {
         "mass": mass,
@@ -138,6 +141,8 @@ def _draw_batch(plan: Plan, rng: np.random.Generator) -> Batch:
         "outside": plan.outside,
         "drift": drift,
         "second_mode": second,
+        "quantity": plan.quantity,
+        "band": _band(actual_frequency, second) if plan.is_banded else None,
         "strength": strength,
         "nominal": nominal,
         "parameters": specimens,
@@ -151,7 +156,7 @@ def _draw_batch(plan: Plan, rng: np.random.Generator) -> Batch:
         "actual_frequency": actual_frequency,
         "amplitude": amplitude,
         "release_amplitudes": releases,
-        "offset": offset_share * amplitude,
+        "offset": offset,
         "start": start,
     }
     return Batch(records, truth)
@@ -174,7 +179,7 @@ def _usable_cycles(
     omega = math.sqrt(nominal["linear_stiffness"] / nominal["mass"])
     wanted = log_uniform(rng, *plan.cycles)
     tail = rng.uniform(1.0, 1.4)
-    fewest = 10.0 if rng.random() < 0.9 else 6.0
+    fewest = max(10.0 if rng.random() < 0.9 else 6.0, plan.fewest_cycles)
     lengths, frequency = [], 0.0
     for release in (max(releases), min(releases)):
         decay = simulate(pack(nominal), release, np.array([2.0 * math.pi * wanted / omega]))
@@ -206,6 +211,14 @@ def _draw_drift(
 
 def _draw_second_mode(plan: Plan, frequency: float, rng: np.random.Generator) -> dict[str, float] | None:
     """Draw a second, linear mode that is released together with the first."""
+    if plan.is_banded:
+        # drawn from numbers of its own, so that the first mode moves as it does without the second
+        own = np.random.default_rng(int(1e6 * frequency))
+        return {
+            "frequency": float(own.uniform(2.6, 3.4) * frequency),
+            "share": log_uniform(own, 0.05, 0.2),
+            "damping_ratio": log_uniform(own, 0.003, 0.03),
+        }
     if not plan.second_mode:
         return None
     if rng.random() < 0.5:
@@ -217,6 +230,12 @@ def _draw_second_mode(plan: Plan, frequency: float, rng: np.random.Generator) ->
         "share": log_uniform(rng, 0.03, 0.2),
         "damping_ratio": log_uniform(rng, 0.001, 0.03),
     }
+
+
+def _band(frequency: float, second: dict[str, float] | None) -> list[float]:
+    """Return a band [Hz] around the first mode that keeps the second out."""
+    high = 1.4 * frequency if second is None else min(1.4 * frequency, math.sqrt(frequency * second["frequency"]))
+    return [0.65 * frequency, high]
 
 
 def _draw_scatter(rng: np.random.Generator) -> dict[str, float]:
@@ -255,39 +274,49 @@ def _draw_release_time(start: str, frequency: float, sampling: float, rng: np.ra
 
 
 def _respond(
-    parameters: dict[str, float], release: float, time: np.ndarray, second: dict[str, float] | None
+    parameters: dict[str, float],
+    release: float,
+    time: np.ndarray,
+    second: dict[str, float] | None,
+    quantity: str = "displacement",
 ) -> tuple[np.ndarray, Decay]:
-    """Return the displacement at ``time`` after the release, without noise."""
+    """Return displacement, velocity or acceleration at ``time`` after the release, without noise."""
     share = second["share"] if second else 0.0
     decay = simulate(pack(parameters), (1.0 - share) * release, time)
-    displacement = decay.displacement
+    order = QUANTITIES.index(quantity)
+    motion = np.vstack([decay.displacement, decay.rates])[order]
     if second:
-        displacement = displacement + share * release * linear_decay(
-            np.maximum(time, 0.0), second["frequency"], second["damping_ratio"]
-        )
-    return displacement, decay
+        other = linear_decay(np.maximum(time, 0.0), second["frequency"], second["damping_ratio"], order)
+        motion = motion + share * release * (other if order == 0 else np.where(time > 0.0, other, 0.0))
+    return motion, decay
 
 
-def linear_decay(time: np.ndarray, frequency: float, ratio: float) -> np.ndarray:
-    """Return the decay of a linear oscillator released from rest at one; ``frequency`` is the undamped one [Hz]."""
+def linear_decay(time: np.ndarray, frequency: float, ratio: float, order: int = 0) -> np.ndarray:
+    """Return the decay of a linear oscillator released from rest at one; ``frequency`` is the undamped one [Hz].
+
+    Its displacement, or the derivative of that of ``order`` 1 or 2.
+    """
     omega = 2.0 * math.pi * frequency
-    damped = omega * math.sqrt(1.0 - ratio**2)
-    return np.exp(-ratio * omega * time) * (np.cos(damped * time) + ratio * omega / damped * np.sin(damped * time))
+    root = -ratio * omega + 1j * omega * math.sqrt(1.0 - ratio**2)
+    # x = Re(c exp(root t)) with x = 1 and x' = 0 at the release
+    start = 1.0 + 1j * root.real / root.imag
+    return np.real(start * root**order * np.exp(root * time))
 
 
 def _measure(
     time: np.ndarray,
-    displacement: np.ndarray,
+    exact: np.ndarray,
     offset: float,
     noise_db: float,
     bits: int,
     release: float,
+    scale: float,
     release_time: float,
     rng: np.random.Generator,
 ) -> Record:
-    """Add offset and noise and round to the steps of the converter."""
-    noise = release / math.sqrt(2.0) * 10.0 ** (-noise_db / 20.0)
-    step = 2.0 * 1.2 * release / 2.0**bits
-    measured = step * np.round((displacement + offset + noise * rng.standard_normal(time.size)) / step)
+    """Add offset and noise and round to the converter's steps; ``scale`` is the quantity at a displacement of one."""
+    noise = scale * release / math.sqrt(2.0) * 10.0 ** (-noise_db / 20.0)
+    step = 2.0 * 1.2 * scale * release / 2.0**bits
+    measured = step * np.round((exact + offset + noise * rng.standard_normal(time.size)) / step)
     total = math.hypot(noise, step / math.sqrt(12.0))
-    return Record(time, measured, displacement, offset, total, release, release_time)
+    return Record(time, measured, exact, offset, total, release, release_time)

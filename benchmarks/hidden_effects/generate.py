@@ -21,7 +21,7 @@ from tiers import TIERS
 
 
 def write_batch(batch: Batch, folder: Path) -> None:
-    """Write records, truth and noise-free displacements of a batch into ``folder``.
+    """Write records, truth and what was measured without noise of a batch into ``folder``.
 
     Parameters
     ----------
@@ -35,10 +35,12 @@ def write_batch(batch: Batch, folder: Path) -> None:
     for number, record in enumerate(batch.records, start=1):
         name = f"specimen_{number}"
         table = np.column_stack((record.time, record.measured))
+        quantity = batch.truth["quantity"]
         unit = "rad" if "pendulum_stiffness" in batch.truth["present"] else "m"
-        np.savetxt(records / f"{name}.csv", table, "%.12g", ",", header=f"time,displacement [{unit}]", comments="")
+        unit += {"displacement": "", "velocity": "/s", "acceleration": "/s^2"}[quantity]
+        np.savetxt(records / f"{name}.csv", table, "%.12g", ",", header=f"time,{quantity} [{unit}]", comments="")
         arrays[f"{name}_time"] = record.time
-        arrays[f"{name}_displacement"] = record.displacement
+        arrays[f"{name}_{quantity}"] = record.exact
     for name in ("noise_sd", "offset", "release_amplitude", "release_time"):
         arrays[name] = np.array([getattr(record, name) for record in batch.records])
     np.savez(folder / "clean.npz", **arrays)

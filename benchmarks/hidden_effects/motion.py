@@ -54,16 +54,20 @@ MAXIMUM_TURNS = 4000
 
 
 class Decay(NamedTuple):
-    """Displacement at the wanted instants, the turning points, and whether the motion came to rest by friction."""
+    """The motion at the wanted instants, the turning points, and whether the motion came to rest by friction.
+
+    ``rates`` holds velocity and acceleration, each (n,): zero before the release and after the motion has come to rest.
+    """
 
     displacement: np.ndarray
+    rates: np.ndarray
     turn_times: np.ndarray
     turn_values: np.ndarray
     stuck: bool
 
 
 def simulate(p: np.ndarray, release: float, times: np.ndarray, *, tolerance: float | None = None) -> Decay:
-    """Release a system from rest and return its displacement.
+    """Release a system from rest and return its motion.
 
     Parameters
     ----------
@@ -88,12 +92,12 @@ def simulate(p: np.ndarray, release: float, times: np.ndarray, *, tolerance: flo
     has_bed = p[JOINT_K] != 0.0
     limit = tolerance if tolerance is not None else (BED_TOLERANCE if has_bed else TOLERANCE)
     bed = _make_bed(p, SLIDERS if has_bed else 1)
-    displacement = np.empty(times.size)
+    motion = np.zeros((3, times.size))
     turns = np.empty((2, MAXIMUM_TURNS))
-    count, status = _integrate(times, p, release, _load_hysteresis(p, release), bed, limit, displacement, turns)
+    count, status = _integrate(times, p, release, _load_hysteresis(p, release), bed, limit, motion, turns)
     if status == 2:
         raise FloatingPointError("the motion left five times the release amplitude or needs too many turning points.")
-    return Decay(displacement, turns[0, :count].copy(), turns[1, :count].copy(), status == 1)
+    return Decay(motion[0], motion[1:], turns[0, :count].copy(), turns[1, :count].copy(), status == 1)
 
 
 def _make_bed(p: np.ndarray, sliders: int) -> np.ndarray:
@@ -253,7 +257,7 @@ def _probe(x, direction, target, release):
 
 
 @numba.njit(cache=True)
-def _integrate(times, p, release, z_release, bed, tolerance, displacement, turns):
+def _integrate(times, p, release, z_release, bed, tolerance, motion, turns):
     """Integrate from the release; return the number of turning points and 0, 1 (came to rest) or 2 (failed)."""
     omega = math.sqrt(p[K] / p[MASS])
     longest, margin = 0.3 / omega, 1e-13 * release
@@ -274,11 +278,11 @@ def _integrate(times, p, release, z_release, bed, tolerance, displacement, turns
     stuck = acceleration(0.0, y[0], 0.0, y[2], direction, probe, slider, bed, p) >= 0.0
     i = 0
     while i < times.size and times[i] <= 0.0:
-        displacement[i] = release
+        motion[0, i] = release
         i += 1
     while i < times.size:
         if stuck:
-            displacement[i] = y[0]
+            motion[0, i] = y[0]
             i += 1
             continue
         size = max(math.hypot(y[0], y[1] / omega), 1e-5 * release)
@@ -318,7 +322,9 @@ def _integrate(times, p, release, z_release, bed, tolerance, displacement, turns
         t = times[i] if ends else t + length
         y[:] = out
         if ends:
-            displacement[i] = y[0]
+            motion[0, i] = y[0]
+            motion[1, i] = y[1]
+            motion[2, i] = acceleration(t, y[0], y[1], y[2], direction, probe, slider, bed, p)
             i += 1
         if event == -1:
             continue

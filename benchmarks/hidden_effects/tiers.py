@@ -21,8 +21,38 @@ TIERS: dict[str, float] = {
     "outside_library": 0.06,
     "drift": 0.02,
     "second_mode": 0.02,
+    "displacement": 0.0,
+    "velocity": 0.0,
+    "acceleration": 0.0,
+    "band_passed": 0.0,
+    "band_passed_acceleration": 0.0,
 }
-"""Kinds of batches and their shares."""
+"""Kinds of batches and their shares; those without a share hide one effect after the other, all in the same motions."""
+
+QUANTITY_TIERS: dict[str, tuple[str, bool]] = {
+    "displacement": ("displacement", False),
+    "velocity": ("velocity", False),
+    "acceleration": ("acceleration", False),
+    "band_passed": ("displacement", True),
+    "band_passed_acceleration": ("acceleration", True),
+}
+"""What is measured, and whether a second mode has to be filtered away."""
+
+QUANTITY_EFFECTS = (
+    "cubic_stiffness",
+    "quintic_stiffness",
+    "quadratic_stiffness",
+    "freeplay",
+    "bilinear_stiffness",
+    "coulomb_friction",
+    "quadratic_damping",
+    "cubic_damping",
+    "displacement_dependent_damping",
+    "jenkins",
+    "iwan",
+    "bouc_wen",
+    None,
+)
 
 CLOSE_SPRINGS = ("cubic_stiffness", "quintic_stiffness", "freeplay")
 CLOSE_FRICTION = ("coulomb_friction", "jenkins")
@@ -43,6 +73,12 @@ class Plan:
         Effect outside of the library that acts.
     visible : bool
         Whether strengths are drawn from the range that most records show.
+    quantity : str
+        What is measured.
+    fewest_cycles : float
+        Of the record; 6 or 10 in any case.
+    is_banded : bool
+        Whether a second mode at 2.6 to 3.4 times the frequency has to be filtered away with the band in the truth.
     damping_ratio, cycles, samples_per_cycle, noise_db, bits, specimens, release_factor : tuple
         Ranges; the middle four are as good as the data are.
     """
@@ -54,6 +90,9 @@ class Plan:
     narrow: bool = False
     drift: str | None = None
     second_mode: bool = False
+    quantity: str = "displacement"
+    is_banded: bool = False
+    fewest_cycles: float = 0.0
     damping_ratio: tuple[float, float] = (0.001, 0.03)
     cycles: tuple[int, int] = (20, 120)
     samples_per_cycle: tuple[float, float] = (8.0, 200.0)
@@ -77,7 +116,7 @@ def _pick(rng: np.random.Generator, names: tuple[str, ...], size: int) -> tuple[
     return tuple(str(name) for name in rng.choice(names, size=size, replace=False))
 
 
-def draw_plan(tier: str, rng: np.random.Generator) -> Plan:
+def draw_plan(tier: str, rng: np.random.Generator, index: int = 0) -> Plan:
     """Draw what a batch of a tier is about.
 
     Parameters
@@ -85,6 +124,8 @@ def draw_plan(tier: str, rng: np.random.Generator) -> Plan:
     tier : str
         A key of `TIERS`.
     rng : numpy.random.Generator
+    index : int
+        Number of the batch; in the tiers of `QUANTITY_TIERS` the effects take turns.
 
     Returns
     -------
@@ -124,6 +165,14 @@ def draw_plan(tier: str, rng: np.random.Generator) -> Plan:
         plan.second_mode = True
         if rng.random() < 0.5:
             plan.present, plan.visible = _pick(rng, LIBRARY_NAMES, 1), True
+    elif tier in QUANTITY_TIERS:
+        plan.quantity, plan.is_banded = QUANTITY_TIERS[tier]
+        effect = QUANTITY_EFFECTS[index % len(QUANTITY_EFFECTS)]
+        plan.present = (effect,) if effect else ()
+        plan.visible = True
+        plan.specimens, plan.cycles, plan.samples_per_cycle = (5,), (40, 80), (20.0, 60.0)
+        plan.fewest_cycles = 25.0  # a band-pass takes some ten of them
+        plan.noise_db, plan.bits = (50.0, 50.0), (24, 24)
     else:
         raise KeyError(f"tier must be one of {', '.join(TIERS)}, got {tier!r}.")
     return plan

@@ -12,7 +12,7 @@ from .._common.checks import FloatArray, InputError
 from ..measurement.conditioning.conditioned import ConditionedRecord
 from ..measurement.cycles import Cycles
 from .data_term import DataTerm, LevelTerm, TurningTerm, WaveformTerm, level_term
-from .record_term import turning_term, waveform_term
+from .record_term import release_of, turning_term, waveform_term
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +104,7 @@ def batch_of_records(
     records, cycles = [records[i] for i in kept], [cycles[i] for i in kept]
     turning = tuple(turning_term(record, item) for record, item in zip(records, cycles, strict=True))
     waveform = tuple(waveform_term(record, item) for record, item in zip(records, cycles, strict=True))
-    own = np.array([_rough(mass, item, points) for item, points in zip(cycles, turning, strict=True)])
+    own = np.array([_rough(mass, record, item) for record, item in zip(records, cycles, strict=True)])
     amplitude = float(max(np.abs(item.values).max() for item in turning))
     frequency = float(np.median(np.concatenate([item.frequency for item in cycles])))
     return Batch(
@@ -140,10 +140,9 @@ def batch_of_backbones(mass: float, backbones: xr.Dataset) -> Batch:
     )  # fmt: skip
 
 
-def _rough(mass: float, cycles: Cycles, points: TurningTerm) -> tuple[float, ...]:
+def _rough(mass: float, record: ConditionedRecord, cycles: Cycles) -> tuple[float, ...]:
     """Return rough stiffness, damping, release amplitude, release instant and offset of one record."""
     omega = 2.0 * np.pi * float(np.median(cycles.frequency))
     damping = max(float(np.median(cycles.damping)), 1e-6)
-    half = float(points.times[1] - points.times[0])
-    release = -float(points.values[0]) * float(np.exp(min(damping / 2.0, 0.3)))
-    return mass * omega**2, mass * omega * damping / np.pi, release, float(points.times[0]) - half, 0.0
+    _, release_time, release = release_of(record, cycles)
+    return mass * omega**2, mass * omega * damping / np.pi, release, release_time, 0.0

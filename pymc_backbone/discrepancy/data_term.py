@@ -14,7 +14,6 @@ import xarray as xr
 
 from .._common.checks import OBSERVABLES, BoolArray, FloatArray, IntArray
 from ..simulation.decay import Simulator
-from ..simulation.memory import Waveform
 from .whitening import EDGE, average
 
 DRIFT = 0.05  # relative change of frequency over a record that one unit of drift stands for
@@ -126,12 +125,15 @@ class TurningTerm:
     ----------
     times, values, time_errors, value_errors : (n,) arrays
         As extracted; the release is the turning point before the first.
+    skipped : int
+        Turning points between the release and the first: a band-pass loses the beginning of the record.
     """
 
     times: FloatArray
     values: FloatArray
     time_errors: FloatArray
     value_errors: FloatArray
+    skipped: int = 0
 
     @property
     def size(self) -> int:
@@ -143,27 +145,28 @@ class TurningTerm:
     ) -> tuple[FloatArray, FloatArray] | None:
         """Return residuals (2 n,) and derivatives (2 n, p + 5)."""
         release, release_time, offset, drift, loss = nuisances
-        maximum = self.times.size + 1
+        first = self.skipped + 1
+        maximum = self.times.size + first
         columns = parameters.size + 1
         turning = simulator.make_turns(maximum, True)
         count, _ = simulator.decay(parameters, release, turning, tolerance=TOLERANCE)
         if count < maximum:
             return None
-        turns, times, slopes, time_slopes = turning
+        turns, times, slopes, time_slopes = (part[first:] for part in turning)
         n = self.times.size
         length = float(self.times[-1] - self.times[0])
-        share = times[1:] / length
+        share = times / length
         early = 0.5 * DRIFT * share**2 * length
         less = np.exp(-0.5 * loss * share**2)
         residuals = np.concatenate(
             [
-                (self.times - release_time - times[1:] + drift * early) / self.time_errors,
-                (self.values - offset - turns[1:] * less) / self.value_errors,
+                (self.times - release_time - times + drift * early) / self.time_errors,
+                (self.values - offset - turns * less) / self.value_errors,
             ]
         )
         jacobian = np.zeros((2 * n, columns + 4))
-        of_times = time_slopes[1:] * (1.0 - drift * DRIFT * share)[:, None]
-        of_values = (slopes[1:] - time_slopes[1:] * (loss * share / length * turns[1:])[:, None]) * less[:, None]
+        of_times = time_slopes * (1.0 - drift * DRIFT * share)[:, None]
+        of_values = (slopes - time_slopes * (loss * share / length * turns)[:, None]) * less[:, None]
         parts = ((slice(0, n), of_times, self.time_errors), (slice(n, None), of_values, self.value_errors))
         for part, slope, error in parts:
             jacobian[part, : columns - 1] = slope[:, 1:] / error[:, None]
@@ -171,29 +174,34 @@ class TurningTerm:
         jacobian[:n, columns] = 1.0 / self.time_errors
         jacobian[n:, columns + 1] = 1.0 / self.value_errors
         jacobian[:n, columns + 2] = -early / self.time_errors
-        jacobian[n:, columns + 3] = -0.5 * share**2 * turns[1:] * less / self.value_errors
+        jacobian[n:, columns + 3] = -0.5 * share**2 * turns * less / self.value_errors
         return residuals, jacobian
 
 
 @dataclass(frozen=True, eq=False)
 class WaveformTerm:
-    """The samples of one record.
+    """The samples of one record, in the quantity that was measured.
 
     Attributes
     ----------
     time, values : (n,) arrays
-        Instants [s], displacement [m or rad], from shortly after the release.
+        Instants [s], displacement, velocity or acceleration, from shortly after the release.
     whiten : callable
         Takes (n, c) columns to standardised independent ones (m, c).
     size : int
         m.
     subspace : list of (slice, (k, d) array)
         Windows of the standardised residuals, and an orthonormal basis of what a model error looks like in each:
-        the harmonics of the motion, slowly varying. Empty where the whitening already reduces to these.
+        the harmonics of the motion, slowly varying.
     signal : float
-        Standard deviation of the displacement.
+        Standard deviation of the motion.
     together : int
         Number of samples that each value is the mean of, at their middle.
+    order : int
+        How often the displacement is differentiated in ``values``.
+    offset_scale : float
+        What one unit of the nuisance ``offset`` [m or rad] adds to ``values``: the angular frequency to the power of
+        ``order``; nothing where a filter removes it.
     """
 
     time: FloatArray
@@ -203,24 +211,17 @@ class WaveformTerm:
     subspace: list[tuple[slice, FloatArray]]
     signal: float
     together: int = 1
+    order: int = 0
+    offset_scale: float = 1.0
 
     def simulate(
         self, simulator: Simulator, parameters: FloatArray, release: float, release_time: float, time: FloatArray
     ) -> tuple[FloatArray, FloatArray] | None:
-        """Return displacement (n,) and derivatives (n, 1 + p), the first with respect to the release amplitude."""
-        instants = time - release_time
-        before = int(np.searchsorted(instants, 0.0, side="left"))
-        n, columns = instants.size, parameters.size + 1
-        displacement = np.full(n, release)
-        slopes = np.zeros((n, columns))
-        slopes[:before, 0] = 1.0
-        if before < n:
-            waveform = Waveform(np.ascontiguousarray(instants[before:]), displacement[before:], slopes[before:])
-            turns = simulator.make_turns(self.most_turns, True)
-            simulator.decay(parameters, release, turns, waveform, tolerance=TOLERANCE)
-        if not np.isfinite(displacement[-1]):
-            return None
-        return displacement, slopes
+        """Return the quantity (n,) and derivatives (n, 2 + p): with respect to release amplitude, parameters, time."""
+        values, slopes, _ = simulator.waveform(
+            parameters, release, time - release_time, self.order, tolerance=TOLERANCE, maximum=self.most_turns
+        )
+        return (values, slopes) if np.isfinite(values[-1]) else None
 
     @property
     def most_turns(self) -> int:
@@ -243,21 +244,22 @@ class WaveformTerm:
         simulated = self.simulate(simulator, parameters, release, release_time, self.time + drift * later)
         if simulated is None:
             return None
-        displacement, slopes = simulated
+        values, slopes = simulated
         share = 0.5 * (elapsed / length) ** 2
-        if loss != 0.0:
-            less = np.exp(-loss * share)
-            displacement, slopes = displacement * less, slopes * less[:, None]
+        # y(s(t)) exp(-loss share) is the displacement: its rates have the pace ds/dt in them
+        pace = 1.0 + drift * DRIFT * elapsed / length
+        factor = np.exp(-loss * share) * pace**self.order
+        if loss != 0.0 or (self.order and drift != 0.0):
+            values, slopes = values * factor, slopes * factor[:, None]
         n, p = self.time.size, parameters.size
         columns = np.empty((n, p + 6))
-        columns[:, :p] = slopes[:, 1:]
+        columns[:, :p] = slopes[:, 1:-1]
         columns[:, p] = slopes[:, 0]
-        velocity = np.gradient(displacement, self.time)  # good enough for a direction of search
-        columns[:, p + 1] = -velocity
-        columns[:, p + 2] = 1.0
-        columns[:, p + 3] = velocity * later
-        columns[:, p + 4] = -share * displacement
-        columns[:, p + 5] = offset + displacement
+        columns[:, p + 1] = -slopes[:, -1]
+        columns[:, p + 2] = self.offset_scale
+        columns[:, p + 3] = slopes[:, -1] * later + values * (self.order * DRIFT * elapsed / length / pace)
+        columns[:, p + 4] = -share * values
+        columns[:, p + 5] = offset * self.offset_scale + values
         if self.together > 1:
             columns = average(columns, self.together)
             columns[:, p + 5] = self.values[EDGE:-EDGE] - columns[:, p + 5]

@@ -8,21 +8,52 @@ import numpy as np
 
 from .._common.checks import FloatArray
 from ..measurement.conditioning.conditioned import ConditionedRecord
+from ..measurement.conditioning.filters import BandPass
 from ..measurement.cycles import Cycles
 from .data_term import TurningTerm, WaveformTerm
-from .whitening import EDGE, of_means, whitener
+from .passed import passed_values
+from .whitening import EDGE, means, of_means, whitener
 
-_COLLAPSED_HARMONICS = 3
 _DENSE = 24  # samples per cycle that hold all there is to know; more are averaged
+_PASSED_WINDOW = 8.0  # cycles; a band holds little more than the slowly varying motion itself
+_FITTED = 8  # turning points whose course tells those before them
+_AT_RELEASE = 0.3  # of a half cycle: so close to its first sample a record begins at a turning point
+_MOST_LOST = 400
 
 
 def first_turning_point(record: ConditionedRecord, cycles: Cycles) -> int:
     """Return which turning point is the first after the release: the second, where the first is the release itself.
 
-    A record that begins at the release, or while the specimen is still held, begins near an extreme value.
+    A record that begins at the release, or while the specimen is still held, begins near an extreme value. What a
+    band-pass leaves begins later.
     """
+    if record.band is not None:
+        return 0
     start, extreme = float(record.displacement[:3].mean()), float(cycles.turning_values[0])
     return int(start * extreme > 0.0 and abs(start) > 0.5 * abs(extreme))
+
+
+def release_of(record: ConditionedRecord, cycles: Cycles) -> tuple[int, float, float]:
+    """Return how many turning points before the first of them the motion can be released, when, and at which value.
+
+    Unfiltered it is the one before. Behind a band-pass the samples begin earlier: the turning points that it lost are
+    added from the course of the first.
+    """
+    first = first_turning_point(record, cycles)
+    times, values = cycles.turning_times[first:], cycles.turning_values[first:]
+    half = float(np.median(np.diff(times)))
+    size = min(_FITTED, times.size)
+    if record.band is None:
+        fall = 0.5 * max(float(np.median(cycles.damping)), 1e-6)
+        return 1, float(times[0]) - half, -float(values[0]) * float(np.exp(min(fall, 0.3)))
+    course = np.polyfit(np.arange(size), times[:size], min(2, size - 1))
+    decay = np.polyfit(np.arange(size - 1), np.log(np.abs(np.diff(values[:size]))), 1)
+    begin = float(record.measured.time[0]) + _AT_RELEASE * half
+    back = 1
+    while back < _MOST_LOST and float(np.polyval(course, -back)) > begin:
+        back += 1
+    fall = min(max(-float(decay[0]), 0.0), 0.6) * back
+    return back, float(np.polyval(course, -back)), float(values[0]) * (-1.0) ** back * float(np.exp(fall))
 
 
 def turning_term(record: ConditionedRecord, cycles: Cycles) -> TurningTerm:
@@ -36,47 +67,82 @@ def turning_term(record: ConditionedRecord, cycles: Cycles) -> TurningTerm:
         values.copy(),
         np.maximum(time_errors, 1e-12 * np.abs(times).max() + 1e-300),
         np.maximum(value_errors, 1e-300),
+        release_of(record, cycles)[0] - 1,
     )
 
 
 def waveform_term(record: ConditionedRecord, cycles: Cycles) -> WaveformTerm:
     """Return the data term of the samples of one record, from half a cycle before its first turning point on."""
+    if record.measured.band_pass is not None:
+        return _behind_band_pass(record, record.measured.band_pass, cycles)
+    measured, order = record.measured, record.measured.order
+    samples, autocovariance = measured.values, measured.autocovariance
+    if order == 0:  # less the baseline
+        samples, autocovariance = record.displacement, record.noise_autocovariance
     half = float(np.median(np.diff(cycles.turning_times)))
     begin = cycles.turning_times[first_turning_point(record, cycles)]
     first = int(np.searchsorted(record.time, begin - 0.9 * half))
     last = int(np.searchsorted(record.time, cycles.turning_times[-1] + 0.9 * half))
-    time, values = record.time[first:last], record.displacement[first:last]
-    phase = _phase(time, cycles)
-    is_reduced = not (record.quantity == "displacement" and record.band is None)
-    windows = _windows(phase, 1.0 if is_reduced else 4.0)
+    time, values = record.time[first:last], samples[first:last]
     per_cycle = record.sampling_rate * 2.0 * half
     signal = float(np.sqrt(np.mean((values - values.mean()) ** 2)))
-    if is_reduced:
-        harmonics = 1 if record.band is not None else int(np.clip(0.35 * per_cycle, 1, _COLLAPSED_HARMONICS))
-        first_order = 0 if record.offset_is_measured else 1
-        bases = [(window, _harmonics(phase[window], harmonics, first_order, 0)) for window in windows]
-
-        def reduce(columns: FloatArray) -> FloatArray:
-            return np.concatenate([basis.T @ columns[window] for window, basis in bases]) / record.noise
-
-        size = sum(basis.shape[1] for _, basis in bases)
-        return WaveformTerm(time, values, reduce, size, [], signal)
-    together = int(per_cycle / _DENSE)
-    autocovariance = record.noise_autocovariance
-    is_averaged = together > 1
-    if is_averaged:
-        count = time.size // together
-        time, values = time[: count * together], values[: count * together]
-        time = time.reshape(count, together).mean(axis=1)
-        values = values.reshape(count, together).mean(axis=1)
+    together = max(int(per_cycle / _DENSE), 1)
+    scale = (2.0 * np.pi * record.frequency) ** order
+    per_cycle /= together
+    shown = means(time[:, None], together)[:, 0]
+    if together > 1:
         autocovariance = of_means(autocovariance, together)
-        per_cycle /= together
-        phase = _phase(time[EDGE:-EDGE], cycles)
-        windows = _windows(phase, 4.0)
+    white = whitener(autocovariance)
+    if together > 1 and order == 0:
+        # smooth enough to be simulated at the middle of each mean only
+        count = shown.size
+        values = values[: count * together].reshape(count, together).mean(axis=1)
+        inner = shown[EDGE:-EDGE]
+        subspace = _subspace(_phase(inner, cycles), per_cycle)
+        return WaveformTerm(shown, values, white, inner.size, subspace, signal, together)
+    subspace = _subspace(_phase(shown, cycles), per_cycle)
+    if together == 1:
+        return WaveformTerm(time, values, white, time.size, subspace, signal, 1, order, scale)
+
+    def of_mean(columns: FloatArray) -> FloatArray:
+        # friction makes acceleration jump and velocity bend: every sample is simulated
+        return white(means(columns, together))
+
+    return WaveformTerm(time, values, of_mean, shown.size, subspace, signal, 1, order, scale)
+
+
+def _behind_band_pass(record: ConditionedRecord, band_pass: BandPass, cycles: Cycles) -> WaveformTerm:
+    """Return the data term of a record that is compared through a band-pass.
+
+    The simulation runs from the release over the samples as they were; the filter takes simulated and measured ones.
+    """
+    measured = record.measured
+    half = float(np.median(np.diff(cycles.turning_times)))
+    _, release_time, _ = release_of(record, cycles)
+    edge = band_pass.half / band_pass.sampling_rate
+    first = int(np.searchsorted(measured.time, release_time + 0.1 * half))
+    last = int(np.searchsorted(measured.time, cycles.turning_times[-1] + 0.9 * half + edge))
+    time, values = measured.time[first:last], measured.values[first:last]
+    reduce, size, step = passed_values(band_pass, measured.autocovariance, time.size)
+    inner = slice(band_pass.half, time.size - band_pass.half)
+    signal = float(band_pass.apply(values).std())
+    phase = _phase(time, cycles)
+    orders = [k for k in range(1, 9) if band_pass.low < k * record.frequency < band_pass.high]
+    motion = [wave(2.0 * np.pi * k * phase) for k in orders for wave in (np.cos, np.sin)]
+    shapes = reduce(np.column_stack(motion))
+    at = np.repeat(phase[inner][::step], 2)[:size]
+    subspace = []
+    for window in _windows(at, _PASSED_WINDOW):
+        u = np.linspace(-1.0, 1.0, window.stop - window.start)[:, None]
+        columns = np.hstack([shapes[window], u * shapes[window]])[:, : max(1, int(0.6 * u.size))]
+        subspace.append((window, np.linalg.qr(columns)[0]))
+    return WaveformTerm(time, values, reduce, size, subspace, signal, 1, measured.order, 0.0)
+
+
+def _subspace(phase: FloatArray, per_cycle: float) -> list[tuple[slice, FloatArray]]:
+    """Return windows of the values at these phases, and what a model error looks like in each."""
     harmonics = int(np.clip(0.5 * per_cycle - 1.5, 1, 4))
-    subspace = [(window, _harmonics(phase[window], harmonics, 0, 1)) for window in windows]
-    size = time.size - 2 * EDGE if is_averaged else time.size
-    return WaveformTerm(time, values, whitener(autocovariance), size, subspace, signal, max(together, 1))
+    return [(window, _harmonics(phase[window], harmonics, 1)) for window in _windows(phase, 4.0)]
 
 
 def _phase(time: FloatArray, cycles: Cycles) -> FloatArray:
@@ -97,11 +163,11 @@ def _windows(phase: FloatArray, length: float) -> list[slice]:
     return [slice(int(a), int(b)) for a, b in pairwise(edges) if b - a >= 4]
 
 
-def _harmonics(phase: FloatArray, harmonics: int, first_order: int, degree: int) -> FloatArray:
+def _harmonics(phase: FloatArray, harmonics: int, degree: int) -> FloatArray:
     """Return an orthonormal basis of harmonics with polynomials of ``degree`` for amplitudes."""
     u = np.linspace(-1.0, 1.0, phase.size)
     columns = []
-    for order in range(first_order, harmonics + 1):
+    for order in range(harmonics + 1):
         angle = 2.0 * np.pi * order * phase
         for power in range(degree + 1):
             columns.append(np.cos(angle) * u**power)

@@ -88,11 +88,8 @@ def second_mode_check(batch: Batch, best: Fit) -> Check:
     name = "no second mode"
     worst: tuple[float, float, str] = (0.0, 0.0, "")
     for r, term in enumerate(batch.waveform):
-        if not term.subspace:
-            record = batch.records[r]
-            if record.band is None and np.isfinite(record.second_mode_share) and record.second_mode_share > worst[0]:
-                worst = (float(record.second_mode_share), record.second_mode_frequency, record.specimen)
-            continue
+        if batch.records[r].band is not None:
+            continue  # one mode has been chosen, the others are kept out
         # not whitened: the estimate of the noise holds a second mode too, and whitening would take most of it away
         plain = replace(term, whiten=lambda columns: columns)
         share, frequency = _line(term, evidence.residuals_of(plain, best, r), batch.records[r].frequency)

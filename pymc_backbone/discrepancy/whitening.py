@@ -35,6 +35,12 @@ def _mean_weights(together: int) -> FloatArray:
     return np.array([outer, inner, 1.0 - 2.0 * (outer + inner), inner, outer])
 
 
+def means(columns: FloatArray, together: int) -> FloatArray:
+    """Return means over so many neighbouring rows; what is left over at the end is dropped."""
+    count = columns.shape[0] // together
+    return np.asarray(columns[: count * together].reshape(count, together, -1).mean(axis=1))
+
+
 def of_means(autocovariance: FloatArray, together: int) -> FloatArray:
     """Return the autocovariance of means over so many neighbouring samples."""
     size = autocovariance.size

@@ -1,4 +1,4 @@
-"""Simulation of free decays: backbones at levels, whole decays, and the displacement at given instants."""
+"""Simulation of free decays: backbones at levels, whole decays, and what is measured at given instants."""
 
 from __future__ import annotations
 
@@ -9,18 +9,21 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._common.checks import FloatArray, InputError, check_finite_array, check_levels, check_positive
+from .._common.checks import FloatArray, InputError, check_choice, check_finite_array, check_levels, check_positive
 from ..oscillator import Oscillator
 from . import kernels
 from . import memory as layout
 from .curves import cycles_of_decay
 from .forces import KIND, OWN_EQUATION, describe_effects
 from .halfcycle import COMPLETED, NO_RETURN, OUT_OF_REACH, RUNAWAY, STUCK
+from .instants import DISPLACEMENT
 from .memory import Description, Turns, Waveform
 from .user_effects import compose_user_effects
 
 TOLERANCE = 2e-9  # of one step, relative to amplitude and speed; set by the decrement, not by the frequency
 MAXIMUM_TURNING_POINTS = 20_001
+QUANTITIES = ("displacement", "velocity", "acceleration")
+"""What can be sampled, by how often the displacement is differentiated."""
 
 
 class Status(IntEnum):
@@ -130,29 +133,46 @@ class DecayResult:
 
 @dataclass(frozen=True, eq=False)
 class WaveformResult:
-    """The displacement of a free decay at given instants.
+    """What is measured of a free decay at given instants.
 
     Attributes
     ----------
-    displacement : ndarray, shape (n,)
-        Displacement [m or rad]; the release amplitude before release, constant after sticking, NaN after a
-        decay that could not be continued.
+    values : ndarray, shape (n,)
+        Displacement [m or rad], velocity or acceleration [the same per second, or per second squared]. Before release
+        and after sticking the oscillator is held: its displacement is constant, velocity and acceleration are zero.
+        NaN after a decay that could not be continued.
     jacobian : ndarray, shape (n, p), or None
         Derivatives with respect to the parameters.
     release_slope : ndarray, shape (n,), or None
         Derivative with respect to the release amplitude.
+    time_slope : ndarray, shape (n,), or None
+        Derivative with respect to time.
     status : Status
         Why the decay ended.
+    quantity : {"displacement", "velocity", "acceleration"}
+        What ``values`` are.
 
     See Also
     --------
     simulate_waveform : returns it.
     """
 
-    displacement: FloatArray
+    values: FloatArray
     jacobian: FloatArray | None
     release_slope: FloatArray | None
+    time_slope: FloatArray | None
     status: Status
+    quantity: str = "displacement"
+
+    @property
+    def displacement(self) -> FloatArray:
+        """Displacement [m or rad], shape (n,), where that was asked for."""
+        if self.quantity != "displacement":
+            raise InputError(
+                f"`displacement` was asked of a simulated {self.quantity}; read `values`, or simulate with "
+                'quantity="displacement".'
+            )
+        return self.values
 
 
 class Simulator:
@@ -256,6 +276,36 @@ class Simulator:
         count, code = kernels.decay(*description, parameters, turns, _NO_WAVEFORM if waveform is None else waveform)
         return int(count), int(code)
 
+    def waveform(
+        self,
+        parameters: FloatArray,
+        release: float,
+        instants: FloatArray,
+        quantity: int,
+        *,
+        virgin: bool = True,
+        sensitivities: bool = True,
+        tolerance: float | None = None,
+        maximum: int = MAXIMUM_TURNING_POINTS,
+    ) -> tuple[FloatArray, FloatArray, int]:
+        """Return a derivative of the displacement, ``quantity`` times, at ascending instants since the release.
+
+        Returns its values (n,), their derivatives (n, 2 + p) with respect to release amplitude, parameters and time (no
+        columns where they are not wanted), and the status. At negative instants the oscillator is held.
+        """
+        before = int(np.searchsorted(instants, 0.0, side="left"))
+        values = np.full(instants.size, release if quantity == DISPLACEMENT else 0.0)
+        slopes = np.zeros((instants.size, parameters.size + 2 if sensitivities else 0))
+        if sensitivities and quantity == DISPLACEMENT:
+            slopes[:before, 0] = 1.0
+        code = int(COMPLETED)
+        if before < instants.size:
+            later = np.ascontiguousarray(instants[before:])
+            room = Waveform(later, values[before:], slopes[before:], quantity)
+            turns = self.make_turns(maximum, sensitivities)
+            _, code = self.decay(parameters, release, turns, room, virgin=virgin, tolerance=tolerance)
+        return values, slopes, code
+
     def make_turns(self, maximum: int, sensitivities: bool) -> Turns:
         """Return room for so many turning points, and for derivatives with respect to the parameters if wanted."""
         columns = 0 if self.has_own_equation else 1
@@ -265,7 +315,7 @@ class Simulator:
         return Turns(np.empty(maximum), np.empty(maximum), np.empty(shape), np.empty(shape))
 
 
-_NO_WAVEFORM = Waveform(np.empty(0), np.empty(0), np.empty((0, 0)))
+_NO_WAVEFORM = Waveform(np.empty(0), np.empty(0), np.empty((0, 0)), DISPLACEMENT)
 
 
 def simulate_backbone(
@@ -420,8 +470,9 @@ def simulate_waveform(
     release_time: float = 0.0,
     virgin: bool = True,
     sensitivities: bool = False,
+    quantity: str = "displacement",
 ) -> WaveformResult:
-    """Simulate the displacement of a free decay at given instants.
+    """Simulate displacement, velocity or acceleration of a free decay at given instants.
 
     Parameters
     ----------
@@ -434,21 +485,23 @@ def simulate_waveform(
     release_amplitude : float
         Displacement at release, at rest [m or rad]; not zero, either sign.
     release_time : float, default 0.0
-        Instant of release [s]; before it the displacement is ``release_amplitude``.
+        Instant of release [s]; before it the displacement is ``release_amplitude``, velocity and acceleration are zero.
     virgin : bool, default True
         Whether hysteretic states start loaded from rest up to the release, or relaxed at the release.
     sensitivities : bool, default False
-        Whether to compute derivatives with respect to the parameters and the release amplitude.
+        Whether to compute derivatives with respect to the parameters, the release amplitude and time.
+    quantity : {"displacement", "velocity", "acceleration"}
+        What a sensor would measure.
 
     Returns
     -------
     WaveformResult
-        Displacement (n,) and, if wanted, its derivatives.
+        The quantity (n,) and, if wanted, its derivatives.
 
     Raises
     ------
     InputError
-        Time that runs backwards, a release of zero, or parameters that do not fit the oscillator.
+        Time that runs backwards, a release of zero, an unknown quantity, or parameters that do not fit the oscillator.
 
     See Also
     --------
@@ -458,8 +511,11 @@ def simulate_waveform(
     Notes
     -----
     Between the integrator's steps the septic through position, velocity, acceleration and jerk is used, for the
-    derivatives the quintic without jerk.
+    derivatives the quintic without jerk. The velocity is that polynomial's derivative; the acceleration follows from
+    the equation of motion at the state between the steps, with the direction of the half cycle: where friction makes it
+    jump, at a turning point, the instant itself belongs to the half cycle before.
     """
+    check_choice("quantity", quantity, QUANTITIES)
     instants = check_finite_array("time", time) - release_time
     backwards = np.flatnonzero(np.diff(instants) < 0.0)
     if backwards.size:
@@ -469,19 +525,10 @@ def simulate_waveform(
         raise InputError(f"`release_amplitude` must be finite and not zero, got {release_amplitude}.")
     vector = oscillator.pack(parameters)
     simulator = Simulator(oscillator)
-    before = int(np.searchsorted(instants, 0.0, side="left"))
-    displacement = np.full(instants.size, release)
-    slopes = np.zeros((instants.size, vector.size + 1 if sensitivities else 0))
-    if sensitivities:
-        slopes[:before, 0] = 1.0
-    code = int(COMPLETED)
-    if before < instants.size:
-        waveform = Waveform(np.ascontiguousarray(instants[before:]), displacement[before:], slopes[before:])
-        turns = simulator.make_turns(MAXIMUM_TURNING_POINTS, sensitivities)
-        _, code = simulator.decay(vector, release, turns, waveform, virgin=virgin)
-    return WaveformResult(
-        displacement=displacement,
-        jacobian=np.ascontiguousarray(slopes[:, 1:]) if sensitivities else None,
-        release_slope=np.ascontiguousarray(slopes[:, 0]) if sensitivities else None,
-        status=Status(code),
+    values, slopes, code = simulator.waveform(
+        vector, release, instants, QUANTITIES.index(quantity), virgin=virgin, sensitivities=sensitivities
     )
+    if not sensitivities:
+        return WaveformResult(values, None, None, None, Status(code), quantity)
+    release_slope, jacobian, time_slope = (np.ascontiguousarray(slopes[:, part]) for part in (0, slice(1, -1), -1))
+    return WaveformResult(values, jacobian, release_slope, time_slope, Status(code), quantity)

@@ -45,6 +45,7 @@ from .memory import (
     MODE,
     N_SAMPLES,
     OWN_STATES,
+    QUANTITY,
     SAMPLE_SLOPES,
     SENSITIVITY,
     STEP,
@@ -226,7 +227,7 @@ class Bench(NamedTuple):
 
 @plain
 def _bench(
-    run: Integers, memory: Floats, p: Floats, direction: float, time: Floats, displacement: Floats, slopes: Floats
+    run: Integers, memory: Floats, p: Floats, direction: float, time: Floats, values: Floats, slopes: Floats
 ) -> Bench:
     """Lay out what a half cycle works with."""
     place = place_of(run)
@@ -236,7 +237,7 @@ def _bench(
     moving = run[MODE] == OWN_STATES
     return Bench(
         model, run, memory, run[MODE], moving, run[HAS_REGIME] != 0, 2 + model.n_states if moving else 2, direction,
-        Samples(time, displacement, slopes, run[SAMPLE_SLOPES] != 0, run[N_SAMPLES]),
+        Samples(time, values, slopes, run[SAMPLE_SLOPES] != 0, run[N_SAMPLES], run[QUANTITY]),
         y, y1, shifted(y, 2), shifted(y1, 2), shifted(memory, place.dt), shifted(memory, place.shift),
         shifted(memory, place.K), shifted(memory, place.middle), shifted(memory, place.room),
         shifted(memory, place.quadrature),
@@ -338,8 +339,8 @@ def _sample(
     if not turns and v1 * direction < 0.0 and a1 * direction < 0.0:
         until += _turning_time(v1, a1, jerk1)
     run[CURSOR] = write_samples(
-        model, y, a, jerk, y1, a1, jerk1, bench.memory[TIME], length, smooth, run[CURSOR], until, direction, bench.dt,
-        bench.room, bench.samples,
+        model, y, a, jerk, y1, a1, jerk1, bench.memory[TIME], length, smooth, bench.moving, run[CURSOR], until,
+        direction, bench.dt, bench.room, bench.samples,
     )  # fmt: skip
 
 
@@ -487,7 +488,7 @@ def _load_states(run: Integers, memory: Floats, p: Floats, virgin: int) -> int:
 
 HALF_CYCLE = NativeFunction("half_cycle", int64(INTEGERS, FLOATS, FLOATS, float64, FLOATS, FLOATS, FLOATS), _half_cycle)
 half_cycle: Callable[[Integers, Floats, Floats, float, Floats, Floats, Floats], int] = HALF_CYCLE.call
-"""``half_cycle(run, memory, p, direction, time, displacement, slopes) -> status``: on to the next turning point.
+"""``half_cycle(run, memory, p, direction, time, values, slopes) -> status``: on to the next turning point.
 
 On entry the memory's ``now`` describes a turning point, on return the next one; time and ``dt`` gain what that took.
 """

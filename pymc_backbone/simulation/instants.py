@@ -1,21 +1,31 @@
-"""Displacement and sensitivities between the steps of the integrator, at instants asked for. Arguments are pointers."""
+"""What is measured, and its sensitivities, between the steps of the integrator at instants asked for.
+
+Displacement, velocity or acceleration. Arguments are pointers.
+"""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-from .forces import Model, force_gradient, plain
+from .forces import Model, force_gradient, plain, total_force
 from .pointers import Floats, shifted
+
+DISPLACEMENT, VELOCITY, ACCELERATION = range(3)  # how often the displacement is differentiated
+_SHORT = 0.01  # radians; in shorter steps what lifts a polynomial drowns in rounding, and is below it
 
 
 class Samples(NamedTuple):
-    """Instants [s], room for displacement and derivatives, whether these are wanted, how many instants."""
+    """Instants [s]; room for the quantity and its derivatives; whether these are wanted, how many, which quantity.
+
+    Derivatives are those with respect to release amplitude, parameters and time.
+    """
 
     time: Floats
-    displacement: Floats
+    values: Floats
     slopes: Floats
     sensitivities: bool
     size: int
+    quantity: int
 
 
 @plain
@@ -32,6 +42,33 @@ def hermite_position(x0: float, v0: float, a0: float, x1: float, v1: float, a1: 
         + h * v1 * (-4.0 * t3 + 7.0 * t4 - 3.0 * t5)
         + h * h * a0 * (0.5 * t2 - 1.5 * t3 + 1.5 * t4 - 0.5 * t5)
         + h * h * a1 * (0.5 * t3 - t4 + 0.5 * t5)
+    )
+
+
+@plain
+def hermite_velocity(x0: float, v0: float, a0: float, x1: float, v1: float, a1: float, h: float, theta: float) -> float:
+    """Return the time derivative of `hermite_position`."""
+    rest = 1.0 - theta
+    inner = theta * rest
+    return (
+        30.0 * inner * inner * (x1 - x0) / h
+        + v0 * rest * rest * (1.0 + theta * (2.0 - 15.0 * theta))
+        + v1 * theta * theta * (1.0 + rest * (2.0 - 15.0 * rest))
+        + 0.5 * h * inner * (a0 * rest * (2.0 - 5.0 * theta) - a1 * theta * (2.0 - 5.0 * rest))
+    )
+
+
+@plain
+def hermite_acceleration(
+    x0: float, v0: float, a0: float, x1: float, v1: float, a1: float, h: float, theta: float
+) -> float:
+    """Return the second time derivative of `hermite_position`."""
+    rest = 1.0 - theta
+    return (
+        60.0 * theta * rest * (rest - theta) * (x1 - x0) / (h * h)
+        + 12.0 * theta * rest * (v0 * (5.0 * theta - 3.0) + v1 * (5.0 * theta - 2.0)) / h
+        + a0 * rest * (1.0 + theta * (10.0 * theta - 8.0))
+        + a1 * theta * (1.0 + rest * (10.0 * rest - 8.0))
     )
 
 
@@ -64,9 +101,9 @@ def sensitivity_slopes(model: Model, y: Floats, direction: float, out: Floats) -
 @plain
 def write_samples(
     model: Model, y: Floats, a0: float, jerk0: float, y1: Floats, a1: float, jerk1: float, start: float, h: float,
-    smooth: bool, cursor: int, until: float, direction: float, dt: Floats, room: Floats, samples: Samples,
+    smooth: bool, moving: bool, cursor: int, until: float, direction: float, dt: Floats, room: Floats, samples: Samples,
 ) -> int:  # fmt: skip
-    """Write displacement and sensitivities at the instants up to ``until`` in a step from ``y`` to ``y1``.
+    """Write the quantity and its sensitivities at the instants up to ``until`` in a step from ``y`` to ``y1``.
 
     Where the step is ``smooth``, the jerk at both ends lifts the displacement's quintic to a septic. The sensitivities
     behind the state are those at a fixed time since the last turning point; that moves by ``dt``. Returns how many
@@ -89,16 +126,91 @@ def write_samples(
         theta = (samples.time[cursor] - start) / h
         rest = 1.0 - theta
         bump = h * theta * rest
-        samples.displacement[cursor] = (
+        x = (
             hermite_position(y[0], y[1], a0, y1[0], y1[1], a1, h, theta)
             + bump * bump * bump * (left * rest - right * theta) / 6.0
         )
+        slopes = shifted(samples.slopes, cursor * (columns + 1))
+        if samples.quantity != DISPLACEMENT:
+            lifted = smooth and h * model.scales[1] > _SHORT * model.scales[0]
+            samples.values[cursor] = _rate(
+                model, y, a0, jerk0, y1, a1, jerk1, h, x, theta, lifted, moving, direction, dt, slope0, slope1,
+                columns, samples.quantity, slopes,
+            )  # fmt: skip
+            cursor += 1
+            continue
+        samples.values[cursor] = x
         if columns > 0:
             velocity = hermite_position(y[1], a0, jerk0, y1[1], a1, jerk1, h, theta)
+            slopes[columns] = velocity
         for c in range(columns):
             since_turning = hermite_position(
                 S[c], S[columns + c], slope0[c], S1[c], S1[columns + c], slope1[c], h, theta
             )
-            samples.slopes[cursor * columns + c] = since_turning - velocity * dt[c]
+            slopes[c] = since_turning - velocity * dt[c]
         cursor += 1
     return cursor
+
+
+@plain
+def _rate(
+    model: Model, y: Floats, a0: float, jerk0: float, y1: Floats, a1: float, jerk1: float, h: float, x: float,
+    theta: float, lifted: bool, moving: bool, direction: float, dt: Floats, slope0: Floats, slope1: Floats,
+    columns: int, quantity: int, slopes: Floats,
+) -> float:  # fmt: skip
+    """Return velocity or acceleration at ``theta`` of a step, and write its derivatives into ``slopes``.
+
+    The velocity is the quintic through velocity, acceleration and jerk at both ends, ``lifted`` to have the
+    displacement's rise for its integral. The acceleration follows from the equation of motion, where no state moves;
+    where one does, from the derivative of the velocity, which is smoother than states between the steps.
+    """
+    inner = theta * (1.0 - theta)
+    tilt = 1.0 - 2.0 * theta
+    lift = 0.0
+    if lifted:
+        rise = 0.5 * (y[1] + y1[1]) + h * (0.1 * (a0 - a1) + h * (jerk0 + jerk1) / 120.0)
+        lift = 140.0 * ((y1[0] - y[0]) / h - rise)
+    v = hermite_position(y[1], a0, jerk0, y1[1], a1, jerk1, h, theta) + lift * inner * inner * inner
+    a = hermite_velocity(y[1], a0, jerk0, y1[1], a1, jerk1, h, theta) + 3.0 * lift * inner * inner * tilt / h
+    S = shifted(y, 2 + model.n_states)
+    S1 = shifted(y1, 2 + model.n_states)
+    if quantity == VELOCITY:
+        if columns > 0:
+            slopes[columns] = a
+        for c in range(columns):
+            since_turning = hermite_velocity(
+                S[c], S[columns + c], slope0[c], S1[c], S1[columns + c], slope1[c], h, theta
+            )
+            slopes[c] = since_turning - a * dt[c]
+        return v
+    if moving:
+        jerk = jerk0 + theta * (jerk1 - jerk0)
+        if lifted:
+            jerk = hermite_acceleration(y[1], a0, jerk0, y1[1], a1, jerk1, h, theta)
+            jerk += 6.0 * lift * inner * (tilt * tilt - inner) / (h * h)
+        if columns > 0:
+            slopes[columns] = jerk
+        for c in range(columns):
+            since_turning = slope0[c] + theta * (slope1[c] - slope0[c])
+            if lifted:
+                since_turning = hermite_acceleration(
+                    S[c], S[columns + c], slope0[c], S1[c], S1[columns + c], slope1[c], h, theta
+                )
+            slopes[c] = since_turning - jerk * dt[c]
+        return a
+    z = shifted(y, 2)
+    if columns == 0:
+        return -total_force(model, x, v, direction, z) / model.mass
+    force, fx, fv = force_gradient(model, x, v, direction, z)
+    a = -force / model.mass
+    jerk = -(fx * v + fv * a) / model.mass
+    slopes[columns] = jerk
+    for c in range(columns):
+        total = fx * hermite_position(S[c], S[columns + c], slope0[c], S1[c], S1[columns + c], slope1[c], h, theta)
+        total += fv * hermite_velocity(S[c], S[columns + c], slope0[c], S1[c], S1[columns + c], slope1[c], h, theta)
+        for j in range(model.n_states):
+            total += model.fz[j] * S[(2 + j) * columns + c]
+        if c > 0:
+            total += model.fp[c - 1]
+        slopes[c] = -total / model.mass - jerk * dt[c]
+    return a

@@ -1,4 +1,4 @@
-"""Compiled free decays: one cycle per level, the whole decay, the displacement at given instants.
+"""Compiled free decays: one cycle per level, the whole decay, what is measured at given instants.
 
 Column 0 of a derivative is the one with respect to the release amplitude, the parameters follow.
 """
@@ -26,6 +26,7 @@ from .halfcycle import (
     half_cycle,
     load_states,
 )
+from .instants import ACCELERATION, DISPLACEMENT
 from .memory import (
     AMPLITUDE,
     BY_DECAY,
@@ -40,6 +41,7 @@ from .memory import (
     N_SAMPLES,
     N_STATES,
     OWN_STATES,
+    QUANTITY,
     RELEASE,
     SAMPLE_SLOPES,
     SENSITIVITY,
@@ -327,6 +329,7 @@ def _whole_decay(
     run.integers[N_SAMPLES] = n_samples
     run.integers[SAMPLE_SLOPES] = 1 if waveform.slopes.shape[1] > 0 else 0
     run.integers[CURSOR] = 0
+    run.integers[QUANTITY] = waveform.quantity
     memory = run.memory
     memory[STEP] = 0.0
     direction = -1.0 if release > 0.0 else 1.0
@@ -341,7 +344,7 @@ def _whole_decay(
     while count < maximum and code == COMPLETED:
         code = half_cycle(
             address(run.integers), address(memory), address(run.p), direction,
-            address(waveform.times), address(waveform.displacement), address(waveform.slopes),
+            address(waveform.times), address(waveform.values), address(waveform.slopes),
         )  # fmt: skip
         if code != COMPLETED:
             break
@@ -367,11 +370,12 @@ def _whole_decay(
             if not 10.0 * pace * (maximum - count) > math.log(memory[AMPLITUDE] / stop):
                 break
     # What sticks stays where it is; after any other end there is no answer.
-    held = code == STUCK
+    held = 0.0 if code == STUCK else np.nan
+    is_displacement = waveform.quantity == DISPLACEMENT
     for i in range(run.integers[CURSOR], n_samples):
-        waveform.displacement[i] = run.y[0] if held else np.nan
+        waveform.values[i] = held + (run.y[0] if is_displacement else 0.0)
         for c in range(waveform.slopes.shape[1]):
-            waveform.slopes[i, c] = run.slopes[c] if held else np.nan
+            waveform.slopes[i, c] = held + (run.slopes[c] if is_displacement and c < run.columns else 0.0)
     return count, code
 
 
@@ -396,7 +400,7 @@ def _backbone_by_decay(
     turns = Turns(
         np.empty(maximum), np.empty(maximum), np.empty((maximum, run.columns)), np.empty((maximum, run.columns))
     )
-    none = Waveform(np.empty(0), np.empty(0), np.empty((0, 0)))
+    none = Waveform(np.empty(0), np.empty(0), np.empty((0, 0)), DISPLACEMENT)
     count, found, code = 0, 0, COMPLETED
     given = release > 0.0
     if not given:
@@ -448,4 +452,6 @@ def decay(integers: IntArray, numbers: FloatArray, p: FloatArray, turns: Turns, 
     if waveform.times.size > 0:
         largest = _LARGEST_SAMPLED_STEP if numbers[TOLERANCE] < _COARSE else _LARGEST_COARSE_STEP
     run = _prepare(integers, numbers, p, turns.slopes.shape[1] > 1, largest)
+    if waveform.quantity == ACCELERATION and run.integers[MODE] == OWN_STATES:
+        run.memory[LARGEST_STEP] *= 0.5  # there the acceleration is a derivative of what lies between the steps
     return _whole_decay(run, numbers[RELEASE], numbers[STOP], 0, turns.values.size, turns, waveform)

@@ -21,7 +21,7 @@ USER, N_EFFECTS, STIFFNESS, DAMPING, N_STATES, N_PARAMETERS, HAS_REGIME = range(
 # of levels, and of the rows frequency, damping, offset those that are judged, a bit each ...
 BY_DECAY, VIRGIN, MAXIMUM, N_LEVELS, ROWS = range(7, 12)
 # ... and of a run under way, 0 before; the rows of the table of effects follow.
-MODE, COLUMNS, N_SAMPLES, CURSOR, SAMPLE_SLOPES, TABLE = range(12, 18)
+MODE, COLUMNS, N_SAMPLES, CURSOR, SAMPLE_SLOPES, QUANTITY, TABLE = range(12, 19)
 # The numbers: of the oscillator and what is asked (tolerance of a step; release, 0 for the default; amplitude at which
 # a decay ends), then of a run under way. Behind them follow the levels in a description, in the memory of a run what
 # `memory_of` places there.
@@ -48,11 +48,16 @@ class Turns(NamedTuple):
 
 
 class Waveform(NamedTuple):
-    """Instants [s] after release, not decreasing, room for displacement, and for derivatives where it has columns."""
+    """Instants [s] after release, not decreasing, and room for what is measured there.
+
+    Derivatives, where they have columns, are with respect to release amplitude, parameters and time. ``quantity`` says
+    how often the displacement is differentiated.
+    """
 
     times: FloatArray
-    displacement: FloatArray
+    values: FloatArray
     slopes: FloatArray
+    quantity: int
 
 
 class Memory(NamedTuple):

@@ -13,7 +13,7 @@ from ..._common.text import printable
 from ..reading.records import MINIMUM_SAMPLES, QUANTITIES, Record
 from .asymmetry import SIGNIFICANT, MidLine, displacement_amplitude, restore_mid_line, second_harmonic
 from .baseline import Baseline, find_baseline
-from .conditioned import ConditionedRecord
+from .conditioned import ConditionedRecord, MeasuredSamples
 from .filters import BandPass, check_band, design_band_pass, integrate, integration_response
 from .noise import NoiseSpectrum, amplitude_floor, noise_in_band, noise_of, noise_spectrum, quantum, quiet_spectrum
 from .plausibility import check_clipping, check_cycles, check_decays, check_moves, check_per_cycle
@@ -26,6 +26,8 @@ __all__ = ["ConditionedRecord", "condition"]
 
 _TOLERATED_BIAS = 0.05
 """Relative error of damping from a lost mid-line above which a warning is due."""
+_FEWEST_CYCLES = 8.0
+"""Fewer are not given up to keep the end of forcing out of what a filter saw."""
 
 
 def condition(
@@ -120,17 +122,17 @@ class _Conditioning:
         self.band = None if band is None else check_band(band, self.rate, self.name)
         self.frequency = self._dominant(time, values)
         self.begin = self.samples.start
+        self.whole = self.samples.values
         self.search = start is None
 
     def run(self) -> ConditionedRecord:
         """Condition the record."""
         measured, is_cut = self._released(self.samples.values)
+        self.whole, released = measured, self.begin
         band_pass = None
         if self.band is not None:
             band_pass = design_band_pass(self.band, self.frequency, self.rate, self.name)
-            whole, measured = measured, self._filtered(measured, band_pass)
-        else:
-            whole = measured
+            measured = self._filtered(measured, band_pass)
         what = "after the release" if band_pass is None else "left by the band-pass"
         path = check_cycles(track(measured, self.rate, self.frequency), self.name, what)
         spectrum, path, end = self._motion(measured, path, band_pass)
@@ -138,13 +140,14 @@ class _Conditioning:
         baseline = self._baseline(measured, path, end, spectrum, band_pass)
         second = self._second_mode(measured, path)
         first, last = self._range(path, is_cut and band_pass is None, end, measured.size)
+        before = round((self.begin - released) * self.rate)
         displacement = self._displacement(measured[first:last], path.shifted(first / self.rate))
         mid_line = None
         time = np.arange(first, last) / self.rate
         amplitude = displacement_amplitude(path, self.integrations)
         if self.integrations or band_pass:
             lag = 0.0 if band_pass is None else band_pass.half / self.rate
-            mid_line = self._mid_line(whole, path.shifted(-lag), second, is_filtered=band_pass is not None)
+            mid_line = self._mid_line(self.whole, path.shifted(-lag), second, is_filtered=band_pass is not None)
         if mid_line is not None:
             displacement += mid_line.at(amplitude.amplitude_at(time))
         self._note_band_pass(band_pass, path)
@@ -171,6 +174,7 @@ class _Conditioning:
             second_mode_frequency=second.frequency if second else np.nan,
             second_mode_share=second.share if second else np.nan,
             source=self.record.source,
+            measured=self._measured(before, is_cut, (first, last), path, spectrum, band_pass),
             notes=tuple(self.notes),
         )
 
@@ -282,8 +286,8 @@ class _Conditioning:
     def _spectrum(self, values: FloatArray, path: Track, band_pass: BandPass | None) -> NoiseSpectrum:
         """Return the spectrum of the noise of the measured quantity."""
         if band_pass is None:
-            return noise_spectrum(values, self.rate, path, self.step)
-        return noise_in_band(values, self.rate, path, lambda f: np.abs(band_pass.gain(f)), self.step)
+            return noise_spectrum(values, self.rate, path, self.step, self.integrations)
+        return noise_in_band(values, self.rate, path, lambda f: np.abs(band_pass.gain(f)), self.step, self.whole)
 
     def _baseline(
         self, values: FloatArray, path: Track, end: float, spectrum: NoiseSpectrum, band_pass: BandPass | None
@@ -318,16 +322,48 @@ class _Conditioning:
     def _range(self, path: Track, is_cut: bool, end: float, size: int) -> tuple[int, int]:
         """Return the samples from a quarter of a cycle before the first turning point to the end of motion."""
         cycle = 1.0 / path.frequency
-        first = 0
-        if is_cut:
-            shift = 0.5 * np.pi if self.record.quantity == "velocity" else 0.0
-            phase = float(path.phase_at(np.array([0.3 * cycle]))[0]) - shift
-            turning = float(path.time_at(np.array([np.pi * np.ceil(phase / np.pi) + shift]))[0])
-            first = max(0, int(np.floor((turning - 0.25 * cycle) * self.rate)))
+        first = self._undisturbed(path, 0.0) if is_cut else 0
         last = min(size, int(np.ceil((end + cycle) * self.rate)) + 1)
         if size - last > cycle * self.rate:
             self.notes.append(f"the last {(size - last) / self.rate:.4g} s, after the end of motion, were dropped")
         return first, last
+
+    def _undisturbed(self, path: Track, release: float) -> int:
+        """Return how many samples after a release lies a quarter of a cycle before the first turning point."""
+        cycle = 1.0 / path.frequency
+        shift = 0.5 * np.pi if self.record.quantity == "velocity" else 0.0
+        phase = float(path.phase_at(np.array([release + 0.3 * cycle]))[0]) - shift
+        turning = float(path.time_at(np.array([np.pi * np.ceil(phase / np.pi) + shift]))[0])
+        return max(0, int(np.floor((turning - 0.25 * cycle - release) * self.rate)))
+
+    def _measured(
+        self,
+        before: int,
+        is_cut: bool,
+        kept: tuple[int, int],
+        path: Track,
+        spectrum: NoiseSpectrum,
+        band_pass: BandPass | None,
+    ) -> MeasuredSamples:
+        """Return the samples as they were; ``before`` of them precede those that were passed."""
+        first, last = kept
+        if band_pass is not None:
+            # a passed sample stems from those around it: none of them may be driven, or touched by hand or hammer
+            is_driven = before > band_pass.half
+            last = min(self.whole.size, last + before + band_pass.half)
+            first = self._undisturbed(path, -before / self.rate) if is_cut else 0
+            rest = (last - before - 2 * band_pass.half) * path.frequency / self.rate
+            if is_driven:
+                first = before if rest > _FEWEST_CYCLES else before - band_pass.half
+        begin = self.begin + (first - before if band_pass is not None else first) / self.rate
+        noise = noise_of(spectrum, np.ones_like, path.frequency, self.rate)
+        return MeasuredSamples(
+            time=_frozen(begin + np.arange(last - first) / self.rate),
+            values=_frozen(np.array(self.whole[first:last])),
+            autocovariance=_frozen(noise.autocovariance),
+            order=self.integrations,
+            band_pass=band_pass,
+        )
 
     def _displacement(self, values: FloatArray, path: Track) -> FloatArray:
         """Integrate as often as the measured quantity asks for."""

@@ -5,6 +5,33 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from ..._common.checks import FloatArray
+from .filters import BandPass
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredSamples:
+    """The samples of one free decay as the sensor gave them: not integrated, not filtered, its offset still in them.
+
+    Attributes
+    ----------
+    time : (n,) array
+        Seconds on the record's own clock, uniform.
+    values : (n,) array
+        What was measured, but for a constant [unit of the record].
+    autocovariance : (m,) array
+        Of the noise of ``values`` at lags 0, 1, ... samples [the unit squared], zero beyond the last; m >= 2. Where a
+        band was passed it holds within the band.
+    order : int
+        How often the displacement has been differentiated: 1 for velocity, 2 for acceleration.
+    band_pass : BandPass or None
+        The filter to compare through, where another mode has to be kept out. Half of its length is lost at either end.
+    """
+
+    time: FloatArray
+    values: FloatArray
+    autocovariance: FloatArray
+    order: int
+    band_pass: BandPass | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +79,9 @@ class ConditionedRecord:
         Highest peak of another mode [Hz] and its height over that of the dominant one; NaN where there is none.
     source : str
         File, for messages.
+    measured : MeasuredSamples
+        The samples as they were. They all lie after the release, behind what a hand or a hammer may have disturbed, and
+        cover the same motion as ``displacement``; with a band, that from which the passed samples stem.
     notes : tuple of str
         What was assumed and done, one sentence each; warnings begin with ``warning:``.
 
@@ -81,4 +111,5 @@ class ConditionedRecord:
     second_mode_frequency: float
     second_mode_share: float
     source: str
+    measured: MeasuredSamples
     notes: tuple[str, ...] = field(default=())

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
-from scipy.signal import firwin, kaiserord, oaconvolve
+from scipy.signal import firwin, get_window, kaiserord, oaconvolve
 
 from ..._common.checks import FloatArray, InputError
 from .tracking import Track, local_basis
@@ -28,6 +28,8 @@ class BandPass:
     ----------
     taps : (2 h + 1,) array
         Impulse response, symmetric.
+    quadrature : (2 h + 1,) array
+        Impulse response that passes the same band with every frequency a quarter of a cycle later, antisymmetric.
     low, high : float
         Half-amplitude edges [Hz].
     sampling_rate : float
@@ -35,6 +37,7 @@ class BandPass:
     """
 
     taps: FloatArray
+    quadrature: FloatArray
     low: float
     high: float
     sampling_rate: float
@@ -105,7 +108,11 @@ def design_band_pass(band: tuple[float, float], frequency: float, sampling_rate:
     count, beta = kaiserord(_ATTENUATION, width / (0.5 * sampling_rate))
     count += 1 - count % 2
     taps = firwin(count, [low, high], window=("kaiser", beta), pass_zero=False, fs=sampling_rate, scale=False)
-    return BandPass(np.asarray(taps, dtype=np.float64), low, high, sampling_rate)
+    lag = np.arange(count) - (count - 1) // 2
+    edges = 2.0 * np.pi * lag / sampling_rate
+    ideal = (np.cos(low * edges) - np.cos(high * edges)) / (np.pi * np.where(lag == 0, 1, lag))
+    quadrature = ideal * get_window(("kaiser", beta), count, fftbins=False)
+    return BandPass(np.asarray(taps, dtype=np.float64), quadrature, low, high, sampling_rate)
 
 
 def integrate(values: FloatArray, sampling_rate: float, path: Track) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -17,13 +18,19 @@ _PASSED = 0.25
 _QUIET_CYCLES, _QUIET_SAMPLES = 3.0, 100
 _FINE_SAMPLING = 24.0
 _MAXIMUM_SEGMENTS = 24
-_MAXIMUM_HARMONICS = 8
+_MAXIMUM_HARMONICS = 8  # of a displacement; each differentiation gives the higher ones more weight
 _FINE_BINS = 12
 _USABLE = 0.4
 _GRID = 4096
 _MAXIMUM_LAG_CYCLES = 3.0
 _NEGLIGIBLE = 0.01
 _WHITE_BAND = (0.5, 4.0)
+_TAPERED_CYCLES = 12.0
+_FEWEST_VALUES = 40
+_MEAN_BELOW_FOUR = 1.0 - 4.0 / np.expm1(4.0)  # of an exponential distribution of mean one, cut at four
+_MOSTLY = 0.6
+_FLAT = 1.35
+_LESS_IN_BAND = 3.0
 
 
 @dataclass(frozen=True)
@@ -66,18 +73,21 @@ def quantum(values: FloatArray) -> float:
     return step if np.median(off[ratio < 20.0]) < 0.05 else 0.0
 
 
-def noise_spectrum(values: FloatArray, sampling_rate: float, track: Track, step: float = 0.0) -> NoiseSpectrum:
+def noise_spectrum(
+    values: FloatArray, sampling_rate: float, track: Track, step: float = 0.0, integrations: int = 0
+) -> NoiseSpectrum:
     """Estimate the noise spectrum of a decay from what its own harmonics leave.
 
     In segments of six cycles the harmonics, with amplitudes that vary as the tracked amplitude times a
     low-order polynomial, are fitted and subtracted; the periodogram of what is left, divided by
     the share of white noise that the fit leaves at each frequency, is the noise. The mean over segments leaves out
     glitches, the median over wide bins keeps out narrow lines (a second mode, mains hum). The noise is at
-    least that of rounding to the ``step`` of the converter (variance step^2 / 12).
+    least that of rounding to the ``step`` of the converter (variance step^2 / 12). Friction makes acceleration jump:
+    with ``integrations`` more harmonics are fitted, which would else be taken for noise.
     """
     edges = _bin_edges(track.frequency, 0.5 * sampling_rate)
     rows = [
-        _binned(edges, *_periodogram(values[first:last], first, sampling_rate, track))
+        _binned(edges, *_periodogram(values[first:last], first, sampling_rate, track, integrations))
         for first, last in _segments(values.size, sampling_rate, track, _SEGMENT_CYCLES)
     ]
     return _spectrum(edges, rows, step)
@@ -120,11 +130,18 @@ def _spectrum(edges: FloatArray, rows: list[tuple[FloatArray, FloatArray]], step
 
 
 def noise_in_band(
-    values: FloatArray, sampling_rate: float, track: Track, gain: Callable[[FloatArray], FloatArray], step: float = 0.0
+    values: FloatArray,
+    sampling_rate: float,
+    track: Track,
+    gain: Callable[[FloatArray], FloatArray],
+    step: float,
+    whole: FloatArray,
 ) -> NoiseSpectrum:
-    """Estimate the level of the noise that entered a band-pass from what came out of it.
+    """Estimate the level of the noise that entered a band-pass, taken as constant over the band.
 
-    Long segments leave more of the pass-band beside the mode's own line; the level is taken as constant over the band.
+    Little of the band is not the mode's own line, and where the frequency drifts the line covers that too. So the level
+    is that of the ``whole`` record before the filter where that is white, and else what came out beside the line in
+    long segments.
     """
     nyquist = 0.5 * sampling_rate
     levels = []
@@ -136,7 +153,45 @@ def noise_in_band(
             levels.append(float(np.mean(density[inside] / passed[inside])))
     column = np.array(levels) if levels else np.zeros(1)
     level = float(column[column <= 8.0 * np.median(column)].mean())
+    white = white_level(whole, sampling_rate, track.frequency)
+    if white is not None and white < _LESS_IN_BAND * level:
+        level = white
     return NoiseSpectrum(np.array([0.0, nyquist]), np.array([max(level, step**2 / 12.0 / nyquist)]))
+
+
+def white_level(values: FloatArray, sampling_rate: float, frequency: float) -> float | None:
+    """Return the density of white noise below the lines of a record of many modes, or None where it is not white.
+
+    In tapered segments most values between the lines are noise, whose periodogram is distributed exponentially: the
+    mean of what lies below four means tells it, octave by octave; two at least must agree.
+    """
+    length = min(round(_TAPERED_CYCLES * sampling_rate / frequency), values.size)
+    taper = np.hanning(length)
+    firsts = range(0, values.size - length + 1, max(length // 2, 1))
+    parts = np.array([values[first : first + length] for first in firsts])
+    power = np.abs(rfft((parts - parts.mean(axis=1, keepdims=True)) * taper, axis=1)) ** 2
+    power *= 2.0 / (sampling_rate * float(taper @ taper))
+    at = rfftfreq(length, 1.0 / sampling_rate)
+    octaves = 0.5 * frequency * 2.0 ** np.arange(np.ceil(np.log2(sampling_rate / frequency)) + 1)
+    levels, counts = [], []
+    for low, high in itertools.pairwise(octaves):
+        inside = power[:, (at >= low) & (at < min(high, 0.5 * sampling_rate))].ravel()
+        if inside.size < _FEWEST_VALUES:
+            continue
+        level = float(np.median(inside)) / np.log(2.0)
+        for _ in range(50):
+            kept = inside[inside < 4.0 * level]
+            level = float(kept.mean()) / _MEAN_BELOW_FOUR
+        if kept.size > _MOSTLY * inside.size:
+            levels.append(level)
+            counts.append(kept.size)
+    # lines crowd the lower octaves: from the highest down as long as they agree
+    agreed = 1
+    while agreed < len(levels) and abs(np.log(levels[-agreed - 1] / levels[-1])) < np.log(_FLAT):
+        agreed += 1
+    if agreed < 2:
+        return None
+    return float(np.average(levels[-agreed:], weights=counts[-agreed:]))
 
 
 def _segments(n: int, sampling_rate: float, track: Track, cycles: float) -> list[tuple[int, int]]:
@@ -162,12 +217,14 @@ def _bin_edges(frequency: float, nyquist: float) -> FloatArray:
     return np.array(edges)
 
 
-def _periodogram(values: FloatArray, first: int, sampling_rate: float, track: Track) -> tuple[FloatArray, FloatArray]:
+def _periodogram(
+    values: FloatArray, first: int, sampling_rate: float, track: Track, integrations: int = 0
+) -> tuple[FloatArray, FloatArray]:
     """Return frequencies and noise densities of one segment that begins at sample ``first``."""
     n = values.size
     time = np.arange(first, first + n) / sampling_rate
     cycles = n * track.frequency / sampling_rate
-    harmonics = int(np.clip(0.5 * sampling_rate / track.frequency - 0.5, 1, _MAXIMUM_HARMONICS))
+    harmonics = int(np.clip(0.5 * sampling_rate / track.frequency - 0.5, 1, _MAXIMUM_HARMONICS * (1 + integrations)))
     while harmonics > 1 and 6 + 4 * harmonics > 0.65 * n:
         harmonics -= 1
     is_fine = sampling_rate / track.frequency >= _FINE_SAMPLING
