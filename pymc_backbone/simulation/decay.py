@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -24,6 +23,7 @@ TOLERANCE = 2e-9  # of one step, relative to amplitude and speed; set by the dec
 MAXIMUM_TURNING_POINTS = 20_001
 QUANTITIES = ("displacement", "velocity", "acceleration")
 """What can be sampled, by how often the displacement is differentiated."""
+ALL_ROWS = (0, 1, 2)  # frequency, damping, offset
 
 
 class Status(IntEnum):
@@ -200,6 +200,7 @@ class Simulator:
         self._integers[layout.N_PARAMETERS] = len(oscillator.parameter_names)
         self._integers[layout.HAS_REGIME] = has_regime
         self._integers[layout.MAXIMUM] = MAXIMUM_TURNING_POINTS
+        self._integers[layout.ROWS] = sum(1 << row for row in ALL_ROWS)
         self._integers[layout.TABLE :] = table.ravel()
 
     def describe(
@@ -208,7 +209,7 @@ class Simulator:
         release: float = 0.0,
         virgin: bool = True,
         *,
-        rows: Iterable[int] = (0, 1, 2),
+        rows: tuple[int, ...] = ALL_ROWS,
         stop: float = 0.0,
         tolerance: float | None = None,
     ) -> Description:
@@ -222,19 +223,20 @@ class Simulator:
             Release [m or rad]; 0 lets the simulator choose, where a backbone is asked for.
         virgin : bool, default True
             Whether hysteretic states start loaded from rest.
-        rows : iterable of int
+        rows : tuple of int
             Which of frequency (0), damping (1), offset (2) are judged, where that is asked for.
         stop : float, default 0.0
             Amplitude at which a decay ends [m or rad]; 0 for never.
         tolerance : float, optional
             Of one step; default `TOLERANCE`.
         """
-        count = 0 if levels is None else levels.size
         integers = self._integers.copy()
         integers[layout.BY_DECAY] = self.needs_decay or release > 0.0
         integers[layout.VIRGIN] = virgin
+        if rows != ALL_ROWS:
+            integers[layout.ROWS] = sum(1 << row for row in rows)
+        count = 0 if levels is None else levels.size
         integers[layout.N_LEVELS] = count
-        integers[layout.ROWS] = sum(1 << row for row in rows)
         numbers = np.zeros(layout.N_NUMBERS + count)
         numbers[layout.MASS] = self.oscillator.mass
         numbers[layout.TOLERANCE] = TOLERANCE if tolerance is None else tolerance

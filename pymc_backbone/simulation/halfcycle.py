@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 from numba import float64, int64
@@ -196,232 +195,105 @@ def _growth(error: float) -> float:
     return min(6.0, 0.9 / math.sqrt(math.sqrt(math.sqrt(error)))) if error > 0.0 else 6.0
 
 
-class Bench(NamedTuple):
-    """What a half cycle works with.
-
-    The model, what is described, and pointers to the state vectors at the start and at the end of a step (``y``,
-    ``y1``), the states in them, and room. ``carried`` rows of a vector change with a step: where states stay as they
-    are through a half cycle, so do their sensitivities.
-    """
-
-    model: Model
-    run: Integers
-    memory: Floats
-    mode: int
-    moving: bool
-    has_regime: bool
-    carried: int
-    direction: float
-    samples: Samples
-    y: Floats
-    y1: Floats
-    z: Floats
-    z1: Floats
-    dt: Floats
-    shift: Floats
-    K: Floats
-    middle: Floats
-    room: Floats
-    quadrature: Floats
-
-
-@plain
-def _bench(
-    run: Integers, memory: Floats, p: Floats, direction: float, time: Floats, values: Floats, slopes: Floats
-) -> Bench:
-    """Lay out what a half cycle works with."""
-    place = place_of(run)
-    model = model_of(run, memory, p, place)
-    y = shifted(memory, place.now)
-    y1 = shifted(memory, place.next)
-    moving = run[MODE] == OWN_STATES
-    return Bench(
-        model, run, memory, run[MODE], moving, run[HAS_REGIME] != 0, 2 + model.n_states if moving else 2, direction,
-        Samples(time, values, slopes, run[SAMPLE_SLOPES] != 0, run[N_SAMPLES], run[QUANTITY]),
-        y, y1, shifted(y, 2), shifted(y1, 2), shifted(memory, place.dt), shifted(memory, place.shift),
-        shifted(memory, place.K), shifted(memory, place.middle), shifted(memory, place.room),
-        shifted(memory, place.quadrature),
-    )  # fmt: skip
-
-
-@plain
-def _swings(bench: Bench, a: float) -> int:
-    """Return the status of a start with acceleration ``a``: `COMPLETED` where it moves on as it should."""
-    direction = bench.direction
-    if not math.isfinite(a):
-        return RUNAWAY
-    if a * direction > 0.0:
-        return COMPLETED
-    backwards = total_force(bench.model, bench.y[0], 0.0, -direction, bench.z) / bench.model.mass * direction
-    if backwards > 0.0:
-        return RUNAWAY
-    return STUCK if a * direction < 0.0 or backwards < 0.0 else NO_RETURN
-
-
-@plain
-def _set_out(bench: Bench, omega: float) -> None:
-    """Set the scales of the motion, and take over to the end of a step what no step changes."""
-    model, y, y1 = bench.model, bench.y, bench.y1
-    rows = 2 + model.n_states
-    columns = model.columns
-    amplitude = bench.memory[AMPLITUDE]
-    model.scales[0] = amplitude
-    model.scales[1] = amplitude * omega
-    if bench.moving:
-        state_rates(model, y[0], amplitude * omega * bench.direction, bench.direction, bench.z, model.fz)
-        for j in range(model.n_states):
-            model.scales[2 + j] = max(abs(bench.z[j]), abs(model.fz[j]) / omega)
-    for k in range(bench.carried, rows):
-        y1[k] = y[k]
-        for c in range(columns):
-            y1[rows + k * columns + c] = y[rows + k * columns + c]
-
-
-@plain
-def _try_step(bench: Bench, a: float, fx: float, fv: float, step: float, hop: bool, scale: float) -> float:
-    """Take a step, or a hop, to ``y1``; return its error relative to the tolerance, inf where it is none."""
-    model, y, y1, direction = bench.model, bench.y, bench.y1, bench.direction
-    S, S1 = shifted(y, 2 + model.n_states), shifted(y1, 2 + model.n_states)
-    tolerance = bench.memory[TOLERANCE]
-    if hop:
-        hop_over(model, y, y1, a, direction, HOP / scale, bench.moving, bench.K, bench.room)
-        return 0.0
-    if bench.mode == VALUE:
-        error = step_value(model, y, S, a, fx, fv, direction, step, tolerance, y1, S1)
-    elif bench.mode == SENSITIVITY:
-        error = step_sensitivity(model, y, S, a, fx, fv, direction, step, tolerance, y1, S1, bench.quadrature)
-    else:
-        error = step_states(model, y, direction, step, tolerance, y1, bench.K)
-    return error if math.isfinite(error) else np.inf
-
-
-@plain
-def _left_to_kink(bench: Bench, a: float, fx: float, fv: float, label: int, scale: float) -> float:
-    """Return the time left to a kink close by; inf where there is none within the window."""
-    model, direction = bench.model, bench.direction
-    jerk = _jerk(model, bench.y[0], bench.y[1], a, fx, fv, direction, bench.z, bench.moving, bench.middle)
-    return time_to_kink(
-        model, bench.y, bench.y1, a, jerk, KINK_WINDOW / scale, label, direction, 0.1 * HOP / scale, bench.middle,
-        bench.moving, bench.room,
-    )  # fmt: skip
-
-
-@plain
-def _cut_back(
-    bench: Bench, a: float, fx: float, fv: float, step: float, label: int, scale: float
-) -> tuple[float, bool]:
-    """Return how long a step that crosses a kink may be, and whether the kink is so close that a hop takes it over."""
-    model, y, y1, direction = bench.model, bench.y, bench.y1, bench.direction
-    a1 = -total_force(model, y1[0], y1[1], direction, bench.z1) / model.mass
-    precision = 0.1 * HOP / (scale * step)
-    rates = shifted(bench.K, 2)
-    left = step * fraction_before_kink(
-        model, y, a, y1, a1, step, label, direction, precision, rates, bench.moving, bench.middle
-    )
-    if left * scale > 2.0 * KINK_MARGIN:
-        return left - KINK_MARGIN / scale, False
-    if step * scale > KINK_WINDOW:
-        left = _left_to_kink(bench, a, fx, fv, label, scale)
-    return min(left - 0.5 * HOP / scale, 0.5 * step), left * scale < HOP
-
-
-@plain
-def _sample(
-    bench: Bench, a: float, fx: float, fv: float, a1: float, fx1: float, fv1: float, length: float, smooth: bool,
-    turns: bool,
-) -> None:  # fmt: skip
-    """Write what is asked for at the instants within a step; where it ``turns``, its end is a turning point."""
-    run, model, y, y1, direction = bench.run, bench.model, bench.y, bench.y1, bench.direction
-    v1 = 0.0 if turns else y1[1]
-    jerk = _jerk(model, y[0], y[1], a, fx, fv, direction, bench.z, bench.moving, bench.middle)
-    jerk1 = _jerk(model, y1[0], v1, a1, fx1, fv1, direction, bench.z1, bench.moving, bench.middle)
-    until = bench.memory[TIME] + length
-    if not turns and v1 * direction < 0.0 and a1 * direction < 0.0:
-        until += _turning_time(v1, a1, jerk1)
-    run[CURSOR] = write_samples(
-        model, y, a, jerk, y1, a1, jerk1, bench.memory[TIME], length, smooth, bench.moving, run[CURSOR], until,
-        direction, bench.dt, bench.room, bench.samples,
-    )  # fmt: skip
-
-
-@plain
-def _take_over(bench: Bench, step: float) -> None:
-    """Go on from the end of a step."""
-    y, y1 = bench.y, bench.y1
-    rows = 2 + bench.model.n_states
-    bench.memory[TIME] += step
-    for k in range(bench.carried):
-        y[k] = y1[k]
-    for k in range(rows, rows + bench.carried * bench.model.columns):
-        y[k] = y1[k]
-    for j in range(bench.model.n_states if bench.moving else 0):
-        bench.model.scales[2 + j] = max(bench.model.scales[2 + j], abs(bench.z[j]))
-
-
-@plain
-def _turn(bench: Bench, a: float, fx: float, fv: float, label: int, check_label: bool) -> bool:
-    """Close the half cycle at the turning point close by; return whether that could be done."""
-    model, y, y1, z, direction, moving = bench.model, bench.y, bench.y1, bench.z, bench.direction, bench.moving
-    columns = model.columns
-    rows = 2 + model.n_states
-    jerk = _jerk(model, y[0], y[1], a, fx, fv, direction, z, moving, bench.middle)
-    tau = _close(model, y, y1, a, jerk, label, check_label, moving, direction, bench.shift, bench.middle, bench.room)
-    if not math.isfinite(tau):
-        return False
-    if bench.samples.size > 0 and tau > 0.0:
-        force, fx1, fv1 = force_slopes(model, y1[0], 0.0, direction, bench.z1)
-        _sample(bench, a, fx, fv, -force / model.mass, fx1, fv1, tau, True, True)
-    for k in range(rows * (1 + columns)):
-        y[k] = y1[k]
-    if moving and columns > 0:
-        state_rates(model, y[0], 0.0, direction, z, bench.middle)
-    for c in range(columns):
-        bench.dt[c] += bench.shift[c]
-        y[rows + columns + c] = 0.0
-        for j in range(model.n_states if moving else 0):
-            y[rows + (2 + j) * columns + c] += bench.middle[j] * bench.shift[c]
-    _remember(model, y, direction)
-    bench.memory[TIME] += tau
-    return True
-
-
+# One function on purpose: parts with names of their own cost 5 to 15 %, because compiled calls pass all they work with.
 @plain
 def _half_cycle(
-    run: Integers, memory: Floats, p: Floats, direction: float, time: Floats, displacement: Floats, slopes: Floats
+    run: Integers, memory: Floats, p: Floats, direction: float, time: Floats, values: Floats, slopes: Floats
 ) -> int:
-    bench = _bench(run, memory, p, direction, time, displacement, slopes)
-    model, y, y1 = bench.model, bench.y, bench.y1
-    has_regime = bench.has_regime
+    place = place_of(run)
+    model = model_of(run, memory, p, place)
+    samples = Samples(time, values, slopes, run[SAMPLE_SLOPES] != 0, run[N_SAMPLES], run[QUANTITY])
+    y = shifted(memory, place.now)
+    y1 = shifted(memory, place.next)
+    z = shifted(y, 2)
+    z1 = shifted(y1, 2)
+    dt = shifted(memory, place.dt)
+    shift = shifted(memory, place.shift)
+    K = shifted(memory, place.K)
+    middle = shifted(memory, place.middle)
+    room = shifted(memory, place.room)
+    mode = run[MODE]
+    moving = mode == OWN_STATES
+    has_regime = run[HAS_REGIME] != 0
+    columns = model.columns
+    n = model.n_states
+    rows = 2 + n
+    # Where states stay as they are through a half cycle, so do their sensitivities.
+    carried = rows if moving else 2
     mass = model.mass
     start = y[0]
     amplitude = memory[AMPLITUDE]
-    a = -total_force(model, start, 0.0, direction, bench.z) / mass
-    code = _swings(bench, a)
-    if code != COMPLETED:
-        return code
+    tolerance = memory[TOLERANCE]
+    force = total_force(model, start, 0.0, direction, z)
+    a = -force / mass
+    if not math.isfinite(a):
+        return RUNAWAY
+    if not a * direction > 0.0:
+        backwards = total_force(model, start, 0.0, -direction, z) / mass * direction
+        if backwards > 0.0:
+            return RUNAWAY
+        return STUCK if a * direction < 0.0 or backwards < 0.0 else NO_RETURN
     omega = math.sqrt(abs(a) / amplitude)
-    _set_out(bench, omega)
-    force, fx, fv = force_slopes(model, start, 0.0, direction, bench.z)
-    label = smooth_branch(model, start, 0.0, direction, bench.z) if has_regime else 0
+    model.scales[0] = amplitude
+    model.scales[1] = amplitude * omega
+    if moving:
+        state_rates(model, start, amplitude * omega * direction, direction, z, model.fz)
+        for j in range(n):
+            model.scales[2 + j] = max(abs(z[j]), abs(model.fz[j]) / omega)
+    for k in range(carried, rows):
+        y1[k] = y[k]
+        for c in range(columns):
+            y1[rows + k * columns + c] = y[rows + k * columns + c]
+    force, fx, fv = force_slopes(model, start, 0.0, direction, z)
+    label = smooth_branch(model, start, 0.0, direction, z) if has_regime else 0
     radius = _CLOSE
-    if bench.moving:
-        radius = _CLOSE_STATES if model.columns == 0 else _CLOSE_STATE_SENSITIVITIES
+    if moving:
+        radius = _CLOSE_STATES if columns == 0 else _CLOSE_STATE_SENSITIVITIES
     h = memory[STEP] if memory[STEP] > 0.0 else 0.3 / omega
     limit = np.inf
     rejected, at_kink, hop = False, False, False
     for _ in range(_MAXIMUM_STEPS):
         local = math.sqrt(fx / mass) if fx > 0.0 else 0.0
-        h = min(h, memory[LARGEST_STEP] / max(local, omega if bench.samples.size > 0 else 1e-3 * omega))
+        h = min(h, memory[LARGEST_STEP] / max(local, omega if samples.size > 0 else 1e-3 * omega))
         scale = max(local, omega)
         step = min(_aim(y[1], a, fx, mass, h, direction), limit)
         if hop:
             step = HOP / scale
-        error = _try_step(bench, a, fx, fv, step, hop, scale)
+            hop_over(model, y, y1, a, direction, step, moving, K, room)
+            error = 0.0
+        elif mode == VALUE:
+            error = step_value(model, y, shifted(y, rows), a, fx, fv, direction, step, tolerance, y1, shifted(y1, rows))
+        elif mode == SENSITIVITY:
+            error = step_sensitivity(
+                model, y, shifted(y, rows), a, fx, fv, direction, step, tolerance, y1, shifted(y1, rows),
+                shifted(memory, place.quadrature),
+            )  # fmt: skip
+        else:
+            error = step_states(model, y, direction, step, tolerance, y1, K)
+        if not math.isfinite(error):
+            error = np.inf
         new_label = label
         if has_regime and step > 0.0 and error < np.inf:
-            new_label = smooth_branch(model, y1[0], y1[1], direction, bench.z1)
+            new_label = smooth_branch(model, y1[0], y1[1], direction, z1)
             if new_label != label and not hop:
-                limit, hop = _cut_back(bench, a, fx, fv, step, label, scale)
+                a1 = -total_force(model, y1[0], y1[1], direction, z1) / mass
+                precision = 0.1 * HOP / (scale * step)
+                share = fraction_before_kink(
+                    model, y, a, y1, a1, step, label, direction, precision, shifted(K, 2), moving, middle
+                )
+                left = share * step
+                if left * scale > 2.0 * KINK_MARGIN:
+                    limit = left - KINK_MARGIN / scale
+                    at_kink = True
+                    continue
+                if step * scale > KINK_WINDOW:
+                    jerk = _jerk(model, y[0], y[1], a, fx, fv, direction, z, moving, middle)
+                    left = time_to_kink(
+                        model, y, y1, a, jerk, KINK_WINDOW / scale, label, direction, 0.1 * HOP / scale, middle,
+                        moving, room,
+                    )  # fmt: skip
+                hop = left * scale < HOP
+                limit = min(left - 0.5 * HOP / scale, 0.5 * step)
                 at_kink = not hop
                 continue
         if not error <= 1.0:
@@ -431,36 +303,76 @@ def _half_cycle(
             if not h * omega > 1e-9:
                 return RUNAWAY
             continue
-        force, fx1, fv1 = force_slopes(model, y1[0], y1[1], direction, bench.z1)
+        force, fx1, fv1 = force_slopes(model, y1[0], y1[1], direction, z1)
         a1 = -force / mass
         if not (math.isfinite(a1) and abs(y1[0]) < 1e3 * (abs(start) + amplitude)):
             return RUNAWAY
-        if bench.samples.size > 0 and step > 0.0:
-            _sample(bench, a, fx, fv, a1, fx1, fv1, step, not hop, False)
-        _take_over(bench, step)
+        if samples.size > 0 and step > 0.0:
+            jerk = _jerk(model, y[0], y[1], a, fx, fv, direction, z, moving, middle)
+            jerk1 = _jerk(model, y1[0], y1[1], a1, fx1, fv1, direction, z1, moving, middle)
+            until = memory[TIME] + step
+            if y1[1] * direction < 0.0 and a1 * direction < 0.0:
+                until += _turning_time(y1[1], a1, jerk1)
+            run[CURSOR] = write_samples(
+                model, y, a, jerk, y1, a1, jerk1, memory[TIME], step, not hop, moving, run[CURSOR], until,
+                direction, dt, room, samples,
+            )  # fmt: skip
+        memory[TIME] += step
+        for k in range(carried):
+            y[k] = y1[k]
+        for k in range(rows, rows + carried * columns):
+            y[k] = y1[k]
+        for j in range(n if moving else 0):
+            model.scales[2 + j] = max(model.scales[2 + j], abs(z[j]))
         if step >= 0.999 * h:
             growth = _growth(error)
             h = step * (min(growth, 1.0) if rejected else growth)
         a, fx, fv, limit, rejected = a1, fx1, fv1, np.inf, False
         hop = False
         if at_kink and new_label == label:
-            left = _left_to_kink(bench, a, fx, fv, label, scale)
+            jerk = _jerk(model, y[0], y[1], a, fx, fv, direction, z, moving, middle)
+            left = time_to_kink(
+                model, y, y1, a, jerk, KINK_WINDOW / scale, label, direction, 0.1 * HOP / scale, middle, moving, room
+            )
             hop = left * scale < HOP
             if not hop:
                 limit = left - 0.5 * HOP / scale
                 continue
         at_kink = False
         label = new_label
-        if hop or not a * direction < 0.0:
+        if hop:
             continue
-        if abs(y[1]) * scale < radius * abs(a):
-            if _turn(bench, a, fx, fv, label, has_regime and radius > 1e-9):
-                memory[STEP] = h
-                memory[AMPLITUDE] = max(0.5 * abs(y[0] - start), 1e-300)
-                return COMPLETED
-            radius *= 0.1
-        elif not abs(y[0]) + abs(y[1]) / omega > _GONE * amplitude:
-            return NO_RETURN
+        if a * direction < 0.0:
+            if abs(y[1]) * scale < radius * abs(a):
+                jerk = _jerk(model, y[0], y[1], a, fx, fv, direction, z, moving, middle)
+                check = has_regime and radius > 1e-9
+                tau = _close(model, y, y1, a, jerk, label, check, moving, direction, shift, middle, room)
+                if math.isfinite(tau):
+                    if samples.size > 0 and tau > 0.0:
+                        force, fx1, fv1 = force_slopes(model, y1[0], 0.0, direction, z1)
+                        a1 = -force / mass
+                        jerk1 = _jerk(model, y1[0], 0.0, a1, fx1, fv1, direction, z1, moving, middle)
+                        run[CURSOR] = write_samples(
+                            model, y, a, jerk, y1, a1, jerk1, memory[TIME], tau, True, moving, run[CURSOR],
+                            memory[TIME] + tau, direction, dt, room, samples,
+                        )  # fmt: skip
+                    for k in range(rows * (1 + columns)):
+                        y[k] = y1[k]
+                    if moving and columns > 0:
+                        state_rates(model, y[0], 0.0, direction, z, middle)
+                    for c in range(columns):
+                        dt[c] += shift[c]
+                        y[rows + columns + c] = 0.0
+                        for j in range(n if moving else 0):
+                            y[rows + (2 + j) * columns + c] += middle[j] * shift[c]
+                    _remember(model, y, direction)
+                    memory[TIME] += tau
+                    memory[STEP] = h
+                    memory[AMPLITUDE] = max(0.5 * abs(y[0] - start), 1e-300)
+                    return COMPLETED
+                radius *= 0.1
+            elif not abs(y[0]) + abs(y[1]) / omega > _GONE * amplitude:
+                return NO_RETURN
     return NO_RETURN
 
 
