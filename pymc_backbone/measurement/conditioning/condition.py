@@ -14,6 +14,7 @@ from ..reading.records import MINIMUM_SAMPLES, QUANTITIES, Record
 from .asymmetry import SIGNIFICANT, MidLine, displacement_amplitude, restore_mid_line, second_harmonic
 from .baseline import Baseline, find_baseline
 from .conditioned import ConditionedRecord, MeasuredSamples
+from .decimation import Decimation, design_decimation
 from .filters import BandPass, check_band, design_band_pass, integrate, integration_response
 from .noise import NoiseSpectrum, amplitude_floor, noise_in_band, noise_of, noise_spectrum, quantum, quiet_spectrum
 from .plausibility import check_clipping, check_cycles, check_decays, check_moves, check_per_cycle
@@ -124,10 +125,12 @@ class _Conditioning:
         self.begin = self.samples.start
         self.whole = self.samples.values
         self.search = start is None
+        self.decimation: Decimation | None = None
 
     def run(self) -> ConditionedRecord:
         """Condition the record."""
         measured, is_cut = self._released(self.samples.values)
+        measured = self._decimated(measured)
         self.whole, released = measured, self.begin
         band_pass = None
         if self.band is not None:
@@ -237,6 +240,25 @@ class _Conditioning:
         self.begin += index / self.rate
         return values[index:]
 
+    def _decimated(self, values: FloatArray) -> FloatArray:
+        """Return fewer samples of a long record, as many as the motion needs."""
+        # a band may reach beyond what the mode alone needs
+        highest = self.frequency if self.band is None else max(self.frequency, self.band[1] / 8.0)
+        decimation = design_decimation(values.size, self.rate, highest)
+        if decimation is None:
+            return values
+        kept = decimation.apply(values)
+        self.decimation = decimation
+        self.begin += decimation.half / self.rate
+        self.rate /= decimation.factor
+        # rounding spreads its variance over all frequencies, of which fewer are left
+        self.step /= np.sqrt(decimation.factor)
+        self.notes.append(
+            f"of {values.size} samples every {decimation.factor}th was kept after a low-pass without phase shift: "
+            f"{self.rate / self.frequency:.0f} per cycle, frequencies up to {0.25 * self.rate:.4g} Hz are untouched"
+        )
+        return kept
+
     def _filtered(self, values: FloatArray, band_pass: BandPass) -> FloatArray:
         """Return the band-passed record without its ends, and without forcing at its start."""
         if values.size - 2 * band_pass.half < MINIMUM_SAMPLES:
@@ -264,7 +286,7 @@ class _Conditioning:
         # a tail without motion shows the noise itself; less noise may move the end, hence again
         for _ in range(3 if band_pass is None else 0):
             tail = values[int(np.ceil((end + 2.0 * cycle) * self.rate)) :]
-            quiet = quiet_spectrum(tail, self.rate, path.frequency, self.step)
+            quiet = quiet_spectrum(tail, self.rate, path.frequency, self.step, self._kept)
             if quiet is None or quiet.total > 0.9 * spectrum.total:
                 break
             spectrum = quiet
@@ -286,8 +308,14 @@ class _Conditioning:
     def _spectrum(self, values: FloatArray, path: Track, band_pass: BandPass | None) -> NoiseSpectrum:
         """Return the spectrum of the noise of the measured quantity."""
         if band_pass is None:
-            return noise_spectrum(values, self.rate, path, self.step, self.integrations)
-        return noise_in_band(values, self.rate, path, lambda f: np.abs(band_pass.gain(f)), self.step, self.whole)
+            return noise_spectrum(values, self.rate, path, self.step, self.integrations, self._kept)
+        return noise_in_band(
+            values, self.rate, path, lambda f: np.abs(band_pass.gain(f)) * self._kept(f), self.step, self.whole
+        )
+
+    def _kept(self, frequency: FloatArray) -> FloatArray:
+        """Return the share of the amplitude of white noise that decimation keeps."""
+        return np.ones_like(frequency) if self.decimation is None else self.decimation.gain(frequency)
 
     def _baseline(
         self, values: FloatArray, path: Track, end: float, spectrum: NoiseSpectrum, band_pass: BandPass | None
@@ -322,7 +350,8 @@ class _Conditioning:
     def _range(self, path: Track, is_cut: bool, end: float, size: int) -> tuple[int, int]:
         """Return the samples from a quarter of a cycle before the first turning point to the end of motion."""
         cycle = 1.0 / path.frequency
-        first = self._undisturbed(path, 0.0) if is_cut else 0
+        lost = 0 if self.decimation is None else self.decimation.half // self.decimation.factor
+        first = max(0, self._undisturbed(path, -lost / self.rate) - lost) if is_cut else 0
         last = min(size, int(np.ceil((end + cycle) * self.rate)) + 1)
         if size - last > cycle * self.rate:
             self.notes.append(f"the last {(size - last) / self.rate:.4g} s, after the end of motion, were dropped")
@@ -356,7 +385,7 @@ class _Conditioning:
             if is_driven:
                 first = before if rest > _FEWEST_CYCLES else before - band_pass.half
         begin = self.begin + (first - before if band_pass is not None else first) / self.rate
-        noise = noise_of(spectrum, np.ones_like, path.frequency, self.rate)
+        noise = noise_of(spectrum, self._kept, path.frequency, self.rate)
         return MeasuredSamples(
             time=_frozen(begin + np.arange(last - first) / self.rate),
             values=_frozen(np.array(self.whole[first:last])),
@@ -421,7 +450,8 @@ class _Conditioning:
         """Return the amplitude response from the measured quantity to the displacement."""
 
         def response(grid: FloatArray) -> FloatArray:
-            kept = (integration_response(grid / frequency) / (2.0 * np.pi * grid)) ** self.integrations
+            kept = self._kept(grid)
+            kept = kept * (integration_response(grid / frequency) / (2.0 * np.pi * grid)) ** self.integrations
             return kept if band_pass is None else kept * np.abs(band_pass.gain(grid))
 
         return response
