@@ -17,9 +17,18 @@ from .conditioned import ConditionedRecord, MeasuredSamples
 from .decimation import Decimation, design_decimation
 from .filters import BandPass, check_band, design_band_pass, integrate, integration_response
 from .noise import NoiseSpectrum, amplitude_floor, noise_in_band, noise_of, noise_spectrum, quantum, quiet_spectrum
-from .plausibility import check_clipping, check_cycles, check_decays, check_moves, check_per_cycle
-from .release import end_of_drive, end_of_motion, end_of_rest, leading_rest, regrowth
+from .plausibility import (
+    MINIMUM_CYCLES,
+    check_clipping,
+    check_cycles,
+    check_decays,
+    check_moves,
+    check_per_cycle,
+    check_stops_growing,
+)
+from .release import end_of_drive, end_of_motion, end_of_rest, envelope, leading_rest, regrowth
 from .second_mode import SecondMode, find_second_mode
+from .spikes import Spike, without_spikes
 from .time_grid import to_uniform
 from .tracking import Track, dominant_frequency, track
 
@@ -119,6 +128,8 @@ class _Conditioning:
         values = values - self.reading
         self.samples = to_uniform(time, values, self.name)
         self.notes += self.samples.notes
+        self.values, self.spikes = without_spikes(self.samples.values, self.step)
+        check_moves(self.values, self.name)
         self.rate = self.samples.sampling_rate
         self.band = None if band is None else check_band(band, self.rate, self.name)
         self.frequency = self._dominant(time, values)
@@ -129,7 +140,8 @@ class _Conditioning:
 
     def run(self) -> ConditionedRecord:
         """Condition the record."""
-        measured, is_cut = self._released(self.samples.values)
+        measured, is_cut = self._released(self.values)
+        self._note_spikes(self.spikes)
         measured = self._decimated(measured)
         self.whole, released = measured, self.begin
         band_pass = None
@@ -137,9 +149,17 @@ class _Conditioning:
             band_pass = design_band_pass(self.band, self.frequency, self.rate, self.name)
             measured = self._filtered(measured, band_pass)
         what = "after the release" if band_pass is None else "left by the band-pass"
-        path = check_cycles(track(measured, self.rate, self.frequency), self.name, what)
+        followed = track(measured, self.rate, self.frequency)
+        if followed is None or followed.cycles + 2.0 < MINIMUM_CYCLES:
+            check_stops_growing(
+                envelope(self.values, self.samples.sampling_rate, self.frequency, self.integrations),
+                self.samples.sampling_rate / self.frequency,
+                self.name,
+            )
+        path = check_cycles(followed, self.name, what)
         spectrum, path, end = self._motion(measured, path, band_pass)
-        check_decays(displacement_amplitude(path, self.integrations), self.name)
+        floor = amplitude_floor(spectrum, path.frequency, self.rate)
+        check_decays(displacement_amplitude(path, self.integrations), self.name, path.amplitude[-1] > 3.0 * floor)
         baseline = self._baseline(measured, path, end, spectrum, band_pass)
         second = self._second_mode(measured, path)
         first, last = self._range(path, is_cut and band_pass is None, end, measured.size)
@@ -200,7 +220,7 @@ class _Conditioning:
 
     def _dominant(self, time: FloatArray, values: FloatArray) -> float:
         """Return the frequency of the dominant mode (within the band), after the checks that need it."""
-        uniform = self.samples.values
+        uniform = self.values
         lead = leading_rest(uniform)
         free = uniform[lead:] if uniform.size - lead >= MINIMUM_SAMPLES else uniform
         frequency = dominant_frequency(free, self.rate, self.band)
@@ -233,6 +253,17 @@ class _Conditioning:
         ):
             return self._without(values, index, "driven"), True
         return values, False
+
+    def _note_spikes(self, spikes: list[Spike]) -> None:
+        """Say which spikes of the free decay were bridged."""
+        places = [(self.samples.start + spike.first / self.samples.sampling_rate, spike) for spike in spikes]
+        for time, spike in places:
+            if time >= self.begin:
+                samples = "1 sample" if spike.count == 1 else f"{spike.count} samples"
+                self.notes.append(
+                    f"warning: a spike of {spike.height:.3g} {self.record.unit} at {time:.6g} s ({samples}) was cut "
+                    "out and bridged; if it is motion, look at the sensor's cable and range"
+                )
 
     def _without(self, values: FloatArray, index: int, state: str) -> FloatArray:
         """Return the values from an index on and note what is dropped."""

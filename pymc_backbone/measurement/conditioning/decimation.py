@@ -61,7 +61,8 @@ class Decimation:
         turns = np.asarray(frequency, dtype=np.float64) * self.factor / self.sampling_rate
         lags = np.arange(1, covariance.size)
         power = covariance[0] + 2.0 * np.cos(2.0 * np.pi * np.outer(turns, lags)) @ covariance[1:]
-        return np.sqrt(np.maximum(power, 0.0)).reshape(np.shape(frequency))
+        gain: FloatArray = np.sqrt(np.maximum(power, 0.0)).reshape(np.shape(frequency))
+        return gain
 
 
 def design_decimation(size: int, sampling_rate: float, highest: float) -> Decimation | None:
