@@ -15,8 +15,9 @@ from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.measurement.conditioning.spikes import without_spikes
 from pymc_backbone.measurement.cycles import Cycles, extract_cycles
 from pymc_backbone.measurement.outliers import find_outliers
-from pymc_backbone.measurement.reading.records import Record
+from pymc_backbone.measurement.reading.records import Record, write_records
 
+from .test_cli import run_cli
 from .test_conditioning import FREQUENCY, friction, simulated, warnings_of
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -84,6 +85,17 @@ def test_the_benchmark_keeps_its_rate_of_false_alarms() -> None:
     # negative control: scatter three times as large is not honest, and is noticed now and then
     alarms = sum(bool(find_outliers(benchmark.batch(rng, 6, 3.0)[1])) for _ in range(20))
     assert alarms >= 3
+
+
+def test_extract_says_which_specimen_does_not_belong(
+    rng: np.random.Generator, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    names = (("a", 12.0), ("b", 12.0), ("c", 40.0), ("d", 12.0))
+    write_records([decay(rng, name, frequency) for name, frequency in names], tmp_path / "records")
+    code, out, err = run_cli(capsys, "extract", str(tmp_path / "records"), "--out", str(tmp_path / "out"))
+    said = " ".join((out + err).split())
+    assert code == 0 and "warning: c: its frequency is 3.3" in said, said
+    assert "a: its frequency" not in said and "d: its frequency" not in said
 
 
 # ---- spikes -------------------------------------------------------------------------------------

@@ -134,8 +134,8 @@ class _Conditioning:
         self.band = None if band is None else check_band(band, self.rate, self.name)
         self.frequency = self._dominant(time, values)
         self.begin = self.samples.start
-        self.whole = self.samples.values
-        self.search = start is None
+        self.whole = self.values
+        self.search = start is None and not record.starts_free
         self.decimation: Decimation | None = None
 
     def run(self) -> ConditionedRecord:
