@@ -19,6 +19,7 @@ from .conditioning.conditioned import ConditionedRecord
 from .cycles import Cycles, extract_cycles
 from .levels import backbones_at_levels, default_levels
 from .options import Measuring
+from .outliers import Finding, find_outliers
 from .reading.records import Record
 
 DEFAULT_OBSERVABLES = ("frequency", "damping")
@@ -70,10 +71,13 @@ class MeasuredBatch:
         As `backbones_at_levels` returns them; ``attrs["notes"]`` holds everything that was assumed, done or left out.
     extraction : Extraction
         Records and cycles, one each per specimen.
+    outliers : tuple of Finding
+        Specimens that do not seem to belong to the batch; they are in it all the same, and the notes warn of them.
     """
 
     backbones: xr.Dataset
     extraction: Extraction
+    outliers: tuple[Finding, ...] = ()
 
     @property
     def notes(self) -> list[str]:
@@ -128,8 +132,10 @@ def measure_batch(
     backbones = backbones_at_levels(
         extraction.cycles, levels, check_observables(observables), amplitude_unit=extraction.unit
     )
+    outliers = find_outliers(extraction.cycles)
+    said = [*(f"warning: {finding.sentence}" for finding in outliers), *said]
     backbones.attrs["notes"] = [*extraction.notes(backbones.attrs.get("notes", [])), *said]
-    return MeasuredBatch(backbones, extraction)
+    return MeasuredBatch(backbones, extraction, tuple(outliers))
 
 
 def extract_all(

@@ -14,11 +14,21 @@ from ..reading.records import MINIMUM_SAMPLES, QUANTITIES, Record
 from .asymmetry import SIGNIFICANT, MidLine, displacement_amplitude, restore_mid_line, second_harmonic
 from .baseline import Baseline, find_baseline
 from .conditioned import ConditionedRecord, MeasuredSamples
+from .decimation import Decimation, design_decimation
 from .filters import BandPass, check_band, design_band_pass, integrate, integration_response
 from .noise import NoiseSpectrum, amplitude_floor, noise_in_band, noise_of, noise_spectrum, quantum, quiet_spectrum
-from .plausibility import check_clipping, check_cycles, check_decays, check_moves, check_per_cycle
-from .release import end_of_drive, end_of_motion, end_of_rest, leading_rest, regrowth
+from .plausibility import (
+    MINIMUM_CYCLES,
+    check_clipping,
+    check_cycles,
+    check_decays,
+    check_moves,
+    check_per_cycle,
+    check_stops_growing,
+)
+from .release import end_of_drive, end_of_motion, end_of_rest, envelope, leading_rest, regrowth
 from .second_mode import SecondMode, find_second_mode
+from .spikes import Spike, without_spikes
 from .time_grid import to_uniform
 from .tracking import Track, dominant_frequency, track
 
@@ -118,25 +128,38 @@ class _Conditioning:
         values = values - self.reading
         self.samples = to_uniform(time, values, self.name)
         self.notes += self.samples.notes
+        self.values, self.spikes = without_spikes(self.samples.values, self.step)
+        check_moves(self.values, self.name)
         self.rate = self.samples.sampling_rate
         self.band = None if band is None else check_band(band, self.rate, self.name)
         self.frequency = self._dominant(time, values)
         self.begin = self.samples.start
-        self.whole = self.samples.values
-        self.search = start is None
+        self.whole = self.values
+        self.search = start is None and not record.starts_free
+        self.decimation: Decimation | None = None
 
     def run(self) -> ConditionedRecord:
         """Condition the record."""
-        measured, is_cut = self._released(self.samples.values)
+        measured, is_cut = self._released(self.values)
+        self._note_spikes(self.spikes)
+        measured = self._decimated(measured)
         self.whole, released = measured, self.begin
         band_pass = None
         if self.band is not None:
             band_pass = design_band_pass(self.band, self.frequency, self.rate, self.name)
             measured = self._filtered(measured, band_pass)
         what = "after the release" if band_pass is None else "left by the band-pass"
-        path = check_cycles(track(measured, self.rate, self.frequency), self.name, what)
+        followed = track(measured, self.rate, self.frequency)
+        if followed is None or followed.cycles + 2.0 < MINIMUM_CYCLES:
+            check_stops_growing(
+                envelope(self.values, self.samples.sampling_rate, self.frequency, self.integrations),
+                self.samples.sampling_rate / self.frequency,
+                self.name,
+            )
+        path = check_cycles(followed, self.name, what)
         spectrum, path, end = self._motion(measured, path, band_pass)
-        check_decays(displacement_amplitude(path, self.integrations), self.name)
+        floor = amplitude_floor(spectrum, path.frequency, self.rate)
+        check_decays(displacement_amplitude(path, self.integrations), self.name, path.amplitude[-1] > 3.0 * floor)
         baseline = self._baseline(measured, path, end, spectrum, band_pass)
         second = self._second_mode(measured, path)
         first, last = self._range(path, is_cut and band_pass is None, end, measured.size)
@@ -197,7 +220,7 @@ class _Conditioning:
 
     def _dominant(self, time: FloatArray, values: FloatArray) -> float:
         """Return the frequency of the dominant mode (within the band), after the checks that need it."""
-        uniform = self.samples.values
+        uniform = self.values
         lead = leading_rest(uniform)
         free = uniform[lead:] if uniform.size - lead >= MINIMUM_SAMPLES else uniform
         frequency = dominant_frequency(free, self.rate, self.band)
@@ -231,11 +254,41 @@ class _Conditioning:
             return self._without(values, index, "driven"), True
         return values, False
 
+    def _note_spikes(self, spikes: list[Spike]) -> None:
+        """Say which spikes of the free decay were bridged."""
+        places = [(self.samples.start + spike.first / self.samples.sampling_rate, spike) for spike in spikes]
+        for time, spike in places:
+            if time >= self.begin:
+                samples = "1 sample" if spike.count == 1 else f"{spike.count} samples"
+                self.notes.append(
+                    f"warning: a spike of {spike.height:.3g} {self.record.unit} at {time:.6g} s ({samples}) was cut "
+                    "out and bridged; if it is motion, look at the sensor's cable and range"
+                )
+
     def _without(self, values: FloatArray, index: int, state: str) -> FloatArray:
         """Return the values from an index on and note what is dropped."""
         self.notes.append(f"the first {index / self.rate:.4g} s, {state} before the free decay, were dropped")
         self.begin += index / self.rate
         return values[index:]
+
+    def _decimated(self, values: FloatArray) -> FloatArray:
+        """Return fewer samples of a long record, as many as the motion needs."""
+        # a band may reach beyond what the mode alone needs
+        highest = self.frequency if self.band is None else max(self.frequency, self.band[1] / 8.0)
+        decimation = design_decimation(values.size, self.rate, highest)
+        if decimation is None:
+            return values
+        kept = decimation.apply(values)
+        self.decimation = decimation
+        self.begin += decimation.half / self.rate
+        self.rate /= decimation.factor
+        # rounding spreads its variance over all frequencies, of which fewer are left
+        self.step /= np.sqrt(decimation.factor)
+        self.notes.append(
+            f"of {values.size} samples every {decimation.factor}th was kept after a low-pass without phase shift: "
+            f"{self.rate / self.frequency:.0f} per cycle, frequencies up to {0.25 * self.rate:.4g} Hz are untouched"
+        )
+        return kept
 
     def _filtered(self, values: FloatArray, band_pass: BandPass) -> FloatArray:
         """Return the band-passed record without its ends, and without forcing at its start."""
@@ -264,7 +317,7 @@ class _Conditioning:
         # a tail without motion shows the noise itself; less noise may move the end, hence again
         for _ in range(3 if band_pass is None else 0):
             tail = values[int(np.ceil((end + 2.0 * cycle) * self.rate)) :]
-            quiet = quiet_spectrum(tail, self.rate, path.frequency, self.step)
+            quiet = quiet_spectrum(tail, self.rate, path.frequency, self.step, self._kept)
             if quiet is None or quiet.total > 0.9 * spectrum.total:
                 break
             spectrum = quiet
@@ -286,8 +339,14 @@ class _Conditioning:
     def _spectrum(self, values: FloatArray, path: Track, band_pass: BandPass | None) -> NoiseSpectrum:
         """Return the spectrum of the noise of the measured quantity."""
         if band_pass is None:
-            return noise_spectrum(values, self.rate, path, self.step, self.integrations)
-        return noise_in_band(values, self.rate, path, lambda f: np.abs(band_pass.gain(f)), self.step, self.whole)
+            return noise_spectrum(values, self.rate, path, self.step, self.integrations, self._kept)
+        return noise_in_band(
+            values, self.rate, path, lambda f: np.abs(band_pass.gain(f)) * self._kept(f), self.step, self.whole
+        )
+
+    def _kept(self, frequency: FloatArray) -> FloatArray:
+        """Return the share of the amplitude of white noise that decimation keeps."""
+        return np.ones_like(frequency) if self.decimation is None else self.decimation.gain(frequency)
 
     def _baseline(
         self, values: FloatArray, path: Track, end: float, spectrum: NoiseSpectrum, band_pass: BandPass | None
@@ -322,7 +381,8 @@ class _Conditioning:
     def _range(self, path: Track, is_cut: bool, end: float, size: int) -> tuple[int, int]:
         """Return the samples from a quarter of a cycle before the first turning point to the end of motion."""
         cycle = 1.0 / path.frequency
-        first = self._undisturbed(path, 0.0) if is_cut else 0
+        lost = 0 if self.decimation is None else self.decimation.half // self.decimation.factor
+        first = max(0, self._undisturbed(path, -lost / self.rate) - lost) if is_cut else 0
         last = min(size, int(np.ceil((end + cycle) * self.rate)) + 1)
         if size - last > cycle * self.rate:
             self.notes.append(f"the last {(size - last) / self.rate:.4g} s, after the end of motion, were dropped")
@@ -356,7 +416,7 @@ class _Conditioning:
             if is_driven:
                 first = before if rest > _FEWEST_CYCLES else before - band_pass.half
         begin = self.begin + (first - before if band_pass is not None else first) / self.rate
-        noise = noise_of(spectrum, np.ones_like, path.frequency, self.rate)
+        noise = noise_of(spectrum, self._kept, path.frequency, self.rate)
         return MeasuredSamples(
             time=_frozen(begin + np.arange(last - first) / self.rate),
             values=_frozen(np.array(self.whole[first:last])),
@@ -421,7 +481,8 @@ class _Conditioning:
         """Return the amplitude response from the measured quantity to the displacement."""
 
         def response(grid: FloatArray) -> FloatArray:
-            kept = (integration_response(grid / frequency) / (2.0 * np.pi * grid)) ** self.integrations
+            kept = self._kept(grid)
+            kept = kept * (integration_response(grid / frequency) / (2.0 * np.pi * grid)) ** self.integrations
             return kept if band_pass is None else kept * np.abs(band_pass.gain(grid))
 
         return response

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.fft import rfft, rfftfreq
+from scipy.fft import dct, rfft, rfftfreq
 
 from ..._common.checks import FloatArray
 from .tracking import Track, local_basis
@@ -21,7 +21,7 @@ _MAXIMUM_SEGMENTS = 24
 _MAXIMUM_HARMONICS = 8  # of a displacement; each differentiation gives the higher ones more weight
 _FINE_BINS = 12
 _USABLE = 0.4
-_GRID = 4096
+_GRID, _GRID_PER_ORDER = 4096, 128
 _MAXIMUM_LAG_CYCLES = 3.0
 _NEGLIGIBLE = 0.01
 _WHITE_BAND = (0.5, 4.0)
@@ -74,7 +74,12 @@ def quantum(values: FloatArray) -> float:
 
 
 def noise_spectrum(
-    values: FloatArray, sampling_rate: float, track: Track, step: float = 0.0, integrations: int = 0
+    values: FloatArray,
+    sampling_rate: float,
+    track: Track,
+    step: float = 0.0,
+    integrations: int = 0,
+    gain: Callable[[FloatArray], FloatArray] | None = None,
 ) -> NoiseSpectrum:
     """Estimate the noise spectrum of a decay from what its own harmonics leave.
 
@@ -83,18 +88,23 @@ def noise_spectrum(
     the share of white noise that the fit leaves at each frequency, is the noise. The mean over segments leaves out
     glitches, the median over wide bins keeps out narrow lines (a second mode, mains hum). The noise is at
     least that of rounding to the ``step`` of the converter (variance step^2 / 12). Friction makes acceleration jump:
-    with ``integrations`` more harmonics are fitted, which would else be taken for noise.
+    with ``integrations`` more harmonics are fitted, which would else be taken for noise. With ``gain`` it is the noise
+    before a filter that kept as much of it at each frequency.
     """
     edges = _bin_edges(track.frequency, 0.5 * sampling_rate)
     rows = [
-        _binned(edges, *_periodogram(values[first:last], first, sampling_rate, track, integrations))
+        _binned(edges, *_before(gain, *_periodogram(values[first:last], first, sampling_rate, track, integrations)))
         for first, last in _segments(values.size, sampling_rate, track, _SEGMENT_CYCLES)
     ]
     return _spectrum(edges, rows, step)
 
 
 def quiet_spectrum(
-    values: FloatArray, sampling_rate: float, frequency: float, step: float = 0.0
+    values: FloatArray,
+    sampling_rate: float,
+    frequency: float,
+    step: float = 0.0,
+    gain: Callable[[FloatArray], FloatArray] | None = None,
 ) -> NoiseSpectrum | None:
     """Return the noise spectrum of a stretch without motion, or None where it is too short to tell."""
     length = round(_SEGMENT_CYCLES * sampling_rate / frequency)
@@ -106,8 +116,16 @@ def quiet_spectrum(
     for first in range(0, values.size - length + 1, length)[:_MAXIMUM_SEGMENTS]:
         u = np.linspace(-1.0, 1.0, length)
         basis = np.linalg.qr(np.column_stack([np.ones(length), u]))[0]
-        rows.append(_binned(edges, *_beside(basis, values[first : first + length], sampling_rate, _USABLE)))
+        found = _beside(basis, values[first : first + length], sampling_rate, _USABLE)
+        rows.append(_binned(edges, *_before(gain, *found)))
     return _spectrum(edges, rows, step)
+
+
+def _before(
+    gain: Callable[[FloatArray], FloatArray] | None, frequency: FloatArray, density: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return frequencies and densities before a filter."""
+    return frequency, density if gain is None else density / gain(frequency) ** 2
 
 
 def _binned(edges: FloatArray, frequency: FloatArray, density: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -302,16 +320,19 @@ def noise_of(
 ) -> Noise:
     """Return the noise after a linear operation with amplitude response ``response(frequency)``."""
     nyquist = 0.5 * sampling_rate
-    grid = (np.arange(_GRID) + 0.5) * nyquist / _GRID
+    # integration weighs the lowest frequencies most: they need a grid as fine, however fast the sampling
+    count = max(_GRID, int(np.ceil(_GRID_PER_ORDER * nyquist / frequency)))
+    grid = (np.arange(count) + 0.5) * nyquist / count
     density = spectrum.at(grid) * response(grid) ** 2
     low, high = (bound * frequency for bound in _WHITE_BAND)
     used = (grid >= low) & (grid <= min(high, nyquist))
     deviation = float(np.sqrt(density[used].mean() * nyquist))
-    power = density * nyquist / _GRID
+    power = density * nyquist / count
     if np.ptp(density) <= 1e-9 * density.max():
         return Noise(deviation, np.array([power.sum(), 0.0]))
     lags = np.arange(int(np.ceil(_MAXIMUM_LAG_CYCLES * sampling_rate / frequency)) + 1)
-    autocovariance = np.cos(2.0 * np.pi * np.outer(lags / sampling_rate, grid)) @ power
+    autocovariance = 0.5 * dct(power)[: lags.size]
+    lags = lags[: autocovariance.size]
     # a smooth end keeps the sequence (nearly) positive definite
     tail = np.clip(3.0 * (1.0 - lags / lags[-1]), 0.0, 1.0)
     autocovariance *= 0.5 - 0.5 * np.cos(np.pi * tail)

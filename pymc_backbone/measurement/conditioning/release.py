@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
-from scipy.signal import fftconvolve
+from scipy.signal import oaconvolve
 
 from ..._common.checks import FloatArray
 from ..turning import rough_noise
 from .tracking import Track
 
+ComplexArray = NDArray[np.complex128]
 _LEVEL = 0.97
 _QUIET = 0.5
 _WINDOW = 0.65
 _PLATEAU_FALL = 0.06
+_PIECE = 1 << 18
 _SPAN_OF_NOISE = 6.0  # standard deviations that the noise of a flat start spans at most
 
 
@@ -26,14 +29,26 @@ def envelope(values: FloatArray, sampling_rate: float, frequency: float, integra
     """
     half = min(max(round(sampling_rate / frequency), 2), (values.size - 1) // 2)
     kernel = np.concatenate([np.arange(1, half + 1), np.arange(half - 1, 0, -1)]) / float(half) ** 2
-    carrier = np.exp(-2j * np.pi * frequency / sampling_rate * np.arange(values.size))
-    z = fftconvolve(values * carrier, kernel, mode="valid")
+    z = _demodulated(values, frequency / sampling_rate, kernel)
     inner = 2.0 * np.abs(z)
     if integrations:
         turns = np.gradient(np.unwrap(np.angle(z))) * sampling_rate / (2.0 * np.pi * frequency)
         rate = uniform_filter1d(np.clip(1.0 + turns, 0.6, 1.7), half, mode="nearest")
         inner = inner / rate**integrations
     return np.pad(inner, (half - 1, values.size - inner.size - half + 1), mode="edge")
+
+
+def _demodulated(values: FloatArray, turns: float, kernel: FloatArray) -> ComplexArray:
+    """Return ``values`` times a carrier of so many turns per sample, averaged over the kernel, without its ends.
+
+    By pieces, for the carrier and the transforms of a long record are many times its size.
+    """
+    result = np.empty(values.size - kernel.size + 1, dtype=np.complex128)
+    for first in range(0, result.size, _PIECE):
+        last = min(first + _PIECE, result.size) + kernel.size - 1
+        carrier = np.exp(-2j * np.pi * turns * np.arange(first, last))
+        result[first : first + _PIECE] = oaconvolve(values[first:last] * carrier, kernel, mode="valid")
+    return result
 
 
 def leading_rest(values: FloatArray) -> int:

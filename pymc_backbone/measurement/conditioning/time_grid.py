@@ -70,7 +70,7 @@ def to_uniform(time: FloatArray, values: FloatArray, name: str = "record") -> Un
             f"{name}: {steps[widest]:.3g} s lie between the time stamps {time[widest]:.9g} and {time[widest + 1]:.9g}, "
             f"sampled every {typical:.3g} s otherwise; cut the record there."
         )
-    interval, start = (float(value) for value in np.polyfit(index, time, 1))
+    interval, start = _line(index, time)
     deviation = time - (start + interval * index)
     worst = float(np.max(np.abs(deviation))) / interval
     wide = counts > 1.0
@@ -98,6 +98,14 @@ def to_uniform(time: FloatArray, values: FloatArray, name: str = "record") -> Un
     grid = start + interval * np.arange(round((stamps[-1] - start) / interval) + 1)
     resampled = CubicSpline(stamps, values)(np.clip(grid, stamps[0], stamps[-1]))
     return UniformSamples(start, 1.0 / interval, resampled, gaps, tuple(notes))
+
+
+def _line(index: FloatArray, time: FloatArray) -> tuple[float, float]:
+    """Return slope and intercept of the least-squares line through time stamps."""
+    middle, centre = float(index.mean()), float(time.mean())
+    offset = index - middle
+    slope = float(offset @ (time - centre)) / float(offset @ offset)
+    return slope, centre - slope * middle
 
 
 def _counts(time: FloatArray, typical: float) -> FloatArray:

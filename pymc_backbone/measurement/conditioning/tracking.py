@@ -93,10 +93,10 @@ def dominant_frequency(
     n = values.size
     x = values - values.mean()
     half = n // 2
-    taper = np.ones(n)
-    taper[half:] = 0.5 + 0.5 * np.cos(np.pi * np.arange(n - half) / (n - half))
+    x[half:] *= 0.5 + 0.5 * np.cos(np.pi * np.arange(n - half) / (n - half))
     size = next_fast_len(2 * n)
-    spectrum = np.abs(rfft(x * taper, size))
+    spectrum = np.abs(rfft(x, size))
+    del x
     frequency = rfftfreq(size, 1.0 / sampling_rate)
     weighted = spectrum * frequency
     top = np.flatnonzero((weighted[1:-1] > weighted[:-2]) & (weighted[1:-1] >= weighted[2:])) + 1

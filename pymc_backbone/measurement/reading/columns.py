@@ -97,8 +97,15 @@ def named_columns(source: Source, wanted: str, option: str = "columns") -> list[
     """Return the columns of a name, of a pattern such as ``acc*``, or of a number counted from 1."""
     key = wanted.strip().lower()
     hits = [column for column in source.columns if key in (column.header.lower(), column.name.lower())]
+    if not hits:
+        # a channel of a struct by its own name
+        hits = [column for column in source.columns if key == _own_name(column)]
     if not hits and any(sign in key for sign in "*?"):
-        hits = [column for column in source.columns if fnmatchcase(column.header.lower(), key)]
+        hits = [
+            column
+            for column in source.columns
+            if fnmatchcase(column.header.lower(), key) or fnmatchcase(_own_name(column), key)
+        ]
         hits = [column for column in hits if not is_time(column.name) and not mentions_time(column.name)]
         if hits:
             return hits
@@ -112,6 +119,11 @@ def named_columns(source: Source, wanted: str, option: str = "columns") -> list[
             source.header_line,
         )
     return hits
+
+
+def _own_name(column: Column) -> str:
+    """Return the name of a channel without that of the struct or group that holds it."""
+    return column.header.lower().rpartition(".")[2]
 
 
 def find_time(source: Source, wanted: str | None = None) -> Column | None:

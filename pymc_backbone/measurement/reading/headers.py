@@ -39,8 +39,8 @@ def key_of(name: str) -> str:
 
 
 def is_time(name: str) -> bool:
-    """Return whether a name is a word for time, and nothing else."""
-    return name.lower().strip() in TIME_WORDS
+    """Return whether a name is a word for time, with a number as in ``t_1`` at most."""
+    return re.sub(r"_\d+$", "", name.lower().strip()) in TIME_WORDS
 
 
 def mentions_time(name: str) -> bool:

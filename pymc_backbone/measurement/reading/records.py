@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,7 @@ from .formats import list_recordings, read_recording
 from .formats.channel import Recording
 from .formats.sep005 import channels_of_sep005
 from .headers import QUANTITIES
+from .hits import decays_of, is_force
 from .measured_backbones import read_backbones
 from .tables import Column, Table, list_tables, read_table
 from .units import split_header
@@ -61,6 +62,8 @@ class Record:
         Where it came from, for messages; by default the specimen's name.
     notes : tuple of str
         Sentences about what was assumed or converted.
+    starts_free : bool
+        Whether the record is known to begin in free decay, after the contact of a hammer: no release is searched for.
 
     Raises
     ------
@@ -89,6 +92,7 @@ class Record:
     unit: str = ""
     source: str = ""
     notes: tuple[str, ...] = ()
+    starts_free: bool = False
 
     def __post_init__(self) -> None:
         specimen = str(self.specimen).strip().encode("utf-8", "backslashreplace").decode("utf-8")
@@ -236,7 +240,9 @@ def _records_of_table(table: Table, reading: Reading) -> Iterator[Record]:
             _check_finite(table, column, time, values[rows])
             source = table.name if len(specimens) == 1 else f"{table.name} (specimen {shorten(printable(specimen))})"
             whole = specimen if len(picked) == 1 else f"{specimen} {_label(column)}"
-            yield Record(whole, time, values[rows], quantity, unit.si, source, notes + unit_notes)
+            record = Record(whole, time, values[rows], quantity, unit.si, source, notes + unit_notes)
+            force = _force_of(table, [column for column, _ in picked])
+            yield from [record] if force is None else _after_hits(record, table.numbers(force)[rows], force)
 
 
 def _records_of_channels(recording: Recording, stem: str, reading: Reading) -> Iterator[Record]:
@@ -260,7 +266,35 @@ def _records_of_channels(recording: Recording, stem: str, reading: Reading) -> I
             _check_finite(recording, column, values)
         source = recording.name if len(picked) == 1 else f"{recording.name} ({shorten(column.header)})"
         whole = stem if stem and len(picked) == 1 else f"{stem} {_label(column)}".strip()
-        yield Record(whole, time, values, quantity, unit.si, source, notes + time_notes)
+        record = Record(whole, time, values, quantity, unit.si, source, notes + time_notes)
+        force = _force_of(recording, [column for column, _ in picked])
+        shown = None if force is None else recording.channels[force.index]
+        is_beside = shown is not None and not shown.refusal and shown.values.size == values.size
+        if shown is None or force is None or not is_beside or not np.isfinite(shown.values).all():
+            yield record
+        else:
+            yield from _after_hits(record, shown.values, force)
+
+
+def _force_of(source: Source, picked: Sequence[Column]) -> Column | None:
+    """Return the one channel of force beside those that are read, or None."""
+    used = {column.index for column in picked}
+    forces = [column for column in source.columns if is_force(column) and column.index not in used]
+    return forces[0] if len(forces) == 1 else None
+
+
+def _after_hits(record: Record, force: FloatArray, column: Column) -> Iterator[Record]:
+    """Yield the free decays after the hits of a hammer, or the whole record where its force shows none."""
+    label, unit = shorten(column.header), column.unit or ""
+    for decay in decays_of(record.time, force, label, unit, MINIMUM_SAMPLES, printable(record.source)):
+        yield replace(
+            record,
+            specimen=f"{record.specimen} hit {decay.number}" if decay.number else record.specimen,
+            time=record.time[decay.part].copy(),
+            values=record.values[decay.part].copy(),
+            notes=record.notes + decay.notes,
+            starts_free=decay.part.start > 0,
+        )
 
 
 def _check_finite(source: Source, column: Column, *arrays: FloatArray) -> None:

@@ -104,8 +104,8 @@ def dimension_of(text: str) -> str | None:
 def split_header(cell: str) -> tuple[str, str | None]:
     """Split a column header into its name and the unit it states.
 
-    ``time [ms]``, ``Acc (g)``, ``velocity / m/s`` and ``disp_mm`` are understood; the unit is None
-    when none is stated.
+    ``time [ms]``, ``Acc (g)``, ``Position (mm) Run #1``, ``velocity / m/s`` and ``disp_mm`` are understood; the unit is
+    None when none is stated. A subscript as in ``t_{1}`` is a part of the name.
 
     Examples
     --------
@@ -113,8 +113,13 @@ def split_header(cell: str) -> tuple[str, str | None]:
     ('displacement', 'mm')
     >>> split_header("Time")
     ('Time', None)
+    >>> split_header("Position (mm) Run #1")
+    ('Position Run #1', 'mm')
     """
-    text = cell.strip().strip("\"'").strip()
+    text = re.sub(r"([_^])\{([^{}]*)\}", r"\1\2", cell.strip().strip("\"'").strip())
+    inner = re.fullmatch(r"([^\[\](){}<>]*?)\s*[\[(<]\s*([^\[\](){}<>]+?)\s*[\])>]\s*([^\[\](){}<>]+)", text)
+    if inner and any(parse_unit(inner.group(2), dimension) for dimension in UNITS if dimension != "ratio"):
+        return f"{inner.group(1)} {inner.group(3)}".strip(), inner.group(2)
     bracket = re.fullmatch(r"(.*?)\s*[\[({<]\s*([^\[\](){}<>]*(?:\([^()]*\))?)\s*[\])}>]", text)
     if bracket:
         return bracket.group(1).strip(), bracket.group(2).strip() or None
