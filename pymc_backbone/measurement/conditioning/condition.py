@@ -140,7 +140,7 @@ class _Conditioning:
         baseline = self._baseline(measured, path, end, spectrum, band_pass)
         second = self._second_mode(measured, path)
         first, last = self._range(path, is_cut and band_pass is None, end, measured.size)
-        before = int(round((self.begin - released) * self.rate))
+        before = round((self.begin - released) * self.rate)
         displacement = self._displacement(measured[first:last], path.shifted(first / self.rate))
         mid_line = None
         time = np.arange(first, last) / self.rate

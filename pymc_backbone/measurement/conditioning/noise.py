@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -164,7 +165,7 @@ def white_level(values: FloatArray, sampling_rate: float, frequency: float) -> f
     In tapered segments most values between the lines are noise, whose periodogram is distributed exponentially: the
     mean of what lies below four means tells it, octave by octave; two at least must agree.
     """
-    length = min(int(round(_TAPERED_CYCLES * sampling_rate / frequency)), values.size)
+    length = min(round(_TAPERED_CYCLES * sampling_rate / frequency), values.size)
     taper = np.hanning(length)
     firsts = range(0, values.size - length + 1, max(length // 2, 1))
     parts = np.array([values[first : first + length] for first in firsts])
@@ -173,7 +174,7 @@ def white_level(values: FloatArray, sampling_rate: float, frequency: float) -> f
     at = rfftfreq(length, 1.0 / sampling_rate)
     octaves = 0.5 * frequency * 2.0 ** np.arange(np.ceil(np.log2(sampling_rate / frequency)) + 1)
     levels, counts = [], []
-    for low, high in zip(octaves[:-1], octaves[1:], strict=True):
+    for low, high in itertools.pairwise(octaves):
         inside = power[:, (at >= low) & (at < min(high, 0.5 * sampling_rate))].ravel()
         if inside.size < _FEWEST_VALUES:
             continue
