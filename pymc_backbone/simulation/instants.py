@@ -171,36 +171,28 @@ def _rate(
         rise = 0.5 * (y[1] + y1[1]) + h * (0.1 * (a0 - a1) + h * (jerk0 + jerk1) / 120.0)
         lift = 140.0 * ((y1[0] - y[0]) / h - rise)
     v = hermite_position(y[1], a0, jerk0, y1[1], a1, jerk1, h, theta) + lift * inner * inner * inner
+    if quantity == ACCELERATION and not moving:
+        return _by_equation(model, y, y1, h, x, v, theta, direction, dt, slope0, slope1, columns, slopes)
     a = hermite_velocity(y[1], a0, jerk0, y1[1], a1, jerk1, h, theta) + 3.0 * lift * inner * inner * tilt / h
-    S = shifted(y, 2 + model.n_states)
-    S1 = shifted(y1, 2 + model.n_states)
     if quantity == VELOCITY:
-        if columns > 0:
-            slopes[columns] = a
-        for c in range(columns):
-            since_turning = hermite_velocity(
-                S[c], S[columns + c], slope0[c], S1[c], S1[columns + c], slope1[c], h, theta
-            )
-            slopes[c] = since_turning - a * dt[c]
+        _velocity_slopes(model, y, y1, h, a, theta, dt, slope0, slope1, columns, slopes)
         return v
-    if moving:
-        jerk = jerk0 + theta * (jerk1 - jerk0)
-        if lifted:
-            jerk = hermite_acceleration(y[1], a0, jerk0, y1[1], a1, jerk1, h, theta)
-            jerk += 6.0 * lift * inner * (tilt * tilt - inner) / (h * h)
-        if columns > 0:
-            slopes[columns] = jerk
-        for c in range(columns):
-            since_turning = slope0[c] + theta * (slope1[c] - slope0[c])
-            if lifted:
-                since_turning = hermite_acceleration(
-                    S[c], S[columns + c], slope0[c], S1[c], S1[columns + c], slope1[c], h, theta
-                )
-            slopes[c] = since_turning - jerk * dt[c]
-        return a
+    jerk = jerk0 + theta * (jerk1 - jerk0)
+    if lifted:
+        jerk = hermite_acceleration(y[1], a0, jerk0, y1[1], a1, jerk1, h, theta)
+        jerk += 6.0 * lift * inner * (tilt * tilt - inner) / (h * h)
+    _acceleration_slopes(model, y, y1, h, jerk, theta, lifted, dt, slope0, slope1, columns, slopes)
+    return a
+
+
+@plain
+def _by_equation(model, y, y1, h, x, v, theta, direction, dt, slope0, slope1, columns, slopes):
+    """Return the acceleration that the equation of motion gives, and write its derivatives."""
     z = shifted(y, 2)
     if columns == 0:
         return -total_force(model, x, v, direction, z) / model.mass
+    S = shifted(y, 2 + model.n_states)
+    S1 = shifted(y1, 2 + model.n_states)
     force, fx, fv = force_gradient(model, x, v, direction, z)
     a = -force / model.mass
     jerk = -(fx * v + fv * a) / model.mass
@@ -214,3 +206,31 @@ def _rate(
             total += model.fp[c - 1]
         slopes[c] = -total / model.mass - jerk * dt[c]
     return a
+
+
+@plain
+def _velocity_slopes(model, y, y1, h, a, theta, dt, slope0, slope1, columns, slopes):
+    """Write the derivatives of the velocity at a fixed time; the last is the acceleration ``a``."""
+    S = shifted(y, 2 + model.n_states)
+    S1 = shifted(y1, 2 + model.n_states)
+    if columns > 0:
+        slopes[columns] = a
+    for c in range(columns):
+        since_turning = hermite_velocity(S[c], S[columns + c], slope0[c], S1[c], S1[columns + c], slope1[c], h, theta)
+        slopes[c] = since_turning - a * dt[c]
+
+
+@plain
+def _acceleration_slopes(model, y, y1, h, jerk, theta, lifted, dt, slope0, slope1, columns, slopes):
+    """Write the derivatives of an acceleration that is a derivative itself; the last is the ``jerk``."""
+    S = shifted(y, 2 + model.n_states)
+    S1 = shifted(y1, 2 + model.n_states)
+    if columns > 0:
+        slopes[columns] = jerk
+    for c in range(columns):
+        since_turning = slope0[c] + theta * (slope1[c] - slope0[c])
+        if lifted:
+            since_turning = hermite_acceleration(
+                S[c], S[columns + c], slope0[c], S1[c], S1[columns + c], slope1[c], h, theta
+            )
+        slopes[c] = since_turning - jerk * dt[c]
