@@ -135,6 +135,10 @@ class TurningTerm:
     value_errors: FloatArray
     skipped: int = 0
 
+    def first(self, count: int) -> TurningTerm:
+        """Return the term of the first ``count`` turning points."""
+        return TurningTerm(self.times[:count], self.values[:count], self.time_errors[:count], self.value_errors[:count])
+
     @property
     def size(self) -> int:
         """Number of residuals."""

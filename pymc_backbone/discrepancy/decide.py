@@ -56,6 +56,8 @@ class Decision:
         Of a drift with time.
     has_second_mode : bool
         Whether a second mode beats in the records.
+    unfinished : tuple of tuple of str
+        Sets that could explain the backbones, but whose fit to the records did not come to rest.
     is_approximate : bool
         Whether the sets listed follow the backbones within the tolerance, none exactly.
     left_by_best : float
@@ -75,6 +77,7 @@ class Decision:
     adequate_by: AdequateBy | None = None
     drift_probability: float = 0.0
     has_second_mode: bool = False
+    unfinished: tuple[Set, ...] = ()
     is_approximate: bool = False
     left_by_best: float = 0.0
 
@@ -107,7 +110,7 @@ def decide(
     """
     _complete(search)
     decision = _judged(search, _weighed(search, drifting, drift_key, bonus), tolerance)
-    if decision.verdict is Verdict.AMBIGUOUS and decision.best not in decision.listed:
+    if decision.verdict is Verdict.AMBIGUOUS and decision.best not in decision.listed and not decision.unfinished:
         return replace(decision, listed=(decision.best, *decision.listed))
     return decision
 
@@ -200,6 +203,9 @@ def _approximate(search: Search, decision: Decision, tolerance: Mapping[str, flo
     """
     close = within_tolerance(search, decision.ranked, tolerance) if any(tolerance.values()) else []
     if not close:
+        unfinished = tuple(names for names in decision.ranked if search.is_open(names))
+        if unfinished:  # what was not fitted to its end is not refuted
+            return replace(decision, verdict=Verdict.AMBIGUOUS, listed=unfinished[:_MOST_LISTED], unfinished=unfinished)
         return replace(decision, verdict=Verdict.UNEXPLAINED)
     chances = by_model_error(search, close)
     best = max(chances, key=lambda names: chances[names])
@@ -268,9 +274,10 @@ def mind_second_mode(decision: Decision) -> Decision:
 
 
 def _complete(search: Search) -> None:
-    """Fit the most probable set without each of its effects, because the tolerance asks what each of them changes."""
+    """Fit every subset of the most probable set: the tolerance and the table ask what each of its effects changes."""
     best: Set | None = None
     while best != search.best():
         best = search.best()
-        for rest in combinations(best, max(len(best) - 1, 0)):
-            search.fit_set(rest)
+        for size in range(len(best)):
+            for rest in combinations(best, size):
+                search.fit_set(rest)

@@ -26,6 +26,7 @@ _LARGEST_DAMPING = 1e8
 _CONVERGED = 0.01
 _MOST_SCATTER = 6.0  # standard deviations: an effect neither vanishes nor turns around in one specimen
 _RACE, _LONG_RACE, _RACE_MARGIN = 6, 25, 60.0
+_LONGEST = 3.0  # factor by which a step may change stiffness and release
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +156,7 @@ def fit(
             np.clip(proposal.own[:, DRIFTS[0] :], -_MOST_SCATTER, _MOST_SCATTER, out=proposal.own[:, DRIFTS[0] :])
             if scatter > 0.0:
                 proposal = _recentred(layout, proposal, scatter)
-            if np.all(proposal.own[:, 0] > 0.0) and np.isfinite(proposal.own).all():
+            if np.isfinite(proposal.own).all() and _is_trusted(state, proposal):
                 accepted = linearise(layout, terms, proposal, scatter, active)
                 evaluations += 1
         if accepted is not None and accepted.cost < system.cost + 1e-9:
@@ -179,6 +180,17 @@ def fit(
                 converged = True
                 break
     return replace(_finish(layout, system, state, active, converged), evaluations=evaluations)
+
+
+def _is_trusted(state: State, proposal: State) -> bool:
+    """Return whether no specimen's stiffness or release changes by more than a factor of three, or turns around.
+
+    Far from the minimum the linear step knows nothing of the other side of zero; from there is no way back.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = proposal.own[:, (0, 2)] / state.own[:, (0, 2)]
+    ratio[state.own[:, (0, 2)] == 0.0] = 1.0  # backbones know no release
+    return bool(np.all((ratio > 1.0 / _LONGEST) & (ratio < _LONGEST)))
 
 
 def _recentred(layout: Layout, state: State, scatter: float) -> State:

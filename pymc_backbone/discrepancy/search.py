@@ -1,11 +1,11 @@
-"""The search over sets of effects: forward from the base, with replacement and pruning, every fit kept."""
+"""The search over sets of effects: backbones propose, all sets at once; waveforms decide, the likeliest first."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 
@@ -13,20 +13,26 @@ from ..effects import Effect
 from ..oscillator import Oscillator
 from . import evidence, starts
 from .batch import Batch
-from .data_term import DataTerm
-from .joint_fit import NUISANCES, Fit, State, fit, start_state
+from .curves import level_chi_square
+from .descent import Descent, is_heavy
+from .joint_fit import NUISANCES, Fit, State
 from .layout import Layout, make_layout
+from .propose import Proposal, propose
 
 Set = tuple[str, ...]
 Progress = Callable[[str, float], None]
 
-_POOR = 1.5  # reduced chi-square above which the score of a fit is no guide
+_POOR = 1.5  # reduced chi-square above which a fit may have lost its way
 _KEPT_PARENTS = 2
-_GLANCE = 10  # iterations after which only the best start goes on
-_PATIENT = 300  # iterations for the base model, from which all others start
 BUDGET = 3e7  # simulated values after which the search ends; only what nothing explains takes as many
 _ROUNDS = 2
 _LOOKED_BACK = 3
+_MOST_FOLLOWED = 24  # sets that are followed from the backbones to the waveforms before anything explains these
+_MOST_EXTENDED = 8
+_REACH = 12.0  # difference of the logarithm of evidence by the backbones within which the waveforms are asked, too
+_SETTLED = 4
+_LOST = 6.0  # reduced chi-square of the backbones, over what was promised, from which a fit ended elsewhere
+_POSSIBLE_BACKBONE = 3.0  # reduced chi-square up to which a set could explain the backbones
 _EXPLAINED = 1.1  # reduced chi-square up to which a set may be complete
 _CLOSE = 30.0  # chi-square within which a smaller set rivals the best
 _NOISE = 0.01  # p-value of the residuals from which they are taken for noise
@@ -59,27 +65,41 @@ class Search:
     fits: dict[Set, Fit] = field(default_factory=dict)
     failed: dict[Set, str] = field(default_factory=dict)
     layouts: dict[Set, Layout] = field(default_factory=dict)
-    by_levels: dict[Set, list[tuple[float, State]]] = field(default_factory=dict)
-    reference: int = 0
-    effort: float = 0.0
     budget: float = BUDGET
     is_cut: bool = False
     own: Mapping[str, Effect] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        self.descent = Descent(self.batch)
         spans = [w.levels[-1] / w.levels[0] if w.levels.size else 0.0 for w in self.batch.levels]
         self.reference = int(np.argmax(spans))
+        self.count = sum(term.size for term in self.batch.deciding)
+
+    @cached_property
+    def proposals(self) -> dict[Set, Proposal]:
+        """How every set looks in the backbones, the likeliest first."""
+        self.progress("all sets, by their backbones", 0.0)
+        found = propose(self.batch, self.base, self.candidates, self.max_effects, self.own)
+        return {item.names: item for item in found}
+
+    @property
+    def has_proposals(self) -> bool:
+        """Whether the backbones were asked for proposals."""
+        return "proposals" in self.__dict__
 
     def run(self) -> None:
-        """Fit the base, every single effect, and larger sets as long as they earn their place."""
+        """Fit the base, the sets that the backbones propose, and what lies around the best of them."""
         self.progress("base model", 0.0)
         self.fit_set(())
         if () not in self.fits:
             return
-        for k, name in enumerate(self.candidates):
-            self.progress("single effects", (k + 1) / len(self.candidates))
-            self.fit_set((name,))
-        self._look_again()
+        if self._is_explained():
+            for k, name in enumerate(self.candidates):
+                self.progress("single effects", (k + 1) / len(self.candidates))
+                self.fit_set((name,))
+            self._look_again()
+        else:
+            self._follow_backbones()
         self._look_back()
         for size in range(2, self.max_effects + 1):
             before = self.best(size - 1)
@@ -92,6 +112,7 @@ class Search:
             if not self._replace():
                 break
             self._look_back()
+        self._settle()
 
     def _is_costly(self, names: Set) -> bool:
         """Return whether a set takes much longer than the base does."""
@@ -104,33 +125,71 @@ class Search:
 
     def _is_explained(self) -> bool:
         """Return whether a set leaves hardly more than noise."""
-        count = sum(w.size for w in self.batch.deciding)
-        return min(item.cost for item in self.fits.values()) < _EXPLAINED * count
+        return min(item.cost for item in self.fits.values()) < _EXPLAINED * self.count
+
+    @property
+    def _is_spent(self) -> bool:
+        return self.descent.effort > self.budget
+
+    def _follow_backbones(self) -> None:
+        """Fit the sets in the order of their backbones until one explains the records and no rival is within reach.
+
+        A set that adds to one that explains already is left to the stage after, which starts from there.
+        """
+        fitted = 0
+        reach = -np.inf
+        explained: list[Set] = []
+        for names, proposal in self.proposals.items():
+            if not names or any(set(known) < set(names) for known in explained):
+                continue
+            if proposal.log_evidence < reach or fitted >= _MOST_FOLLOWED:
+                break
+            if self._is_spent:
+                self.is_cut = True
+                break
+            if self._is_costly(names) and explained and self._is_settled():
+                continue
+            self.progress("sets that the backbones propose", min(fitted / _MOST_FOLLOWED, 1.0))
+            found = self.fit_set(names)
+            fitted += 1
+            if found is not None and found.cost < _EXPLAINED * self.count:
+                explained.append(names)
+                reach = max(reach, proposal.log_evidence - _REACH)
 
     def _look_again(self) -> None:
-        """Fit single effects that have a shape, and lag behind, from their look in the backbones as well.
-
-        Where the base holds effects and nothing explains the records yet, these may have bent to imitate what is
-        missing: then from a fit without them.
-        """
+        """Fit single effects that have a shape, and lag behind, from their look in the backbones as well."""
         lowest = min(item.cost for item in self.fits.values())
-        is_bent = bool(self.layout(()).free.size) and not self._is_explained()
-        bare = Search(self.batch, Oscillator(self.base.mass), self.candidates, 1, own=self.own)
         for name in self.candidates:
             known = self.fits.get((name,))
-            layout = self.layout((name,))
-            if known is None or len(starts.positions(layout, name)) < 2:
+            if known is None or known.cost < lowest + _CLOSE or len(starts.positions(self.layout((name,)), name)) < 2:
                 continue
-            found: list[Fit] = []
-            if is_bent and self.effort <= self.budget:
-                bare.fit_set(())
-                alone = bare.fit_set((name,)) if () in bare.fits else None
-                if alone is not None:
-                    found += self.descend(layout, [starts.embedded(layout, alone)[0]], is_near=True)
-            elif known.cost >= lowest + _CLOSE and not self._is_costly((name,)) and (name,) not in self.by_levels:
-                found += self._from_backbones((name,), layout, lowest)
+            if self._is_costly((name,)):
+                continue
+            found = self._proposed((name,), lowest)
             self.fits[(name,)] = min([known, *found], key=lambda item: item.cost)
-            self.effort, bare.effort = self.effort + bare.effort, 0.0
+
+    def _settle(self) -> None:
+        """Where nothing explains the records, carry the fits on that did not come to rest, the likeliest first."""
+        if self._is_explained():
+            return
+        restless = [names for names in self.ranked() if not self.fits[names].is_converged]
+        for names in restless[:_SETTLED]:
+            if self._is_spent:
+                self.is_cut = True
+                break
+            known = self.fits[names]
+            found = self.descent.from_near(known.layout, [known.state])
+            if found is not None and found.cost < known.cost:
+                self.fits[names] = found
+
+    def is_open(self, names: Set) -> bool:
+        """Return whether the fit of a set did not come to rest although the set could explain the backbones."""
+        found = self.fits[names]
+        if found.is_converged or found.cost < _EXPLAINED * self.count or not names or not self.has_proposals:
+            return False
+        proposal = self.proposals.get(names)
+        values = sum(term.size for term in self.batch.levels)
+        return proposal is None or proposal.chi_square < _POSSIBLE_BACKBONE * values
 
     def _look_back(self) -> None:
         """Fit the subsets of the best sets again, from where these ended: a larger set may have found a better way."""
@@ -145,10 +204,9 @@ class Search:
                 own = np.concatenate(
                     [larger.state.own[:, :NUISANCES], larger.state.own[:, [NUISANCES + p for p in places]]], axis=1
                 )
-                state = State(larger.state.eta[places], own)
-                for found in self.descend(layout, [state], is_near=True, rival=known.cost):
-                    if found.cost < known.cost - 0.01:
-                        self.fits[smaller] = found
+                found = self.descent.from_near(layout, [State(larger.state.eta[places], own)], rival=known.cost)
+                if found is not None and found.cost < known.cost - 0.01:
+                    self.fits[smaller] = found
 
     def layout(self, names: Set) -> Layout:
         """Return the layout of the base with these effects."""
@@ -192,17 +250,13 @@ class Search:
                 union = tuple(sorted({*parent, name}))
                 if len(union) == size and union not in sets:
                     sets.append(union)
-        if min(self.reduced(self.fits[parent]) for parent in parents) > _POOR and self.batch.has_records:
-            # far from the noise the backbones tell cheaply which sets are worth a closer look
-            misfit = {
-                names: min((cost for cost, _ in self._level_starts(names)), default=np.inf)
-                for names in sets
-                if not self._is_costly(names)
-            }
-            sets.sort(key=lambda names: misfit.get(names, np.inf))
+        if not any(self.fits[parent].cost < _EXPLAINED * self.count for parent in parents):
+            # far from the noise the backbones tell which sets are worth a closer look; the likeliest had theirs already
+            known = self.proposals
+            sets = [names for names in known if names in sets and names not in self.fits][:_MOST_EXTENDED]
         sets.sort(key=self._is_costly)
         for k, names in enumerate(sets):
-            if self.effort > self.budget:
+            if self._is_spent:
                 self.is_cut = True
                 break
             if self._is_costly(names) and self._is_settled():
@@ -211,21 +265,30 @@ class Search:
             self.fit_set(names)
 
     def _replace(self) -> bool:
-        """Try every other effect in the place of each of the best set; return whether that found a better one."""
+        """Try other effects in the place of each of the best set; return whether that found a better one."""
         best = self.best()
         if len(best) < 2:
             return False
         for out in best:
             rest = tuple(name for name in best if name != out)
             self.fit_set(rest)
-            for name in self.candidates:
-                if name not in best and self.effort <= self.budget:
-                    self.fit_set(tuple(sorted((*rest, name))))
+            others = [tuple(sorted((*rest, name))) for name in self.candidates if name not in best]
+            for names in self._within_reach(others, best):
+                if not self._is_spent:
+                    self.fit_set(names)
         for smaller in combinations(best, len(best) - 1):
             self.fit_set(tuple(sorted(smaller)))
         if len(best) < self.max_effects:
             self._extend([best], len(best) + 1)
         return self.best() != best
+
+    def _within_reach(self, sets: Sequence[Set], best: Set) -> list[Set]:
+        """Return those sets whose backbones are not much less likely than those of the best, the likeliest first."""
+        known = self.proposals
+        if best not in known:
+            return list(sets)
+        least = known[best].log_evidence - _REACH
+        return [names for names, item in known.items() if names in sets and item.log_evidence > least]
 
     def fit_set(self, names: Set) -> Fit | None:
         """Return the best fit of a set, from several starts; kept for the next time.
@@ -235,103 +298,79 @@ class Search:
         """
         if names in self.fits or names in self.failed:
             return self.fits.get(names)
-        layout = self.layout(names)
-        found: list[Fit] = []
-        parents = (
-            [] if not names else [self.fits[rest] for rest in combinations(names, len(names) - 1) if rest in self.fits]
-        )
-        parents.sort(key=lambda parent: parent.cost)
-        count = sum(w.size for w in self.batch.deciding)
-        rival = min((item.cost for item in self.fits.values()), default=None) if names else None
-        for parent in parents[:2] if len(names) > 1 else parents[:1]:
-            new = next(name for name in names if name not in self._names(parent))
-            promised = starts.by_score(layout, new, parent, self.batch)
-            is_explained = parent.cost < _EXPLAINED * count
-            promised = promised[:1] if is_explained else promised
-            if is_explained and promised and promised[0][0] < _WORTH:
-                promised = promised[:1]
-                near = self._fit(
-                    layout, self.batch.deciding, promised[0][1], iterations=1, nuisances=self.batch.nuisances
-                )
-                found += [] if near is None else [near]
-                continue
-            found += self.descend(layout, [state for _, state in promised], is_near=True, rival=rival)
-        lowest = min((item.cost for item in [*found, *parents[:1]]), default=np.inf)
-        is_poor = lowest > _POOR * count and (rival is None or len(names) < 2 or rival > _POOR * count)
-        if not names or not self.batch.has_records or is_poor:
-            found += self._from_backbones(names, layout, rival)
+        found = self._base_fits() if not names else self._set_fits(names)
         if not found:
             self.failed[names] = "no start could be simulated over the whole record"
             return None
         self.fits[names] = min(found, key=lambda item: item.cost)
         return self.fits[names]
 
+    def _base_fits(self) -> list[Fit]:
+        """Return fits of the model as it is; effects that it holds may turn out to be absent."""
+        layout = self.layout(())
+        eta = starts.typical(layout)
+        scales = (0.0, 0.05, 1.0, 20.0) if eta.size else (1.0,)
+        states = [
+            self.descent.released(layout, np.where(layout.is_strength, eta * scale, eta), self.batch.own[:, :2])
+            for scale in scales
+        ]
+        found = [fit for fit in (self.descent.from_afar(layout, state) for state in states) if fit is not None]
+        if eta.size and (not found or min(item.cost for item in found) > _EXPLAINED * self.count):
+            found += self._proposed((), None)
+        return found
+
+    def _set_fits(self, names: Set) -> list[Fit]:
+        """Return fits of a set: from the sets it extends where these are near, else from the backbones."""
+        layout = self.layout(names)
+        parents = [self.fits[rest] for rest in combinations(names, len(names) - 1) if rest in self.fits]
+        parents.sort(key=lambda parent: parent.cost)
+        rival = min((item.cost for item in self.fits.values()), default=None)
+        is_near = bool(parents) and parents[0].cost < _EXPLAINED * self.count
+        found: list[Fit] = []
+        if not is_near:
+            found = self._proposed(names, rival)
+        if is_near or not found:
+            for parent in parents[:2] if len(names) > 1 else parents[:1]:
+                found += self._extended(names, layout, parent, rival)
+        return found
+
+    def _extended(self, names: Set, layout: Layout, parent: Fit, rival: float | None) -> list[Fit]:
+        """Return the fit of a set from that of a smaller one, to which the score says what the new effect adds."""
+        new = next(name for name in names if name not in self._names(parent))
+        promised = starts.by_score(layout, new, parent, self.batch)
+        is_explained = parent.cost < _EXPLAINED * self.count
+        promised = promised[:1] if is_explained else promised
+        if is_explained and promised and promised[0][0] < _WORTH:
+            near = self.descent.fit(
+                layout, self.batch.deciding, promised[0][1], iterations=1, nuisances=self.batch.nuisances
+            )
+            return [] if near is None else [near]
+        near = self.descent.from_near(layout, [state for _, state in promised], rival=rival)
+        return [] if near is None else [near]
+
+    def _proposed(self, names: Set, rival: float | None) -> list[Fit]:
+        """Return fits from what the backbones propose for a set, until one keeps what they promise."""
+        proposal = self.proposals.get(names)
+        if proposal is None:
+            return []
+        layout = self.layout(names)
+        found: list[Fit] = []
+        for promised, eta, own in proposal.starts:
+            state = self.descent.released(layout, eta, own)
+            reached = self.descent.from_afar(layout, state, rival)
+            found += [] if reached is None else [reached]
+            if reached is not None and not self._is_lost(reached, promised):
+                break
+        return found
+
+    def _is_lost(self, found: Fit, promised: float) -> bool:
+        """Return whether a fit ended far above what the backbones promise: then another start may do better."""
+        if found.cost < _POOR * self.count:
+            return False
+        reduced = level_chi_square(self.batch, found)
+        values = sum(term.size for term in self.batch.levels)
+        return not reduced < _LOST * max(promised / values, 1.0)
+
     def _names(self, found: Fit) -> Set:
         held = {effect.name for effect in self.base.effects}
         return tuple(effect.name for effect in found.layout.oscillator.effects if effect.name not in held)
-
-    def _from_backbones(self, names: Set, layout: Layout, rival: float | None) -> list[Fit]:
-        if len(names) == 0:
-            eta = starts.typical(layout)
-            scales = (0.05, 1.0, 20.0) if eta.size else (1.0,)
-            states = [
-                start_state(layout, np.where(layout.is_strength, eta * scale, eta), self.batch.own) for scale in scales
-            ]
-            held = [effect.name for effect in layout.oscillator.effects if starts.positions(layout, effect.name)]
-            for name in held:
-                found = starts.by_backbone(layout, name, None, self.batch, self.reference)
-                states += [state for _, state in found]
-            return self.descend(layout, states, is_near=False)
-        states = [state for _, state in self._level_starts(names)]
-        return self.descend(layout, states, is_near=False, rival=rival)
-
-    def _level_starts(self, names: Set) -> list[tuple[float, State]]:
-        """Return starts from the look of a set in one backbone, with their misfit there; kept for the next time."""
-        if names not in self.by_levels:
-            parents = [self.fits[rest] for rest in combinations(names, len(names) - 1) if rest in self.fits]
-            parent = min(parents, key=lambda item: item.cost, default=None)
-            new = names[0] if parent is None else next(name for name in names if name not in self._names(parent))
-            self.by_levels[names] = starts.by_backbone(self.layout(names), new, parent, self.batch, self.reference)
-        return self.by_levels[names]
-
-    def descend(
-        self, layout: Layout, states: Sequence[State], *, is_near: bool, rival: float | None = None
-    ) -> list[Fit]:
-        """Return the minimum of the deciding data term that the best of some starts leads to.
-
-        From afar the way is by the turning points, which have no phase to lose.
-        """
-        nuisances = self.batch.nuisances
-        begun: list[Fit] = []
-        for state in states:
-            if not is_near and self.batch.has_records:
-                turning = self._fit(layout, self.batch.turning, state, iterations=20, tolerance=1.0)
-                if turning is None:
-                    continue
-                state = turning.state
-            first = self._fit(
-                layout, self.batch.deciding, state, iterations=_GLANCE, tolerance=0.03, rival=rival, nuisances=nuisances
-            )
-            begun += [] if first is None else [first]
-        if not begun:
-            return []
-        best = min(begun, key=lambda item: item.cost)
-        if best.is_converged or best.evaluations < _GLANCE:
-            return [best]
-        found = self._fit(
-            layout, self.batch.deciding, best.state, iterations=80 if rival is not None else _PATIENT,
-            tolerance=0.03, rival=rival, nuisances=nuisances,
-        )  # fmt: skip
-        return [best] if found is None else [found]
-
-    def _fit(self, layout: Layout, terms: Sequence[DataTerm], state: State, **options: Any) -> Fit | None:
-        """Fit, and count the effort in simulated values."""
-        found = fit(layout, terms, state, **options)
-        if found is not None:
-            self.effort += found.evaluations * sum(w.size for w in terms) * (1.0 + 4.0 * is_heavy(layout))
-        return found
-
-
-def is_heavy(layout: Layout) -> bool:
-    """Return whether the model has internal states with an equation of their own, which cost most."""
-    return bool(layout.simulator.has_own_equation)

@@ -1,4 +1,4 @@
-"""Where to start a fit from: a grid over what an effect can look like, judged by the score or by one backbone."""
+"""Where to start a fit from: a grid over what an effect can look like, judged by the score."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ _STRENGTHS = (0.02, 0.3)
 _TINY = 1e-4
 _SHAPES = (0.12, 0.35, 0.75)
 _SLIPS = (0.03, 0.15, 0.5)  # slip displacement over amplitude
-_TRIED = 6
 _MANY = 4  # parameters beyond which each shape has two values only
 _KEPT = 2
 
@@ -96,47 +95,6 @@ def by_score(layout: Layout, effect: str, parent: Fit, batch: Batch) -> list[tup
         found.append((gain, State(moved, own.copy())))
     found.sort(key=lambda item: -item[0])
     return found[:_KEPT]
-
-
-def by_backbone(
-    layout: Layout, effect: str, parent: Fit | None, batch: Batch, reference: int
-) -> list[tuple[float, State]]:
-    """Return starts from one specimen's backbone: every strength and shape fitted to it; lowest misfit first."""
-    one = [batch.levels[reference]]
-    eta = np.zeros(layout.free.size)
-    own = batch.own.copy()
-    if parent is not None:
-        eta = embedded(layout, parent)[0].eta
-        own = parent.state.own[:, : joint_fit.NUISANCES].copy()
-    else:
-        eta = typical(layout)
-    where = positions(layout, effect)
-    trials: list[tuple[float, State]] = []
-    for point in grid(layout, effect, _STRENGTHS):
-        trial = eta.copy()
-        trial[where] = point
-        start = joint_fit.start_state(layout, trial, own[[reference]])
-        glance = joint_fit.fit(layout, one, start, iterations=1, nuisances=(0, 1), has_scatter=False)
-        if glance is not None:
-            trials.append((glance.cost, glance.state))
-    trials.sort(key=lambda item: item[0])
-    found = []
-    for _, start in trials[:_TRIED]:
-        solved = joint_fit.fit(layout, one, start, iterations=12, nuisances=(0, 1), has_scatter=False, tolerance=0.3)
-        if solved is not None:
-            found.append((solved.cost, solved))
-    found.sort(key=lambda item: item[0])
-    states: list[tuple[float, State]] = []
-    for cost, solved in found:
-        if any(np.allclose(solved.state.eta, state.eta, rtol=0.05) for _, state in states):
-            continue
-        stretch = solved.state.own[0, :2] / batch.own[reference, :2]
-        moved = own.copy()
-        moved[:, :2] = batch.own[:, :2] * stretch
-        states.append((cost, joint_fit.start_state(layout, solved.state.eta, moved)))
-        if len(states) == _KEPT:
-            break
-    return states
 
 
 def typical(layout: Layout) -> FloatArray:

@@ -20,6 +20,7 @@ class Status(StrEnum):
     BEST = "best"
     POSSIBLE = "possible"
     REJECTED = "rejected"
+    NOT_CONVERGED = "not converged"
     FAILED = "failed"
 
 

@@ -212,6 +212,12 @@ def sentence(decision: Decision) -> str:
                 f"Something is missing; of the known effects {best} is the only explanation that remains, but with a "
                 f"probability of {percent} it is too uncertain for a name."
             )
+        if decision.unfinished:
+            sets = "; ".join(listed[:_SPOKEN])
+            return (
+                "Something is missing; no fit explains the records, but those of sets that could explain the backbones "
+                f"did not come to rest: {sets}."
+            )
         rest = f"; and {len(named) - _SPOKEN} more" if len(named) > _SPOKEN else ""
         sets = "; ".join(named[:_SPOKEN])
         exact = "; within the tolerance each follows the backbones, none is exact" if decision.is_approximate else ""

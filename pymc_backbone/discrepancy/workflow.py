@@ -265,7 +265,7 @@ def _study(
 
 
 def _search_notes(search: Search) -> list[str]:
-    said = "the search ended before all sets of three were tried: nothing came near the noise"
+    said = "the search ended before all sets that the backbones propose were tried: nothing came near the noise"
     return [said] if search.is_cut else []
 
 

@@ -33,6 +33,7 @@ STATUS_COLOURS: dict[str, str] = {
     Status.BEST: MEASURED,
     Status.POSSIBLE: "#56B4E9",
     Status.REJECTED: QUIET,
+    Status.NOT_CONVERGED: "#E69F00",
     Status.FAILED: "#C9C9C9",
 }
 MOST_CANDIDATES = 12

@@ -34,6 +34,7 @@ STATUS_WORDS: dict[str, str] = {
     Status.BEST: "best",
     Status.POSSIBLE: "possible",
     Status.REJECTED: "rejected",
+    Status.NOT_CONVERGED: "not converged",
     Status.FAILED: "could not be fitted",
 }
 

@@ -1,0 +1,136 @@
+"""From a start to the minimum of the deciding data term, so that no phase is lost on the way.
+
+The release amplitude and instant come from the record, never from another model's fit. With the model held, they are
+brought to the turning points, which have no phase to lose; then everything is, over a window that grows from the first
+of them to all; these hand over to the samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .._common.checks import FloatArray
+from .batch import Batch
+from .data_term import DataTerm
+from .joint_fit import Fit, State, fit, start_state
+from .layout import Layout
+
+GLANCE = 10
+"""Iterations after which only the best of several starts goes on."""
+_RELEASE = (2, 3, 4)  # the specimen's own values that say how it was released and measured
+_ENOUGH = 1.0  # decrease of the cost below which a fit that is not the last one ends
+_TURNING, _ON_THE_WAY = 20, 6  # iterations over all turning points, and over the first of them
+_FIRST_WINDOW = 12  # turning points
+_WINDOW_GROWTH = 3.0
+_PATIENT, _SHORT = 300, 80
+
+
+@dataclass
+class Descent:
+    """Fits of one batch, and what they cost.
+
+    Attributes
+    ----------
+    batch : Batch
+        The data.
+    effort : float
+        Simulated values so far.
+    """
+
+    batch: Batch
+    effort: float = 0.0
+
+    def released(self, layout: Layout, eta: FloatArray, own: FloatArray) -> State:
+        """Return a start: effects and each specimen's stiffness and damping given, the release from the record.
+
+        Parameters
+        ----------
+        layout : Layout
+            The model.
+        eta : (q,) array
+            Shared coordinates.
+        own : (r, 2) array
+            Stiffness and damping of each specimen.
+        """
+        state = start_state(layout, eta, np.column_stack([own, self.batch.own[:, 2:]]))
+        if not self.batch.has_records:
+            return state
+        held = replace(layout, low=state.eta.copy(), high=state.eta.copy())
+        found = self.fit(
+            held, self.batch.turning, state, iterations=8, tolerance=_ENOUGH, nuisances=_RELEASE, has_scatter=False
+        )
+        return state if found is None else found.state
+
+    def from_afar(self, layout: Layout, state: State, rival: float | None = None) -> Fit | None:
+        """Return the minimum that a start from the backbones leads to; None where it cannot be simulated."""
+        batch = self.batch
+        if batch.has_records:
+            state = self._over_turning_points(layout, state)
+        return self.fit(
+            layout, batch.deciding, state, iterations=_SHORT, tolerance=0.03, rival=rival, nuisances=batch.nuisances
+        )
+
+    def _over_turning_points(self, layout: Layout, state: State) -> State:
+        """Return the state after a window over the turning points that grows from the first to all of them."""
+        most = max(term.times.size for term in self.batch.turning)
+        window = _FIRST_WINDOW
+        while True:
+            terms = [term.first(window) for term in self.batch.turning]
+            is_last = window >= most
+            iterations = _TURNING if is_last else _ON_THE_WAY
+            found = self.fit(layout, terms, state, iterations=iterations, tolerance=_ENOUGH)
+            if found is not None:
+                state = found.state
+            if is_last:
+                return state
+            window = int(window * _WINDOW_GROWTH)
+
+    def from_near(self, layout: Layout, states: Sequence[State], *, rival: float | None = None) -> Fit | None:
+        """Return the minimum of the deciding term that the best of some starts close by leads to."""
+        batch = self.batch
+        begun: list[Fit] = []
+        for state in states:
+            first = self.fit(
+                layout, batch.deciding, state, iterations=GLANCE, tolerance=0.03, rival=rival, nuisances=batch.nuisances
+            )
+            begun += [] if first is None else [first]
+        if not begun:
+            return None
+        best = min(begun, key=lambda item: item.cost)
+        if best.is_converged or best.evaluations < GLANCE:
+            return best
+        found = self.fit(
+            layout, batch.deciding, best.state, iterations=_SHORT if rival is not None else _PATIENT,
+            tolerance=0.03, rival=rival, nuisances=batch.nuisances,
+        )  # fmt: skip
+        return best if found is None else found
+
+    def fit(
+        self,
+        layout: Layout,
+        terms: Sequence[DataTerm],
+        state: State,
+        *,
+        iterations: int,
+        tolerance: float = 0.03,
+        nuisances: Sequence[int] = (0, 1, 2, 3, 4),
+        has_scatter: bool = True,
+        rival: float | None = None,
+    ) -> Fit | None:
+        """Fit as `joint_fit.fit` does, and count the effort in simulated values."""
+        found = fit(
+            layout, terms, state, iterations=iterations, tolerance=tolerance, nuisances=nuisances,
+            has_scatter=has_scatter, rival=rival,
+        )  # fmt: skip
+        if found is not None:
+            weight = 1.0 + 4.0 * is_heavy(layout)
+            self.effort += found.evaluations * sum(term.size for term in terms) * weight
+        return found
+
+
+def is_heavy(layout: Layout) -> bool:
+    """Return whether the model has internal states with an equation of their own, which cost most."""
+    return bool(layout.simulator.has_own_equation)
