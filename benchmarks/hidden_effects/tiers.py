@@ -24,6 +24,18 @@ TIERS: dict[str, float] = {
 }
 """Kinds of batches and their shares."""
 
+HARD_TIERS: tuple[str, ...] = (
+    "strong",
+    "strong_pairs",
+    "strong_triples",
+    "wide_scatter",
+    "one_specimen",
+    "twenty_specimens",
+    "long",
+    "tenfold_releases",
+)
+"""Kinds of batches at the edge of what is measured; made by name only."""
+
 CLOSE_SPRINGS = ("cubic_stiffness", "quintic_stiffness", "freeplay")
 CLOSE_FRICTION = ("coulomb_friction", "jenkins")
 CLOSE_DAMPERS = ("quadratic_damping", "cubic_damping", "displacement_dependent_damping")
@@ -43,6 +55,12 @@ class Plan:
         Effect outside of the library that acts.
     visible : bool
         Whether strengths are drawn from the range that most records show.
+    narrow : bool
+        Whether sliders slip after a few per cent of the amplitude.
+    strong : bool
+        Whether springs rival the linear one, dampers add up to 15 %, and hysteresis slips from 0.5 % of the amplitude.
+    effect_scatter : float or None
+        Relative standard deviation of the effects between specimens; drawn where not given.
     damping_ratio, cycles, samples_per_cycle, noise_db, bits, specimens, release_factor : tuple
         Ranges; the middle four are as good as the data are.
     """
@@ -52,6 +70,8 @@ class Plan:
     outside: str | None = None
     visible: bool = False
     narrow: bool = False
+    strong: bool = False
+    effect_scatter: float | None = None
     drift: str | None = None
     second_mode: bool = False
     damping_ratio: tuple[float, float] = (0.001, 0.03)
@@ -83,7 +103,7 @@ def draw_plan(tier: str, rng: np.random.Generator) -> Plan:
     Parameters
     ----------
     tier : str
-        A key of `TIERS`.
+        A key of `TIERS`, or one of `HARD_TIERS`.
     rng : numpy.random.Generator
 
     Returns
@@ -124,9 +144,30 @@ def draw_plan(tier: str, rng: np.random.Generator) -> Plan:
         plan.second_mode = True
         if rng.random() < 0.5:
             plan.present, plan.visible = _pick(rng, LIBRARY_NAMES, 1), True
+    elif tier in HARD_TIERS:
+        _plan_hard(plan, tier, rng)
     else:
-        raise KeyError(f"tier must be one of {', '.join(TIERS)}, got {tier!r}.")
+        raise KeyError(f"tier must be one of {', '.join((*TIERS, *HARD_TIERS))}, got {tier!r}.")
     return plan
+
+
+def _plan_hard(plan: Plan, tier: str, rng: np.random.Generator) -> None:
+    """Hide up to three effects at the edge of what is measured."""
+    sizes = {"strong": 1, "strong_pairs": 2, "strong_triples": 3}
+    plan.present = _pick(rng, LIBRARY_NAMES, sizes.get(tier, int(rng.choice((1, 2, 3), p=(0.4, 0.4, 0.2)))))
+    plan.visible = True
+    if tier in sizes:
+        plan.strong = True
+    elif tier == "wide_scatter":
+        plan.effect_scatter = 0.3
+    elif tier == "one_specimen":
+        plan.specimens = (1,)
+    elif tier == "twenty_specimens":
+        plan.specimens = (20,)
+    elif tier == "long":
+        plan.cycles, plan.damping_ratio, plan.samples_per_cycle = (500, 500), (0.0003, 0.002), (8.0, 24.0)
+    else:
+        plan.release_factor = (10.0, 10.0)
 
 
 def _plan_close_pair(plan: Plan, rng: np.random.Generator) -> None:

@@ -33,6 +33,9 @@ def compiled_sources_digest() -> str:
 
 _COMPILED_MODULES = (
     "_common/compiled.py",
+    "discrepancy/look_kernels.py",
+    "discrepancy/refine_kernels.py",
+    "discrepancy/set_kernels.py",
     "likelihood/density_kernel.py",
     "simulation/curves.py",
     "simulation/forces.py",
@@ -54,9 +57,14 @@ class DigestCache(FunctionCache):
         return (*super()._index_key(sig, codegen), compiled_sources_digest())
 
 
-def cached(function: Callable[..., Any]) -> Any:
-    """Compile ``function`` with numba and keep the machine code on disk, keyed on all compiled sources."""
-    dispatcher = numba.njit(function)
+def cached(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+    """Compile ``function`` with numba and keep the machine code on disk, keyed on all compiled sources.
+
+    With ``options`` of `numba.njit` instead of a function, return the decorator that takes them.
+    """
+    if function is None:
+        return functools.partial(cached, **options)
+    dispatcher = numba.njit(function, **options)
     dispatcher._cache = DigestCache(dispatcher.py_func)
     return dispatcher
 

@@ -14,6 +14,7 @@ from ..simulation.decay import Simulator
 
 _BOX = 4.0
 _STIFFEST = 0.003  # slip displacement over amplitude
+_SHARPEST = 0.004  # displacement over amplitude at which a state saturates
 _SOFTEST = {True: 10.0, False: 1.5}  # of a bed of sliders, and of one, which is a plain spring beyond
 
 
@@ -126,6 +127,8 @@ def make_layout(oscillator: Oscillator, amplitude: float, angular_frequency: flo
                 powers.append((first + j, place[exponent]))
             # what has no unit is a shape with limits of its own; the rest may leave the default bounds
             grow = 0.0 if parameter.unit == "-" else _BOX * (upper - lower)
+            if exponent is not None:  # what saturates may do so at a small share of the amplitude
+                grow = max(grow, _SHARPEST ** -bounds[exponent][1])
             low, high = max(parameter.minimum, lower - grow), min(parameter.maximum, upper + grow)
             rows.append((low, high, (upper - lower) / np.sqrt(12.0), j == 0))
             free.append(start + list(effect.parameters).index(parameter))

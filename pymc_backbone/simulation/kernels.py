@@ -73,7 +73,8 @@ def define() -> None:
 
 
 @compiled
-def _prepare(user, table, stiffness, damping, n_states, mass, has_regime, p, sensitivities, tolerance, largest_step):
+def prepare(user, table, stiffness, damping, n_states, mass, has_regime, p, sensitivities, tolerance, largest_step):
+    """Return a run with room for all that it needs."""
     mode = SENSITIVITY if sensitivities else VALUE
     for i in range(table.shape[0]):
         if table[i, KIND] == OWN_EQUATION:
@@ -154,7 +155,7 @@ def _no_answer(k, values, jacobian):
             jacobian[i, k, j] = np.nan
 
 
-@cached
+@cached(nogil=True)
 def backbone_by_cycles(
     user, table, stiffness, damping, n_states, mass, has_regime,
     p, levels, release, virgin, sensitivities, tolerance, maximum, values, jacobian, status,
@@ -164,7 +165,7 @@ def backbone_by_cycles(
     The starting peak of a cycle is found by Newton's method on its amplitude. The derivative along the starting
     amplitude, which the integrator carries anyway, predicts the next start and takes a cycle onto its level.
     """
-    run = _prepare(
+    run = prepare(
         user, table, stiffness, damping, n_states, mass, has_regime, p, sensitivities, tolerance, _LARGEST_STEP
     )
     memory = run.memory
@@ -316,7 +317,7 @@ def _whole_decay(
     return count, code
 
 
-@cached
+@cached(nogil=True)
 def backbone_by_decay(
     user, table, stiffness, damping, n_states, mass, has_regime,
     p, levels, release, virgin, sensitivities, tolerance, maximum, values, jacobian, status,
@@ -326,7 +327,7 @@ def backbone_by_decay(
     Without a release (0) it is raised in fixed steps, so that it does not slide with the parameters, until the first
     cycle reaches the highest level.
     """
-    run = _prepare(
+    run = prepare(
         user, table, stiffness, damping, n_states, mass, has_regime, p, sensitivities, tolerance, _LARGEST_STEP
     )
     none = np.empty(0)
@@ -366,7 +367,7 @@ def backbone_by_decay(
             _no_answer(k, values, jacobian)
 
 
-@cached
+@cached(nogil=True)
 def decay(
     user, table, stiffness, damping, n_states, mass, has_regime,
     p, release, virgin, stop, sensitivities, tolerance, maximum, turns, slopes, time_slopes, times,
@@ -376,7 +377,7 @@ def decay(
     largest = _LARGEST_STEP
     if sample_times.size > 0:
         largest = _LARGEST_SAMPLED_STEP if tolerance < _COARSE else _LARGEST_COARSE_STEP
-    run = _prepare(user, table, stiffness, damping, n_states, mass, has_regime, p, sensitivities, tolerance, largest)
+    run = prepare(user, table, stiffness, damping, n_states, mass, has_regime, p, sensitivities, tolerance, largest)
     return _whole_decay(
         run, release, virgin, stop, 0, maximum, turns, slopes, times, time_slopes, sample_times, displacement,
         sample_slopes,
