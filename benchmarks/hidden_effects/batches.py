@@ -56,7 +56,7 @@ def make_batch(seed: int, index: int, tier: str | None = None) -> Batch:
     seed, index : int
         Not negative.
     tier : str, optional
-        A key of `tiers.TIERS`; drawn by their shares where not given.
+        A key of `tiers.TIERS`, drawn by their shares where not given, or one of `tiers.HARD_TIERS`.
 
     Returns
     -------
@@ -95,13 +95,14 @@ def _draw_batch(plan: Plan, rng: np.random.Generator) -> Batch:
     for effect in (*plan.present, *((plan.outside,) if plan.outside else ())):
         parameters, strength[effect] = draw_parameters(
             effect,
-            draw_strength(effect, rng, visible=plan.visible or effect in plan.base),
+            draw_strength(effect, rng, visible=plan.visible or effect in plan.base, strong=plan.strong),
             rng,
             mass=mass,
             stiffness=stiffness,
             damping=damping,
             amplitude=amplitude,
             narrow=plan.narrow,
+            strong=plan.strong,
         )
         nominal |= parameters
 
@@ -119,6 +120,8 @@ def _draw_batch(plan: Plan, rng: np.random.Generator) -> Batch:
     offset_share = 0.0 if rng.random() < 0.5 else rng.uniform(-0.2, 0.2)
     start = str(rng.choice(("hold", "release", "fast")))
     scatter = _draw_scatter(rng)
+    if plan.effect_scatter is not None:
+        scatter["effects"] = plan.effect_scatter
 
     records, specimens = [], []
     for number, release in enumerate(releases, start=1):

@@ -57,6 +57,7 @@ def draw_parameters(
     damping: float,
     amplitude: float,
     narrow: bool = False,
+    strong: bool = False,
 ) -> Drawn:
     """Draw the parameters of an effect of a given strength.
 
@@ -72,6 +73,8 @@ def draw_parameters(
         Of the linear oscillator and its release, SI units.
     narrow : bool, default False
         For a slider: slips after 0.5 to 5 % of the amplitude, so that it looks like dry friction.
+    strong : bool, default False
+        For hysteresis: slips from 0.5 % of the amplitude on.
 
     Returns
     -------
@@ -93,14 +96,17 @@ def draw_parameters(
         value = min(strength * k / bend, 1.7 * k)
         return {effect: value}, value * bend / k
     if effect == "bouc_wen":
-        return _draw_bouc_wen(work, rng, k, big)
+        return _draw_bouc_wen(work, rng, k, big, 0.005 if strong else 0.3)
     if effect == "jenkins":
-        slip = big * (log_uniform(rng, 0.005, 0.05) if narrow else rng.uniform(0.1, 0.9))
+        if strong:
+            slip = big * log_uniform(rng, 0.005, 0.9)
+        else:
+            slip = big * (log_uniform(rng, 0.005, 0.05) if narrow else rng.uniform(0.1, 0.9))
         slider = min(work / (4.0 * slip * (big - slip)), 0.9 * k)
         parameters = {"slider_stiffness": slider, "slip_force": slider * slip}
         return parameters, slider * 4.0 * slip * (big - slip) / (2.0 * math.pi * k * big**2)
     if effect == "iwan":
-        return _draw_iwan(work, rng, k, big)
+        return _draw_iwan(work, rng, k, big, 0.02 if strong else 0.4)
     if effect in ("magnetic_attraction", "impact_stop"):
         return _draw_one_sided(effect, strength, rng, k, big, omega)
     return _DAMPERS[effect](work, strength, rng, mass, damping, big, omega)
@@ -133,10 +139,10 @@ def _draw_one_sided(
     return parameters, strength
 
 
-def _draw_bouc_wen(work: float, rng: np.random.Generator, k: float, big: float) -> Drawn:
+def _draw_bouc_wen(work: float, rng: np.random.Generator, k: float, big: float, smallest: float) -> Drawn:
     """Draw a Bouc-Wen element, half of the time in another of its equivalent scalings."""
     exponent = rng.uniform(1.0, 2.0)
-    largest = log_uniform(rng, 0.3, 1.5) * big
+    largest = log_uniform(rng, smallest, 1.5) * big
     asymmetry = rng.uniform(-0.5, 0.5)
     total = largest**-exponent
     beta, gamma = (1.0 - asymmetry) * total, asymmetry * total
@@ -177,10 +183,10 @@ def _bouc_wen_slope(z: float, direction: float, beta: float, gamma: float, expon
     return 1.0 - abs(z) ** exponent * (beta * direction * side + gamma)
 
 
-def _draw_iwan(work: float, rng: np.random.Generator, k: float, big: float) -> Drawn:
+def _draw_iwan(work: float, rng: np.random.Generator, k: float, big: float, smallest: float) -> Drawn:
     """Draw a bed of sliders, mostly in micro-slip."""
     chi = rng.uniform(-0.8, 0.0)
-    largest = log_uniform(rng, 0.4, 6.0) * big
+    largest = log_uniform(rng, smallest, 6.0) * big
     u = np.linspace(0.0, big, 4001)
     ratio = np.minimum(u / largest, 1.0)
     curve = np.where(u < largest, u * (1.0 - ratio ** (chi + 1.0) / (chi + 2.0)), largest * (chi + 1.0) / (chi + 2.0))
@@ -267,14 +273,18 @@ FULL_RANGE = {True: (1e-4, 0.6), False: (1e-5, 0.05)}
 """Strengths from far below to far above what can be seen: of springs, of dampers."""
 VISIBLE_RANGE = {True: (1e-2, 0.4), False: (1.5e-3, 0.03)}
 """Strengths that most records show."""
+STRONG_RANGE = {True: (0.5, 3.0), False: (0.005, 0.15)}
+"""Strengths at the edge of what still makes a record."""
 LARGEST = {"coulomb_friction": 0.012, "stribeck_friction": 0.006}
 """Dry friction above this stops the motion within a dozen cycles."""
 
 
-def draw_strength(effect: str, rng: np.random.Generator, *, visible: bool = False) -> float:
-    """Draw a strength, log-uniform over `FULL_RANGE` or `VISIBLE_RANGE`."""
-    low, high = (VISIBLE_RANGE if visible else FULL_RANGE)[effect in STIFFNESS_KINDS]
-    return log_uniform(rng, low, min(high, LARGEST.get(effect, high)))
+def draw_strength(effect: str, rng: np.random.Generator, *, visible: bool = False, strong: bool = False) -> float:
+    """Draw a strength, log-uniform over `FULL_RANGE`, `VISIBLE_RANGE` or `STRONG_RANGE`."""
+    ranges = STRONG_RANGE if strong else VISIBLE_RANGE if visible else FULL_RANGE
+    low, high = ranges[effect in STIFFNESS_KINDS]
+    high = min(high, LARGEST.get(effect, high))
+    return log_uniform(rng, min(low, 0.5 * high), high)
 
 
 def is_scattered(parameter: str) -> bool:

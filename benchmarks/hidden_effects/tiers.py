@@ -54,6 +54,18 @@ QUANTITY_EFFECTS = (
     None,
 )
 
+HARD_TIERS: tuple[str, ...] = (
+    "strong",
+    "strong_pairs",
+    "strong_triples",
+    "wide_scatter",
+    "one_specimen",
+    "twenty_specimens",
+    "long",
+    "tenfold_releases",
+)
+"""Kinds of batches at the edge of what is measured; made by name only."""
+
 CLOSE_SPRINGS = ("cubic_stiffness", "quintic_stiffness", "freeplay")
 CLOSE_FRICTION = ("coulomb_friction", "jenkins")
 CLOSE_DAMPERS = ("quadratic_damping", "cubic_damping", "displacement_dependent_damping")
@@ -79,6 +91,12 @@ class Plan:
         Of the record; 6 or 10 in any case.
     is_banded : bool
         Whether a second mode at 2.6 to 3.4 times the frequency has to be filtered away with the band in the truth.
+    narrow : bool
+        Whether sliders slip after a few per cent of the amplitude.
+    strong : bool
+        Whether springs rival the linear one, dampers add up to 15 %, and hysteresis slips from 0.5 % of the amplitude.
+    effect_scatter : float or None
+        Relative standard deviation of the effects between specimens; drawn where not given.
     damping_ratio, cycles, samples_per_cycle, noise_db, bits, specimens, release_factor : tuple
         Ranges; the middle four are as good as the data are.
     """
@@ -88,6 +106,8 @@ class Plan:
     outside: str | None = None
     visible: bool = False
     narrow: bool = False
+    strong: bool = False
+    effect_scatter: float | None = None
     drift: str | None = None
     second_mode: bool = False
     quantity: str = "displacement"
@@ -122,7 +142,7 @@ def draw_plan(tier: str, rng: np.random.Generator, index: int = 0) -> Plan:
     Parameters
     ----------
     tier : str
-        A key of `TIERS`.
+        A key of `TIERS`, or one of `HARD_TIERS`.
     rng : numpy.random.Generator
     index : int
         Number of the batch; in the tiers of `QUANTITY_TIERS` the effects take turns.
@@ -173,9 +193,30 @@ def draw_plan(tier: str, rng: np.random.Generator, index: int = 0) -> Plan:
         plan.specimens, plan.cycles, plan.samples_per_cycle = (5,), (40, 80), (20.0, 60.0)
         plan.fewest_cycles = 25.0  # a band-pass takes some ten of them
         plan.noise_db, plan.bits = (50.0, 50.0), (24, 24)
+    elif tier in HARD_TIERS:
+        _plan_hard(plan, tier, rng)
     else:
-        raise KeyError(f"tier must be one of {', '.join(TIERS)}, got {tier!r}.")
+        raise KeyError(f"tier must be one of {', '.join((*TIERS, *HARD_TIERS))}, got {tier!r}.")
     return plan
+
+
+def _plan_hard(plan: Plan, tier: str, rng: np.random.Generator) -> None:
+    """Hide up to three effects at the edge of what is measured."""
+    sizes = {"strong": 1, "strong_pairs": 2, "strong_triples": 3}
+    plan.present = _pick(rng, LIBRARY_NAMES, sizes.get(tier, int(rng.choice((1, 2, 3), p=(0.4, 0.4, 0.2)))))
+    plan.visible = True
+    if tier in sizes:
+        plan.strong = True
+    elif tier == "wide_scatter":
+        plan.effect_scatter = 0.3
+    elif tier == "one_specimen":
+        plan.specimens = (1,)
+    elif tier == "twenty_specimens":
+        plan.specimens = (20,)
+    elif tier == "long":
+        plan.cycles, plan.damping_ratio, plan.samples_per_cycle = (500, 500), (0.0003, 0.002), (8.0, 24.0)
+    else:
+        plan.release_factor = (10.0, 10.0)
 
 
 def _plan_close_pair(plan: Plan, rng: np.random.Generator) -> None:

@@ -33,6 +33,9 @@ def compiled_sources_digest() -> str:
 
 _COMPILED_MODULES = (
     "_common/compiled.py",
+    "discrepancy/look_kernels.py",
+    "discrepancy/refine_kernels.py",
+    "discrepancy/set_kernels.py",
     "likelihood/density_kernel.py",
     "simulation/counts.py",
     "simulation/curves.py",
@@ -56,8 +59,11 @@ class DigestCache(FunctionCache):
 
 
 def cached[**P, R](function: Callable[P, R]) -> Callable[P, R]:
-    """Compile ``function`` with numba and keep the machine code on disk, keyed on all compiled sources."""
-    dispatcher = numba.njit(function)
+    """Compile ``function`` with numba and keep the machine code on disk, keyed on all compiled sources.
+
+    It runs without the interpreter's lock, so that threads run beside each other.
+    """
+    dispatcher = numba.njit(function, nogil=True)
     dispatcher._cache = DigestCache(dispatcher.py_func)
     result: Callable[P, R] = dispatcher
     return result

@@ -12,10 +12,10 @@ from .._common.checks import OBSERVABLES, FloatArray
 from ..effects import BASE_EFFECTS
 from .batch import Batch
 from .curves import curve, measured, on_levels
+from .descent import is_heavy
 from .estimates import estimates_of
 from .joint_fit import Fit
 from .layout import SHAPES
-from .search import is_heavy
 from .study import Estimate
 
 _REACH = 10.0  # standard deviations between an estimate and the ends of its prior

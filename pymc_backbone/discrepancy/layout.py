@@ -13,6 +13,7 @@ from ..simulation.decay import Simulator
 
 _BOX = 4.0
 _STIFFEST = 0.003  # slip displacement over amplitude
+_SHARPEST = 0.004  # displacement over amplitude at which a state saturates
 _SOFTEST = {True: 10.0, False: 1.5}  # of a bed of sliders (with an exponent), and of one: a plain spring beyond
 SHAPES: tuple[Role, ...] = ("shape", "exponent")
 """Roles of parameters that have limits of their own: they do not leave their default bounds."""
@@ -126,6 +127,9 @@ def make_layout(oscillator: Oscillator, amplitude: float, angular_frequency: flo
                 lower, upper = lower * amplitude, upper * amplitude
                 powers.append((place[parameter.name], by_role["exponent"]))
             grow = 0.0 if parameter.role in SHAPES else _BOX * (upper - lower)
+            if parameter.role == "power_coefficient" and "exponent" in by_role:  # what saturates may do so early
+                exponent = next(q.name for q in kept if q.role == "exponent")
+                grow = max(grow, _SHARPEST ** -bounds[exponent][1])
             low, high = max(parameter.minimum, lower - grow), min(parameter.maximum, upper + grow)
             rows.append((low, high, (upper - lower) / np.sqrt(12.0)))
             free.append(oscillator.index(parameter.name))

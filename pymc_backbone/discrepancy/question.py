@@ -16,8 +16,8 @@ from ..measurement.options import Measuring
 from ..measurement.reading.records import Record
 from ..oscillator import Oscillator
 from .batch import Batch, batch_of_backbones, batch_of_records
+from .descent import is_heavy
 from .layout import make_layout
-from .search import is_heavy
 
 Data = xr.Dataset | Sequence[Record] | Sequence[ConditionedRecord]
 

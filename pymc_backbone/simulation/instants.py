@@ -186,7 +186,10 @@ def _rate(
 
 
 @plain
-def _by_equation(model, y, y1, h, x, v, theta, direction, dt, slope0, slope1, columns, slopes):
+def _by_equation(
+    model: Model, y: Floats, y1: Floats, h: float, x: float, v: float, theta: float, direction: float, dt: Floats,
+    slope0: Floats, slope1: Floats, columns: int, slopes: Floats,
+) -> float:  # fmt: skip
     """Return the acceleration that the equation of motion gives, and write its derivatives."""
     z = shifted(y, 2)
     if columns == 0:
@@ -209,7 +212,10 @@ def _by_equation(model, y, y1, h, x, v, theta, direction, dt, slope0, slope1, co
 
 
 @plain
-def _velocity_slopes(model, y, y1, h, a, theta, dt, slope0, slope1, columns, slopes):
+def _velocity_slopes(
+    model: Model, y: Floats, y1: Floats, h: float, a: float, theta: float, dt: Floats, slope0: Floats,
+    slope1: Floats, columns: int, slopes: Floats,
+) -> None:  # fmt: skip
     """Write the derivatives of the velocity at a fixed time; the last is the acceleration ``a``."""
     S = shifted(y, 2 + model.n_states)
     S1 = shifted(y1, 2 + model.n_states)
@@ -221,7 +227,10 @@ def _velocity_slopes(model, y, y1, h, a, theta, dt, slope0, slope1, columns, slo
 
 
 @plain
-def _acceleration_slopes(model, y, y1, h, jerk, theta, lifted, dt, slope0, slope1, columns, slopes):
+def _acceleration_slopes(
+    model: Model, y: Floats, y1: Floats, h: float, jerk: float, theta: float, lifted: bool, dt: Floats,
+    slope0: Floats, slope1: Floats, columns: int, slopes: Floats,
+) -> None:  # fmt: skip
     """Write the derivatives of an acceleration that is a derivative itself; the last is the ``jerk``."""
     S = shifted(y, 2 + model.n_states)
     S1 = shifted(y1, 2 + model.n_states)

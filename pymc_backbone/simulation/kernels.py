@@ -105,7 +105,7 @@ def define() -> None:
 
 
 @compiled
-def _prepare(integers: IntArray, numbers: FloatArray, p: FloatArray, sensitivities: bool, largest_step: float) -> Run:
+def prepare(integers: IntArray, numbers: FloatArray, p: FloatArray, sensitivities: bool, largest_step: float) -> Run:
     """Return a run of what is described, with a copy of the description and memory of its own."""
     mode = SENSITIVITY if sensitivities else VALUE
     for i in range(integers[N_EFFECTS]):
@@ -271,7 +271,7 @@ def _backbone_by_cycles(
     levels = numbers[N_NUMBERS:]
     has_regime = integers[HAS_REGIME] != 0
     sensitivities = jacobian.size > 0
-    run = _prepare(integers, numbers, p, sensitivities, _LARGEST_STEP)
+    run = prepare(integers, numbers, p, sensitivities, _LARGEST_STEP)
     trough = np.zeros(run.columns)
     nodes = np.zeros(levels.size)
     # Rows: log amplitude; then value and slope, along log amplitude, of log starting peak and of each observable.
@@ -393,7 +393,7 @@ def _backbone_by_decay(
     maximum = integers[MAXIMUM]
     release = numbers[RELEASE]
     sensitivities = jacobian.size > 0
-    run = _prepare(integers, numbers, p, sensitivities, _LARGEST_STEP)
+    run = prepare(integers, numbers, p, sensitivities, _LARGEST_STEP)
     carried = run.columns if sensitivities else 0
     cycles = np.empty((maximum // 2 + 1, 4))
     cycle_slopes = np.empty((maximum // 2 + 1, 4, carried))
@@ -451,7 +451,7 @@ def decay(integers: IntArray, numbers: FloatArray, p: FloatArray, turns: Turns, 
     largest = _LARGEST_STEP
     if waveform.times.size > 0:
         largest = _LARGEST_SAMPLED_STEP if numbers[TOLERANCE] < _COARSE else _LARGEST_COARSE_STEP
-    run = _prepare(integers, numbers, p, turns.slopes.shape[1] > 1, largest)
+    run = prepare(integers, numbers, p, turns.slopes.shape[1] > 1, largest)
     if waveform.quantity == ACCELERATION and run.integers[MODE] == OWN_STATES:
         run.memory[LARGEST_STEP] *= 0.5  # there the acceleration is a derivative of what lies between the steps
     return _whole_decay(run, numbers[RELEASE], numbers[STOP], 0, turns.values.size, turns, waveform)
