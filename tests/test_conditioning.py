@@ -608,6 +608,14 @@ def test_quantisation_counts_as_noise(bits: int) -> None:
     assert step / np.sqrt(12.0) * 0.9 < decay.noise < 2.0 * step / np.sqrt(12.0)
 
 
+def test_a_stuck_sensor_does_not_hide_the_noise(rng: np.random.Generator) -> None:
+    time, (x, _, _) = simulated("linear", 0.03, 40, 50)
+    noisy = x + 1e-3 * rng.standard_normal(x.size)
+    noisy[time > 2.0] = noisy[time <= 2.0][-1]
+    # the corner where it sticks is taken for noise, too: a third more; before, the stuck tail made it zero
+    assert 0.8e-3 < condition(record(time, noisy)).noise < 1.6e-3
+
+
 def test_coloured_noise_is_seen_as_such(rng: np.random.Generator) -> None:
     """A first-order low-pass at twice the mode: neighbours correlate, and the level counts where the mode is."""
     time, (x, _, _) = simulated("linear", 0.004, 150, 50)

@@ -9,7 +9,7 @@ The template costs next to no variance because all cycles determine it, and it l
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -45,7 +45,8 @@ class Cycles:
         Covariance of each quantity (rows as in `QUANTITIES`) between cycle i and cycle i + b: neighbours share peaks
         and samples.
     shared : (4, n, r) array
-        Errors all cycles share, through the template: their covariance is ``shared @ shared.T``, beside the bands.
+        Errors all cycles share, through the template and the zero: their covariance is ``shared @ shared.T``, beside
+        the bands.
     smoothed_amplitude : (n,) array
         Amplitude smoothed over cycles: the regressor of the backbone.
     smoothed_amplitude_design, smoothed_amplitude_spread : (n, r) and (r, r) arrays
@@ -122,6 +123,7 @@ def extract_cycles(record: Any, *, noise: float | ArrayLike | None = None) -> Cy
         noise=noise,
         specimen=str(getattr(record, "specimen", "specimen")),
         notes=tuple(getattr(record, "notes", ())),
+        zero_error=float(getattr(record, "baseline_error", 0.0)),
     )
 
 
@@ -132,6 +134,7 @@ def extract_cycles_from_arrays(
     noise: float | ArrayLike | None = None,
     specimen: str = "specimen",
     notes: tuple[str, ...] = (),
+    zero_error: float = 0.0,
 ) -> Cycles:
     """Extract the cycles of a uniformly sampled free decay.
 
@@ -148,6 +151,9 @@ def extract_cycles_from_arrays(
         Name carried along.
     notes : tuple of str, optional
         Sentences carried along.
+    zero_error : float, default 0
+        Standard error of the zero of ``displacement`` [m or rad]: the offsets of all cycles share it, in proportion to
+        one over amplitude.
 
     Returns
     -------
@@ -176,7 +182,18 @@ def extract_cycles_from_arrays(
     guess_noise = rough_noise(x)
     if autocovariance is not None:
         guess_noise = max(guess_noise, float(np.sqrt(autocovariance[0])))
-    return _extract(t, x, step, autocovariance, guess_noise, specimen, list(notes))
+    cycles = _extract(t, x, step, autocovariance, guess_noise, specimen, list(notes))
+    return cycles if zero_error == 0.0 else _with_doubtful_zero(cycles, zero_error)
+
+
+def _with_doubtful_zero(cycles: Cycles, zero_error: float) -> Cycles:
+    """Return the cycles with the error of the zero in their offsets."""
+    shared = np.zeros((*cycles.shared.shape[:2], cycles.shared.shape[2] + 1))
+    shared[:, :, :-1] = cycles.shared
+    shared[QUANTITIES.index("offset"), :, -1] = -zero_error / cycles.smoothed_amplitude
+    return replace(
+        cycles, shared=shared, offset_error=np.hypot(cycles.offset_error, zero_error / cycles.smoothed_amplitude)
+    )
 
 
 def _autocovariance(noise: float | ArrayLike | None) -> FloatArray | None:

@@ -158,7 +158,7 @@ def extract_all(
     strict : bool, optional
         Whether one record that cannot be used ends it; otherwise it is left out, as long as half of them remain.
     progress : callable, optional
-        Called with the stage and the fraction done, before each record.
+        Called with the stage and the fraction done, before each record and once it is conditioned.
 
     Returns
     -------
@@ -177,6 +177,8 @@ def extract_all(
             progress("extracting cycles", done / len(records))
         try:
             record = condition(item, band=band, start=start, stop=stop) if isinstance(item, Record) else item
+            if progress is not None:
+                progress("extracting cycles", (done + 0.5) / len(records))
             extracted = extract_cycles(record)
         except InputError as error:
             if strict or len(records) == 1:

@@ -100,22 +100,27 @@ def _extrapolated(
     sigma = max(float(sigma), 1e-6 * highest)
     shift = -_RATIO * harmonic[0] * highest
     shift_error = float(np.hypot(_RATIO_ERROR * harmonic[0], _RATIO * harmonic[1])) * highest + sigma
-    scores, values, variances = [], [], []
+    misfits, counts, values, variances = [], [], [], []
     for powers in ((), (2,), (1,), (1, 2)):
         shape = np.column_stack([np.ones(relative.size), *(relative**power for power in powers)])
         # the last row: the mid-line at full amplitude as the second harmonic has it
         rows = np.vstack([shape / sigma, np.append(0.0, np.ones(len(powers))) / shift_error])
         right = np.append(middle / sigma, shift / shift_error)
         solution = np.linalg.lstsq(rows, right, rcond=None)[0]
-        chi_square = float(np.sum((right - rows @ solution) ** 2))
-        freedom = max(right.size - shape.shape[1], 1)
-        scores.append(chi_square + shape.shape[1] * np.log(right.size))
+        misfits.append(float(np.sum((right - rows @ solution) ** 2)))
+        counts.append(shape.shape[1])
         values.append(float(solution[0]))
-        variances.append(float(np.linalg.pinv(rows.T @ rows)[0, 0]) * max(1.0, chi_square / freedom) * overlap)
-    weights = np.exp(-0.5 * (np.array(scores) - min(scores)))
+        variances.append(float(np.linalg.pinv(rows.T @ rows)[0, 0]))
+    misfit, count = np.array(misfits), np.array(counts)
+    # what no model explains is no white noise: the best one says how large it is
+    scatter = np.maximum(np.min(misfit / np.maximum(relative.size + 1 - count, 1)), 1.0)
+    # cycles that overlap are fewer observations than they seem: as evidence between the models, too
+    scores = misfit / (scatter * overlap) + count * np.log(max(relative.size / overlap, 2.0))
+    own = np.maximum(misfit / np.maximum(relative.size + 1 - count, 1), 1.0)
+    weights = np.exp(-0.5 * (scores - scores.min()))
     weights /= weights.sum()
     mean = float(weights @ values)
-    variance = float(weights @ (np.array(variances) + (np.array(values) - mean) ** 2))
+    variance = float(weights @ (np.array(variances) * own * overlap + (np.array(values) - mean) ** 2))
     return mean, float(np.hypot(np.sqrt(variance), _FLOOR * highest))
 
 

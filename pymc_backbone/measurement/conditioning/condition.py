@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 from ..._common.checks import FloatArray, InputError, check_finite_array
 from ..._common.text import printable
 from ..reading.records import MINIMUM_SAMPLES, QUANTITIES, Record
+from ..turning import rough_noise
 from .asymmetry import SIGNIFICANT, MidLine, displacement_amplitude, restore_mid_line, second_harmonic
 from .baseline import Baseline, find_baseline
 from .conditioned import ConditionedRecord, MeasuredSamples
 from .decimation import Decimation, design_decimation
 from .filters import BandPass, check_band, design_band_pass, integrate, integration_response
+from .lift import end_of_lift
 from .noise import NoiseSpectrum, amplitude_floor, noise_in_band, noise_of, noise_spectrum, quantum, quiet_spectrum
 from .plausibility import (
     MINIMUM_CYCLES,
@@ -141,6 +143,8 @@ class _Conditioning:
     def run(self) -> ConditionedRecord:
         """Condition the record."""
         measured, is_cut = self._released(self.values)
+        measured, is_lifted = self._let_go(measured)
+        is_cut |= is_lifted
         self._note_spikes(self.spikes)
         measured = self._decimated(measured)
         self.whole, released = measured, self.begin
@@ -253,6 +257,13 @@ class _Conditioning:
         ):
             return self._without(values, index, "driven"), True
         return values, False
+
+    def _let_go(self, values: FloatArray) -> tuple[FloatArray, bool]:
+        """Return the values from where a hand let go, and whether a hand was seen."""
+        if not self.search or self.integrations or self.band is not None:
+            return values, False
+        index = end_of_lift(values, self.rate, self.frequency, rough_noise(values))
+        return (values, False) if index is None else (self._without(values, index, "moved by hand"), True)
 
     def _note_spikes(self, spikes: list[Spike]) -> None:
         """Say which spikes of the free decay were bridged."""

@@ -110,6 +110,8 @@ def quiet_spectrum(
     length = round(_SEGMENT_CYCLES * sampling_rate / frequency)
     if values.size < max(_QUIET_CYCLES * sampling_rate / frequency, _QUIET_SAMPLES):
         return None
+    if step == 0.0 and np.ptp(values) == 0.0:  # a sensor that is stuck shows no noise, not that there is none
+        return None
     length = min(length, values.size)
     edges = _bin_edges(frequency, 0.5 * sampling_rate)
     rows = []
