@@ -14,7 +14,7 @@ from pymc_backbone.discrepancy.propose import Proposal, propose
 from pymc_backbone.discrepancy.refine_kernels import observe
 from pymc_backbone.effects import BASE_EFFECTS, LIBRARY
 from pymc_backbone.oscillator import Oscillator
-from pymc_backbone.simulation.backbones import simulated_backbones
+from pymc_backbone.simulation.backbones import simulate_population
 
 MASS, OMEGA, AMPLITUDE = 2.0, 30.0, 0.01
 SPRING, DAMPER = MASS * OMEGA**2, 2.0 * 0.008 * MASS * OMEGA
@@ -34,7 +34,7 @@ def _batch(truth: Oscillator, effects: dict[str, float], *, specimens: int = 5, 
             values[name] = value if is_shape else value * (1.0 + 0.02 * rng.standard_normal())
         rows.append([values.get(name, 0.0) for name in truth.parameter_names])
     levels = np.geomspace(0.12, 0.9, 10) * amplitude
-    data = simulated_backbones(truth, np.array(rows), levels, OBSERVABLES).drop_vars("covariance")
+    data = simulate_population(truth, np.array(rows), levels, OBSERVABLES).drop_vars("covariance")
     assert np.isfinite(data["value"]).all()
     typical = np.abs(data["value"].values)
     error = np.empty_like(typical)
@@ -64,9 +64,9 @@ def test_looks_agree_with_the_exact_simulator_for_weak_effects(name):
     parameters = np.array([[SPRING, DAMPER, *weak], [SPRING, DAMPER, *np.where(np.arange(weak.size) < 1, 0.0, weak)]])
     if effect.name in ("jenkins", "iwan"):
         parameters[1, 2:4] = 0.0
-    exact = simulated_backbones(oscillator, parameters, levels, OBSERVABLES)["value"].values
+    exact = simulate_population(oscillator, parameters, levels, OBSERVABLES)["value"].values
     error = np.abs(exact) * 1e-4 + 1e-6
-    data = simulated_backbones(oscillator, parameters[:1], levels, OBSERVABLES).drop_vars("covariance")
+    data = simulate_population(oscillator, parameters[:1], levels, OBSERVABLES).drop_vars("covariance")
     batch = batch_of_backbones(MASS, data.assign(standard_error=(data["value"].dims, error[:1])))
     layout = make_layout(oscillator, amplitude, OMEGA)
     eta = layout.coordinates(weak[[list(effect.parameter_names).index(n) for n in layout.names]])
