@@ -352,7 +352,7 @@ def test_least_bayes_factor_is_the_least_over_decreasing_densities(p_value):
 def test_verdicts_are_plain_text_in_files():
     assert json.dumps({Verdict.FOUND: Status.BEST}) == '{"found": "best"}' and f"{Verdict.FOUND}" == "found"
     assert [str(verdict) for verdict in Verdict] == ["adequate", "found", "ambiguous", "unexplained"]
-    assert [str(status) for status in Status] == ["best", "possible", "rejected", "failed"]
+    assert [str(status) for status in Status] == ["best", "possible", "rejected", "not converged", "failed"]
 
 
 def test_model_errors_count_once_for_each_level_not_for_each_sample():

@@ -29,14 +29,15 @@ def one(seed: int, index: int, tier: str) -> dict[str, object]:
     """Return place, chi-square and seconds of one batch."""
     from pymc_backbone import InputError, Oscillator, read_records
     from pymc_backbone.discrepancy.propose import propose
-    from pymc_backbone.discrepancy.workflow import _batch, possible_effects
+    from pymc_backbone.discrepancy.question import batch_of, possible_effects
+    from pymc_backbone.measurement.options import Measuring
 
     made = make_batch(seed, index, tier)
     with tempfile.TemporaryDirectory() as name:
         write_batch(made, Path(name))
         base = Oscillator(made.truth["mass"], made.truth["base"])
         try:
-            batch, _ = _batch(base, read_records(Path(name) / "records"), None, None, None)
+            batch, _ = batch_of(base, read_records(Path(name) / "records"), Measuring())
         except InputError as error:
             return {"refused": str(error)}
     candidates = possible_effects(base, None, batch)

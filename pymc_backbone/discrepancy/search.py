@@ -112,6 +112,7 @@ class Search:
             if not self._replace():
                 break
             self._look_back()
+        self._look_forward()
         self._settle()
 
     def _is_costly(self, names: Set) -> bool:
@@ -207,6 +208,16 @@ class Search:
                 found = self.descent.from_near(layout, [State(larger.state.eta[places], own)], rival=known.cost)
                 if found is not None and found.cost < known.cost - 0.01:
                     self.fits[smaller] = found
+
+    def _look_forward(self) -> None:
+        """Fit sets again that hold a smaller one and explain less than it does: from where that ended."""
+        for names in [*self.fits]:
+            for smaller in combinations(names, max(len(names) - 1, 0)):
+                known = self.fits.get(smaller)
+                is_behind = known is not None and known.cost < min(self.fits[names].cost, _EXPLAINED * self.count)
+                if names and known is not None and is_behind:
+                    found = self._extended(names, self.layout(names), known, None)
+                    self.fits[names] = min([self.fits[names], *found], key=lambda item: item.cost)
 
     def layout(self, names: Set) -> Layout:
         """Return the layout of the base with these effects."""
