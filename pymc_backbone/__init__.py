@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from .discrepancy.workflow import find_missing_effect
     from .effects import LIBRARY, Effect, Parameter, Signature, get_effect
     from .inference.diagnostics import findings, summarise
+    from .inference.fit_verdict import GoodnessOfFit
+    from .inference.goodness import goodness_of_fit
     from .inference.hierarchical import build_hierarchical_model, unidentified_parameters
     from .inference.model import backbone_deterministic, backbone_likelihood, build_model
     from .inference.sampling import sample
@@ -82,6 +84,8 @@ _WHERE = {
     "likelihood.density_fit": ("fit_density",),
     "reporting.study_files": ("write_study",),
     "inference.diagnostics": ("findings", "summarise"),
+    "inference.fit_verdict": ("GoodnessOfFit",),
+    "inference.goodness": ("goodness_of_fit",),
     "discrepancy.study": ("Study",),
     "discrepancy.workflow": ("find_missing_effect",),
     "effects": ("LIBRARY", "Effect", "Parameter", "Signature", "get_effect"),
@@ -119,6 +123,7 @@ __all__ = [
     "Effect",
     "ForcedOscillator",
     "FrequencyResponse",
+    "GoodnessOfFit",
     "InputError",
     "Oscillator",
     "Parameter",
@@ -149,6 +154,7 @@ __all__ = [
     "fit_frequency_response",
     "frequency_response",
     "get_effect",
+    "goodness_of_fit",
     "paper",
     "periodic_motion",
     "plots",

@@ -13,6 +13,7 @@ import xarray as xr
 
 from pymc_backbone._common.checks import InputError
 from pymc_backbone._common.options import names_of, pick
+from pymc_backbone.inference import goodness  # noqa: F401  it needs the model that the fixture replaces
 from pymc_backbone.inference.model import likelihood_of  # before the fixture takes the place of its module
 from pymc_backbone.inference.options import Comparing, Keeping, Modelling, Sampling
 from pymc_backbone.inference.store import run_folder  # noqa: F401  it needs the model that the fixture replaces
@@ -110,6 +111,40 @@ def test_update_writes_what_it_returns(monkeypatch, sampler, rng, tmp_path):
     assert str(tmp_path / "out") in text and "viscous_damping" in text
     figures = {Path(name).stem for name in written["files"] if name.endswith(".png")}
     assert figures == {"backbones", "densities", "predictive", "prior_posterior", "trace", "rank", "pair"}
+
+
+def test_update_says_first_that_a_model_does_not_fit(monkeypatch, sampler, rng, tmp_path):
+    """Backbones of a cubic spring, a linear model: the sampler's draws are perfect, the model is not."""
+    backbones = make_backbones(rng, 12)
+    right, _ = update(monkeypatch, backbones, output=tmp_path / "right", random_seed=3)
+    assert right["fit"]["passes"] and not any("does not fit" in sentence for sentence in right["findings"])
+    wrong, text = update(monkeypatch, backbones, effects=["coulomb_friction"], fixed={"friction_force": 0.01},
+                         output=tmp_path / "wrong", random_seed=3)  # fmt: skip
+    first = wrong["findings"][0]
+    assert first.startswith("The model does not fit: ") and "frequency at 0.018 m is" in first
+    assert "run `pymc-backbone diagnose` with the same records and --base coulomb_friction" in first
+    assert "Nothing wrong" not in text and first in text
+    fit = read_result(tmp_path / "wrong")["fit"]
+    assert fit["p_value"] < 1e-6 and not fit["passes"]
+    assert f"{fit['worst']['observable']} at {fit['worst']['level']:.4g} m is" in first.split(":")[1]
+    assert len(fit["specimens"]) == 12 and len(fit["entries"]) == 2 * LEVELS.size
+    assert "fit" in text and str(tmp_path / "wrong" / "report.html") in text
+
+
+def test_report_of_an_update_says_the_verdict_first_and_escapes_what_files_say(monkeypatch, sampler, rng, tmp_path):
+    hostile = '<script>alert("x")</script>'
+    backbones = make_backbones(rng, 3)
+    backbones = backbones.assign_coords(specimen=[hostile, "b&b", "c"])
+    backbones.attrs["notes"] = [hostile]
+    update(monkeypatch, backbones, effects=["coulomb_friction"], fixed={"friction_force": 0.01},
+           likelihood="specimen", output=tmp_path / "out")  # fmt: skip
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "<script" not in page and "&lt;script&gt;" in page and "b&amp;b" in page
+    order = [
+        page.index(word) for word in ("<h1>", "Findings", "Measured against predicted", "Misfit of each", "Sampling")
+    ]
+    assert order == sorted(order) and "does not fit" in page[order[0] : order[1]].lower()
+    assert page.count('<img alt="') >= 5 and "http://" not in page and "https://" not in page
 
 
 def test_resumed_run_replaces_what_an_interrupted_one_wrote_and_nothing_else(monkeypatch, sampler, rng, tmp_path):

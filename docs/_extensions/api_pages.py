@@ -37,7 +37,8 @@ GROUPS = {
     "Densities": ("fit_density", "fit_data_consistent", "Density"),
     "Inference": (
         "build_model", "build_hierarchical_model", "backbone_likelihood", "backbone_deterministic",
-        "BackboneLogLikelihood", "BackboneOp", "sample", "findings", "summarise", "unidentified_parameters",
+        "BackboneLogLikelihood", "BackboneOp", "sample", "goodness_of_fit", "GoodnessOfFit", "findings",
+        "summarise", "unidentified_parameters",
     ),
     "The missing effect": ("find_missing_effect", "Study", "write_study"),
     "Many structures": ("diagnose_many", "Structure", "Survey"),

@@ -55,8 +55,8 @@ levels. Every parameter has a uniform prior, scaled with the records unless --pr
 
 UPDATE_EPILOG = """\
 The folder holds result.json (everything in numbers and words), summary.csv, backbones.csv and .nc, posterior.nc (all
-draws, for ArviZ) and figures/. Read the findings first: they say if the chains agree, and if the data say anything
-about each parameter. Examples:
+draws, for ArviZ), report.html and figures/. Read the findings first: they say if the model fits, if the chains agree,
+and if the data say anything about each parameter. Examples:
   pymc-backbone update ring_downs/ --mass 1.2 --effect cubic_stiffness --out result
   pymc-backbone update ring_downs/ --mass 1.2 --effect cubic_stiffness --effect coulomb_friction \\
       --prior cubic_stiffness=0:1e7 --fix viscous_damping=0.8 --density joint --seed 4 --out result

@@ -16,6 +16,7 @@ from arviz_base.labels import BaseLabeller
 from arviz_stats import summary as arviz_summary
 
 from .._common.checks import FloatArray, InputError
+from .fit_verdict import REMEDY, GoodnessOfFit
 
 Bounds = Mapping[str, tuple[float, float]]
 
@@ -79,12 +80,15 @@ def findings(
     units: Mapping[str, str] | None = None,
     failures: int | None = None,
     simulations: int | None = None,
+    fit: GoodnessOfFit | None = None,
+    remedy: str = REMEDY,
 ) -> list[str]:
     """Say in sentences what is wrong with a posterior; an empty list means nothing was found.
 
-    Checked are: chains that never moved; R-hat above 1.01; fewer than 400 effective draws (bulk or tail); divergent
-    transitions; acceptance too low or too high; failed simulations; posteriors that lean on a bound of their prior; and
-    posteriors that are their prior, for which the data do not identify the parameter.
+    Checked are, first of all, whether the model fits what was measured, where ``fit`` says so: no other check looks at
+    the measurement. Then: chains that never moved; R-hat above 1.01; fewer than 400 effective draws (bulk or tail);
+    divergent transitions; acceptance too low or too high; failed simulations; posteriors that lean on a bound of their
+    prior; and posteriors that are their prior, for which the data do not identify the parameter.
 
     Parameters
     ----------
@@ -100,6 +104,10 @@ def findings(
     failures, simulations : int, optional
         Number of simulations that gave no backbone, and of all simulations; by default those that `sample` noted in
         ``posterior.attrs``.
+    fit : GoodnessOfFit, optional
+        From `goodness_of_fit`.
+    remedy : str, optional
+        What to do about a model that lacks something.
 
     Returns
     -------
@@ -109,6 +117,7 @@ def findings(
     See Also
     --------
     summarise : the numbers behind the words.
+    goodness_of_fit : whether the model describes what was measured.
     sample : where the draws come from.
 
     Notes
@@ -130,7 +139,8 @@ def findings(
     frozen = _frozen_chains(dataset, names)
     if frozen:  # nothing else can be told from such draws
         return frozen + failed
-    sentences = _convergence(table, dataset.sizes["chain"]) + _sampler(posterior) + failed
+    misfit = [] if fit is None else fit.sentences(remedy)
+    sentences = misfit + _convergence(table, dataset.sizes["chain"]) + _sampler(posterior) + failed
     for name, label, draws in _elements(dataset, names):
         if bounds and name in bounds and np.ptp(draws) > 0.0:
             ess = float(table.loc[label, "ess_bulk"])

@@ -8,6 +8,7 @@ file                      what it holds
 ``backbones.csv``         measured backbones with standard errors: a row for each specimen and level
 ``backbones.nc``          the same with the covariance over the levels (NetCDF)
 ``mean_backbone.nc``      the backbone of the mean specimen, where the posterior was sampled on it
+``report.html``           verdict, findings, numbers and figures in one page
 ``posterior.nc``          all draws and the sampler's statistics (NetCDF; ``xarray.open_datatree``)
 ``figures/*.png``         records, backbones, densities, chains, posteriors, measured against simulated
 ========================  ====================================================================================
@@ -68,7 +69,9 @@ RESULT_KEYS = {
     "fixed": "name: value of the parameters that were not inferred",
     "comparison": "for each observable and level: mean and sd over the specimens, measured and simulated",
     "interrupted": "what is missing where a stored run was ended with Ctrl-C, a sentence; else null",
-    "findings": "sentences on what is wrong with the posterior; empty if nothing was found",
+    "fit": "whether the model fits: passes, sentence, p_value, reduced_chi_square, degrees_of_freedom, "
+    "pooling_p_value, worst, prior_excludes, and lists of specimens and of entries (observable, level, specimen)",
+    "findings": "sentences on what is wrong with the fit and the posterior; empty if nothing was found",
     "notes": "what was assumed or done while reading and conditioning the records",
     "failures": "number of simulations that gave no backbone; 0 too where they are not counted (see 'simulations')",
     "simulations": "number of simulations counted: those of the population likelihood; 0 for the others",

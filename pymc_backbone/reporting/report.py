@@ -138,9 +138,13 @@ def _reproduce(study: Study, version: str, command: str) -> str:
             "result.json (all numbers), backbones.csv and .nc, and the figures as files."
         )
     )
-    rows: list[tuple[object, object]] = [(name, _setting(value)) for name, value in study.settings.items()]
-    parts.append(details("All settings", table((("setting", "head"), ("value", "")), rows)))
-    return section("How to reproduce this", *parts)
+    return section("How to reproduce this", *parts, settings_table(study.settings))
+
+
+def settings_table(settings: Mapping[str, Any]) -> str:
+    """Return all settings, folded away."""
+    rows: list[tuple[object, object]] = [(name, _setting(value)) for name, value in settings.items()]
+    return details("All settings", table((("setting", "head"), ("value", "")), rows))
 
 
 def _setting(value: Any) -> str:

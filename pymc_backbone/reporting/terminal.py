@@ -12,6 +12,7 @@ import xarray as xr
 from .._common.checks import OBSERVABLE_UNITS
 
 MOST_NOTES = 8
+FOUND_NOTHING = "the model fits, the chains agree, and no parameter leans on its prior"
 
 
 def compare(measured: xr.Dataset, simulated: xr.Dataset) -> list[dict[str, Any]]:
@@ -25,8 +26,9 @@ def compare(measured: xr.Dataset, simulated: xr.Dataset) -> list[dict[str, Any]]
     Returns
     -------
     list of dict
-        ``observable``, ``unit``, ``level``, then mean and sd of both, and the median standard error of the measured
-        values, in the observable's unit. The measured sd holds the standard error too, the simulated one does not.
+        ``observable``, ``unit``, ``level``, then mean and sd of both (with n - 1), and the median standard error
+        of the measured values, in the observable's unit. The measured sd holds the standard error too, the simulated
+        one does not.
     """
     rows = []
     for observable in measured["observable"].values:
@@ -148,8 +150,11 @@ def describe_result(result: Mapping[str, Any]) -> str:
             row = entries[k]
             numbers = [short(row[key]) for key in columns]
             spread.append((f"{row['level']:.4g}", _with_unit(observable), *numbers))
-    found = result["findings"] or ["Nothing wrong was found: the chains agree, and no parameter leans on its prior."]
-    return "\n".join([aligned(rows), "", aligned(spread), "", "Findings:", *(f"- {sentence}" for sentence in found)])
+    found = result["findings"] or [f"Nothing wrong was found: {FOUND_NOTHING}."]
+    fit = [str(result["fit"]["sentence"]), ""] if result.get("fit") else []
+    return "\n".join(
+        [*fit, aligned(rows), "", aligned(spread), "", "Findings:", *(f"- {sentence}" for sentence in found)]
+    )
 
 
 def _three(size: int) -> list[int]:

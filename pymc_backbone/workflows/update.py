@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
+from .._common.backbone_dataset import backbone_dataset
 from .._common.checks import FloatArray, InputError, check_choice
 from .._common.options import settings_of
 from ..inference.options import Comparing, Keeping, Modelling, Sampling
 from ..measurement.options import Measuring
 from ..measurement.reading.options import Reading
-from ..reporting.output_folder import package_version, prepare_output, read_result, write_results
+from ..reporting.output_folder import REPORT, package_version, prepare_output, read_result, write_results
 from ..reporting.terminal import compare, describe_batch, describe_result
 from .measure import Measured, Progress, Say, measure, say_reading, say_warnings
 
@@ -25,10 +26,10 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
+    from ..inference.fit_verdict import GoodnessOfFit
     from ..likelihood.density import Density
     from ..oscillator import Oscillator
 
-PREDICTIVE_DRAWS = 400
 MOST_PAIRED = 6  # parameters against each other in one figure; ArviZ draws no more than 40 panels
 FEWEST_DRAWS = 20  # of a run that was ended early; nothing can be said from fewer
 
@@ -44,6 +45,7 @@ class Updated:
     likelihood: str
     density: Density | None
     posterior: xr.DataTree
+    fit: GoodnessOfFit
     predictive: xr.Dataset
     table: pd.DataFrame
     """What `summarise` says of each parameter."""
@@ -133,6 +135,7 @@ def update(
     if result["interrupted"]:
         say(f"\n{result['interrupted']}")
     figures = {} if folder is None else _figures(updated, true_values)
+    texts = {} if folder is None else {REPORT: _report(result, updated, figures)}
     result["seconds"] = {
         "reading": round(read - begin, 2),
         "sampling": round(sampled - read, 2),
@@ -140,8 +143,8 @@ def update(
     }
     if folder is not None:
         parts = {"backbones": measured.backbones, "summary": updated.table, "posterior": updated.posterior}
-        write_results(folder, result, **parts, figures=figures)
-        say(f"\nAll numbers, draws and figures are in {folder}; begin with {folder / 'figures' / 'predictive.png'}.")
+        write_results(folder, result, **parts, figures=figures, texts=texts)
+        say(f"\nAll numbers, draws and figures are in {folder}; begin with {folder / REPORT}.")
     return result
 
 
@@ -156,6 +159,7 @@ def _infer(
 ) -> Updated:
     """Build the model, sample it, and simulate backbones with draws of its posterior."""
     from ..inference.diagnostics import summarise
+    from ..inference.goodness import goodness_of_fit
     from ..inference.model import build_model, likelihood_of
     from ..inference.sampling import sample
     from ..inference.targets import targets_of
@@ -173,6 +177,15 @@ def _infer(
     if "interrupted" in posterior.attrs and posterior["posterior"].sizes["draw"] < FEWEST_DRAWS:
         say(f"\n{posterior.attrs['interrupted']} These are too few for a summary.")
         raise KeyboardInterrupt
+    fit = goodness_of_fit(
+        oscillator,
+        measured.backbones,
+        posterior,
+        bounds,
+        fixed=modelling.fixed,
+        likelihood=kind,
+        random_seed=sampling.random_seed,
+    )
     return Updated(
         oscillator=oscillator,
         measured=measured,
@@ -181,7 +194,8 @@ def _infer(
         likelihood=kind,
         density=targets_of(model)[0].density,
         posterior=posterior,
-        predictive=_predictive(oscillator, posterior, modelling.fixed, measured.backbones, sampling.random_seed),
+        fit=fit,
+        predictive=_predictive(fit, measured.backbones),
         table=summarise(posterior, [name for name in bounds if name in posterior["posterior"]]),
     )
 
@@ -205,7 +219,10 @@ def _result(updated: Updated, command: str, settings: Mapping[str, Any]) -> dict
         "fixed": dict(updated.fixed),
         "comparison": compare(updated.measured.backbones, updated.predictive),
         "interrupted": posterior.attrs.get("interrupted"),
-        "findings": findings(posterior, updated.bounds, units=oscillator.units),
+        "fit": updated.fit.as_dict(),
+        "findings": findings(
+            posterior, updated.bounds, units=oscillator.units, fit=updated.fit, remedy=_remedy(updated)
+        ),
         "failures": posterior.attrs.get("failures"),
         "simulations": simulations_of(posterior),
     }
@@ -266,25 +283,33 @@ def _bounds(oscillator: Oscillator, measured: Measured, modelling: Modelling) ->
     return {name: modelling.priors.get(name, limits) for name, limits in default.items() if name not in modelling.fixed}
 
 
-def _predictive(
-    oscillator: Oscillator,
-    posterior: xr.DataTree,
-    fixed: Mapping[str, float],
-    backbones: xr.Dataset,
-    seed: int | None,
-) -> xr.Dataset:
-    from ..simulation.backbones import simulate_population
+def _predictive(fit: GoodnessOfFit, backbones: xr.Dataset) -> xr.Dataset:
+    """Return the backbones of all draws as if each were a specimen."""
+    value = fit.draws.reshape(-1, *fit.draws.shape[2:])
+    return backbone_dataset(
+        [f"simulated_{i + 1}" for i in range(len(value))],
+        tuple(str(name) for name in backbones["observable"].values),
+        fit.levels,
+        value,
+        np.where(np.isnan(value), np.nan, 0.0)[..., None] * np.ones(fit.levels.size),
+        fit.amplitude_unit,
+        ["simulated"],
+    )
 
-    draws = posterior["posterior"].to_dataset()
-    columns = [
-        np.full(1, fixed[name]) if name in fixed else np.asarray(draws[name], dtype=float).ravel()
-        for name in oscillator.parameter_names
-    ]
-    size = max(column.size for column in columns)
-    chosen = np.random.default_rng(seed).choice(size, size=min(PREDICTIVE_DRAWS, size), replace=False)
-    parameters = np.column_stack([np.broadcast_to(column, (size,))[chosen] for column in columns])
-    names = [str(name) for name in backbones["observable"].values]
-    return simulate_population(oscillator, parameters, np.asarray(backbones["level"]), names)
+
+def _report(result: Mapping[str, Any], updated: Updated, figures: Mapping[str, Figure]) -> str:
+    from ..reporting.report_update import update_report_html
+
+    return update_report_html(result, updated.fit, figures)
+
+
+def _remedy(updated: Updated) -> str:
+    """Say what to do on the command line about a model that lacks something."""
+    from ..effects import BASE_EFFECTS
+
+    base = [effect.name for effect in updated.oscillator.effects if effect.name not in BASE_EFFECTS]
+    options = f" and --base {' '.join(base)}" if base else ""
+    return f"run `pymc-backbone diagnose` with the same records{options} to find what is missing"
 
 
 def _parameters(
@@ -312,7 +337,7 @@ def _figures(updated: Updated, true_values: Mapping[str, FloatArray] | None) -> 
     names, units = list(updated.bounds), updated.oscillator.units
     figures = {
         "backbones": plots.plot_backbones(measured.backbones),
-        "predictive": plots.plot_predictive(measured.backbones, updated.predictive),
+        "predictive": plots.plot_fit(measured.backbones, updated.fit),
         "prior_posterior": plots.plot_prior_posterior(posterior, updated.bounds, units=units, true_values=true_values),
         "trace": plots.plot_trace(posterior, names, units=units),
     }
