@@ -116,7 +116,7 @@ def _structure_axis(axis: Axes, order: Sequence[str]) -> None:
         drawable(name if len(name) <= _LETTERS else f"\N{HORIZONTAL ELLIPSIS}{name[1 - _LETTERS :]}") for name in order
     ]
     is_wide = sum(map(len, names)) > 45
-    slant: dict[str, Any] = {"rotation": 40, "ha": "right", "rotation_mode": "anchor"} if is_wide else {}
+    slant: dict[str, Any] = {"rotation": 90} if is_wide else {}
     axis.set_xticks(range(1, len(order) + 1), names, fontsize=8, **slant)
 
 
