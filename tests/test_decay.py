@@ -382,7 +382,7 @@ def test_units_do_not_matter(effects, factors):
 @numba.njit
 def _steps(integers, numbers, p, h, count, sensitivities):
     """Return displacement, velocity, and their derivatives to the start and to p[2], after steps of fixed length."""
-    run = kernels._prepare(integers, numbers, p, sensitivities, 1.5)
+    run = kernels.prepare(integers, numbers, p, sensitivities, 1.5)
     place = memory.place_of(address(run.integers))
     room = address(run.memory)
     model = memory.model_of(address(run.integers), room, address(run.p), place)

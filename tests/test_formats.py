@@ -398,7 +398,7 @@ def test_channels_of_netcdf(tmp_path: Path) -> None:
     assert any("sampling_rate = 1024" in note for note in record.notes)
     backbones = xr.Dataset({name: ("level", [1.0, 2.0]) for name in ("value", "standard_error", "covariance")})
     backbones.to_netcdf(tmp_path / "c.nc", engine="h5netcdf")
-    refuses(tmp_path / "c.nc", "--backbones")
+    refuses(tmp_path / "c.nc", "read_backbones")
     (tmp_path / "d.nc").write_bytes(b"CDF\x05" + bytes(60))
     refuses(tmp_path / "d.nc", "nccopy")
 

@@ -122,7 +122,7 @@ def test_update_says_first_that_a_model_does_not_fit(monkeypatch, sampler, rng, 
                          output=tmp_path / "wrong", random_seed=3)  # fmt: skip
     first = wrong["findings"][0]
     assert first.startswith("The model does not fit: ") and "frequency at 0.018 m is" in first
-    assert "run `pymc-backbone diagnose` with the same records and --base coulomb_friction" in first
+    assert "run `pymc-backbone diagnose --base coulomb_friction` with the same records" in first
     assert "Nothing wrong" not in text and first in text
     fit = read_result(tmp_path / "wrong")["fit"]
     assert fit["p_value"] < 1e-6 and not fit["passes"]

@@ -20,10 +20,12 @@ CONSTRAINTS = (ROOT / "constraints.txt").read_text(encoding="utf-8")
 LONGEST = 300  # lines of code of a module, without docstrings, comments and blanks; CONTRIBUTING.md says why
 # One subject that would be cut through its middle, and still has a bound; the integrator's step is generated.
 LONGER = {
-    "simulation/halfcycle.py": 360,
-    "simulation/kernels.py": 360,
+    "simulation/halfcycle.py": 370,
+    "simulation/kernels.py": 370,
     "simulation/stepper.py": 360,
     "reporting/report.py": 320,
+    "measurement/conditioning/condition.py": 380,
+    "discrepancy/propose.py": 490,
 }
 
 

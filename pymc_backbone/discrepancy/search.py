@@ -36,6 +36,7 @@ _POSSIBLE_BACKBONE = 3.0  # reduced chi-square up to which a set could explain t
 _EXPLAINED = 1.1  # reduced chi-square up to which a set may be complete
 _CLOSE = 30.0  # chi-square within which a smaller set rivals the best
 _NOISE = 0.01  # p-value of the residuals from which they are taken for noise
+_NOTED = 1.0  # chi-square above that of the smaller set up to which one step is enough to note a set
 _WORTH = 5.0  # fall of chi-square by which one more effect begins to earn its place
 
 
@@ -161,13 +162,9 @@ class Search:
         """Fit single effects that have a shape, and lag behind, from their look in the backbones as well."""
         lowest = min(item.cost for item in self.fits.values())
         for name in self.candidates:
-            known = self.fits.get((name,))
-            if known is None or known.cost < lowest + _CLOSE or len(starts.positions(self.layout((name,)), name)) < 2:
-                continue
-            if self._is_costly((name,)):
-                continue
-            found = self._proposed((name,), lowest)
-            self.fits[(name,)] = min([known, *found], key=lambda item: item.cost)
+            known, has_shape = self.fits.get((name,)), len(starts.positions(self.layout((name,)), name)) > 1
+            if known is not None and known.cost >= lowest + _CLOSE and has_shape and not self._is_costly((name,)):
+                self.fits[(name,)] = min([known, *self._proposed((name,), lowest)], key=lambda item: item.cost)
 
     def _settle(self) -> None:
         """Where nothing explains the records, carry the fits on that did not come to rest, the likeliest first."""
@@ -355,7 +352,9 @@ class Search:
             near = self.descent.fit(
                 layout, self.batch.deciding, promised[0][1], iterations=1, nuisances=self.batch.nuisances
             )
-            return [] if near is None else [near]
+            if near is None or near.cost < parent.cost + _NOTED:
+                return [] if near is None else [near]
+            promised = [(promised[0][0], near.state)]  # one step did not turn the effect off again
         near = self.descent.from_near(layout, [state for _, state in promised], rival=rival)
         return [] if near is None else [near]
 

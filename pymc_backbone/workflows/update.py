@@ -308,8 +308,9 @@ def _remedy(updated: Updated) -> str:
     from ..effects import BASE_EFFECTS
 
     base = [effect.name for effect in updated.oscillator.effects if effect.name not in BASE_EFFECTS]
-    options = f" and --base {' '.join(base)}" if base else ""
-    return f"run `pymc-backbone diagnose` with the same records{options} to find what is missing"
+    if not base:
+        return "run `pymc-backbone diagnose` with the same records to find what is missing"
+    return f"run `pymc-backbone diagnose --base {' '.join(base)}` with the same records to find what is missing"
 
 
 def _parameters(
