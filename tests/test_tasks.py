@@ -24,7 +24,6 @@ LONGER = {
     "simulation/kernels.py": 370,
     "simulation/stepper.py": 360,
     "reporting/report.py": 320,
-    "measurement/conditioning/condition.py": 380,
     "discrepancy/propose.py": 490,
 }
 
