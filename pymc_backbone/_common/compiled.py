@@ -37,6 +37,7 @@ _COMPILED_MODULES = (
     "discrepancy/refine_kernels.py",
     "discrepancy/set_kernels.py",
     "likelihood/density_kernel.py",
+    "simulation/closing.py",
     "simulation/counts.py",
     "simulation/curves.py",
     "simulation/forces.py",
@@ -46,6 +47,7 @@ _COMPILED_MODULES = (
     "simulation/kinks.py",
     "simulation/memory.py",
     "simulation/pointers.py",
+    "simulation/run.py",
     "simulation/states.py",
     "simulation/stepper.py",
 )

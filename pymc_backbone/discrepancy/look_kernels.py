@@ -25,9 +25,9 @@ from ..simulation.forces import (
     state_rates,
     total_force,
 )
-from ..simulation.kernels import prepare
 from ..simulation.memory import MASS, N_EFFECTS, N_STATES, TABLE, model_of, place_of
 from ..simulation.pointers import Floats, address, shifted
+from ..simulation.run import prepare
 
 STIFFNESS, DAMPING, AT_TURN, MIDDLE, N_LOOK = range(5)
 _STIFF_STEP = 0.5  # of a state's own time constant; beyond, a step is divided

@@ -17,6 +17,7 @@ from .forces import KIND, OWN_EQUATION, describe_effects
 from .halfcycle import COMPLETED, NO_RETURN, OUT_OF_REACH, RUNAWAY, STUCK
 from .instants import DISPLACEMENT
 from .memory import Description, Turns, Waveform
+from .run import define
 from .user_effects import compose_user_effects
 
 TOLERANCE = 2e-9  # of one step, relative to amplitude and speed; set by the decrement, not by the frequency
@@ -185,7 +186,7 @@ class Simulator:
     """
 
     def __init__(self, oscillator: Oscillator) -> None:
-        kernels.define()
+        define()
         self.oscillator = oscillator
         table, stiffness, damping, n_states, has_regime, users = describe_effects(oscillator.effects)
         self.user = compose_user_effects(users)

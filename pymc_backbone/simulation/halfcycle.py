@@ -18,23 +18,9 @@ import numpy as np
 from numba import float64, int64
 
 from .._common.compiled import NativeFunction
-from .forces import (
-    KIND,
-    MEMORY,
-    P_FIRST,
-    P_LAST,
-    ROW,
-    Z_FIRST,
-    Model,
-    effect_slopes,
-    force_gradient,
-    force_slopes,
-    plain,
-    smooth_branch,
-    state_rates,
-    total_force,
-)
-from .instants import Samples, sensitivity_slopes, write_samples
+from .closing import aim, close, remember, third_derivative, turning_time
+from .forces import KIND, MEMORY, ROW, Z_FIRST, force_slopes, plain, smooth_branch, state_rates, total_force
+from .instants import Samples, write_samples
 from .kinks import HOP, KINK_MARGIN, KINK_WINDOW, fraction_before_kink, hop_over, time_to_kink
 from .memory import (
     AMPLITUDE,
@@ -64,129 +50,6 @@ _CLOSE = 0.02  # radians left to the turning point that the closing step may cov
 _CLOSE_STATES = 2e-3  # the same with states that have their own equation (error: their cube / 12) ...
 _CLOSE_STATE_SENSITIVITIES = 1e-6  # ... and where their sensitivities are carried (error: proportional)
 _GONE = 1e-13  # of the amplitude: what is smaller and still creeps will not turn
-
-
-@plain
-def _remember(model: Model, y: Floats, direction: float) -> None:
-    """Let effects with memory take over the turning point ``y``: where it was, their own force there."""
-    columns = model.columns
-    z = shifted(y, 2)
-    for i in range(model.n_effects):
-        row = shifted(model.table, ROW * i)
-        if row[KIND] != MEMORY:
-            continue
-        first = row[Z_FIRST]
-        force = effect_slopes(model, i, y[0], 0.0, direction, z)
-        S = shifted(y, 2 + model.n_states)
-        Sz = shifted(S, (2 + first) * columns)
-        by_state = shifted(model.scratch, 2 + row[P_LAST] - row[P_FIRST])
-        for c in range(columns):
-            total = model.scratch[0] * S[c]
-            for j in range(3):
-                total += by_state[j] * Sz[j * columns + c]
-            if row[P_FIRST] <= c - 1 < row[P_LAST]:
-                total += model.scratch[2 + c - 1 - row[P_FIRST]]
-            Sz[c] = S[c]
-            Sz[columns + c] = total
-            Sz[2 * columns + c] = 0.0
-        z[first] = y[0]
-        z[first + 1] = force
-        z[first + 2] = 1.0
-
-
-@plain
-def _jerk(
-    model: Model, x: float, v: float, a: float, fx: float, fv: float, direction: float, z: Floats, moving: bool,
-    rates: Floats,
-) -> float:  # fmt: skip
-    """Return the third derivative of the displacement; states that move need the force's slopes along them."""
-    total = fx * v + fv * a
-    if moving:
-        state_rates(model, x, v, direction, z, rates)
-        force_gradient(model, x, v, direction, z)
-        for j in range(model.n_states):
-            total += model.fz[j] * rates[j]
-    return -total / model.mass
-
-
-@plain
-def _turning_time(v: float, a: float, jerk: float) -> float:
-    """Return the time left to the turning point, to second order."""
-    return -v / a - 0.5 * jerk * v * v / (a * a * a)
-
-
-@plain
-def _close(
-    model: Model, y: Floats, y1: Floats, a: float, jerk: float, label: int, check_label: bool, moving: bool,
-    direction: float, shift: Floats, rates: Floats, room: Floats,
-) -> float:  # fmt: skip
-    """Move the state to the turning point close by; return the time that takes, or nan if a kink lies between.
-
-    One two-point Hermite step: the velocity is zero at the end, the acceleration there is that of a predicted state.
-    """
-    n = model.n_states
-    columns = model.columns
-    rows = 2 + n
-    x, v = y[0], y[1]
-    tau = _turning_time(v, a, jerk)
-    y1[0] = x + tau * (v + tau * (0.5 * a + tau * jerk / 6.0))
-    y1[1] = 0.0
-    for j in range(n):
-        y1[2 + j] = y[2 + j] + (tau * rates[j] if moving else 0.0)
-    z1 = shifted(y1, 2)
-    force, fx1, fv1 = force_slopes(model, y1[0], 0.0, direction, z1)
-    a1 = -force / model.mass
-    if not a1 * direction < 0.0:
-        return np.nan
-    if moving:
-        tau -= (v + 0.5 * tau * (a + a1)) / a1
-        y1[0] = x + tau * (v + tau * (2.0 * a + a1) / 6.0)
-    else:
-        jerk1 = -fv1 * a1 / model.mass
-        tau -= (v + 0.5 * tau * (a + a1) + tau * tau / 12.0 * (jerk - jerk1)) / a1
-        y1[0] = x + tau * (0.5 * v + tau * (0.1 * (a - a1) + tau * (jerk + jerk1) / 120.0))
-    if check_label and smooth_branch(model, y1[0], 0.0, direction, z1) != label:
-        return np.nan
-    if columns > 0:
-        S = shifted(y, rows)
-        S1 = shifted(y1, rows)
-        slope1 = shifted(room, columns)
-        sensitivity_slopes(model, y, direction, room)
-        for c in range(columns):
-            S1[c] = S[c] + tau * (S[columns + c] + 0.5 * tau * room[c])
-            S1[columns + c] = S[columns + c] + tau * room[c]
-        for k in range(2 * columns, rows * columns):
-            S1[k] = S[k]
-        sensitivity_slopes(model, y1, direction, slope1)
-        for c in range(columns):
-            S1[c] = S[c] + tau * (S[columns + c] + tau * (2.0 * room[c] + slope1[c]) / 6.0)
-            S1[columns + c] = S[columns + c] + 0.5 * tau * (room[c] + slope1[c])
-    if moving:
-        state_rates(model, y1[0], 0.0, direction, z1, model.fz)
-        for j in range(n):
-            y1[2 + j] = y[2 + j] + 0.5 * tau * (rates[j] + model.fz[j])
-    if columns > 0:
-        S1 = shifted(y1, rows)
-        for c in range(columns):
-            # The turning point moves in time by so much; there the displacement does not change with time.
-            shift[c] = -S1[columns + c] / a1
-    return tau
-
-
-@plain
-def _aim(v: float, a: float, fx: float, mass: float, h: float, direction: float) -> float:
-    """Return the length of the next step: ``h``, or less to land on the turning point; negative behind it."""
-    if not a * direction < 0.0:
-        return h
-    left = abs(v / a)
-    if v * direction < 0.0:
-        return -min(left, h)
-    if fx > 0.0:
-        local = math.sqrt(fx / mass)
-        left = math.atan(local * left) / local
-    if left <= 1.1 * h:
-        return left
-    return 0.5 * left if left < 2.0 * h else h
 
 
 @plain
@@ -256,7 +119,7 @@ def _half_cycle(
         local = math.sqrt(fx / mass) if fx > 0.0 else 0.0
         h = min(h, memory[LARGEST_STEP] / max(local, omega if samples.size > 0 else 1e-3 * omega))
         scale = max(local, omega)
-        step = min(_aim(y[1], a, fx, mass, h, direction), limit)
+        step = min(aim(y[1], a, fx, mass, h, direction), limit)
         if hop:
             step = HOP / scale
             hop_over(model, y, y1, a, direction, step, moving, K, room)
@@ -287,7 +150,7 @@ def _half_cycle(
                     at_kink = True
                     continue
                 if step * scale > KINK_WINDOW:
-                    jerk = _jerk(model, y[0], y[1], a, fx, fv, direction, z, moving, middle)
+                    jerk = third_derivative(model, y[0], y[1], a, fx, fv, direction, z, moving, middle)
                     left = time_to_kink(
                         model, y, y1, a, jerk, KINK_WINDOW / scale, label, direction, 0.1 * HOP / scale, middle,
                         moving, room,
@@ -308,11 +171,11 @@ def _half_cycle(
         if not (math.isfinite(a1) and abs(y1[0]) < 1e3 * (abs(start) + amplitude)):
             return RUNAWAY
         if samples.size > 0 and step > 0.0:
-            jerk = _jerk(model, y[0], y[1], a, fx, fv, direction, z, moving, middle)
-            jerk1 = _jerk(model, y1[0], y1[1], a1, fx1, fv1, direction, z1, moving, middle)
+            jerk = third_derivative(model, y[0], y[1], a, fx, fv, direction, z, moving, middle)
+            jerk1 = third_derivative(model, y1[0], y1[1], a1, fx1, fv1, direction, z1, moving, middle)
             until = memory[TIME] + step
             if y1[1] * direction < 0.0 and a1 * direction < 0.0:
-                until += _turning_time(y1[1], a1, jerk1)
+                until += turning_time(y1[1], a1, jerk1)
             run[CURSOR] = write_samples(
                 model, y, a, jerk, y1, a1, jerk1, memory[TIME], step, not hop, moving, run[CURSOR], until,
                 direction, dt, room, samples,
@@ -330,7 +193,7 @@ def _half_cycle(
         a, fx, fv, limit, rejected = a1, fx1, fv1, np.inf, False
         hop = False
         if at_kink and new_label == label:
-            jerk = _jerk(model, y[0], y[1], a, fx, fv, direction, z, moving, middle)
+            jerk = third_derivative(model, y[0], y[1], a, fx, fv, direction, z, moving, middle)
             left = time_to_kink(
                 model, y, y1, a, jerk, KINK_WINDOW / scale, label, direction, 0.1 * HOP / scale, middle, moving, room
             )
@@ -344,14 +207,14 @@ def _half_cycle(
             continue
         if a * direction < 0.0:
             if abs(y[1]) * scale < radius * abs(a):
-                jerk = _jerk(model, y[0], y[1], a, fx, fv, direction, z, moving, middle)
+                jerk = third_derivative(model, y[0], y[1], a, fx, fv, direction, z, moving, middle)
                 check = has_regime and radius > 1e-9
-                tau = _close(model, y, y1, a, jerk, label, check, moving, direction, shift, middle, room)
+                tau = close(model, y, y1, a, jerk, label, check, moving, direction, shift, middle, room)
                 if math.isfinite(tau):
                     if samples.size > 0 and tau > 0.0:
                         force, fx1, fv1 = force_slopes(model, y1[0], 0.0, direction, z1)
                         a1 = -force / mass
-                        jerk1 = _jerk(model, y1[0], 0.0, a1, fx1, fv1, direction, z1, moving, middle)
+                        jerk1 = third_derivative(model, y1[0], 0.0, a1, fx1, fv1, direction, z1, moving, middle)
                         run[CURSOR] = write_samples(
                             model, y, a, jerk, y1, a1, jerk1, memory[TIME], tau, True, moving, run[CURSOR],
                             memory[TIME] + tau, direction, dt, room, samples,
@@ -365,7 +228,7 @@ def _half_cycle(
                         y[rows + columns + c] = 0.0
                         for j in range(n if moving else 0):
                             y[rows + (2 + j) * columns + c] += middle[j] * shift[c]
-                    _remember(model, y, direction)
+                    remember(model, y, direction)
                     memory[TIME] += tau
                     memory[STEP] = h
                     memory[AMPLITUDE] = max(0.5 * abs(y[0] - start), 1e-300)
@@ -387,7 +250,7 @@ def _load_states(run: Integers, memory: Floats, p: Floats, virgin: int) -> int:
     if virgin != 0:
         if run[MODE] == OWN_STATES:
             load_slowly(model, y, side, shifted(memory, place.K))
-        _remember(model, y, side)
+        remember(model, y, side)
         return 0
     for i in range(model.n_effects):
         row = shifted(model.table, ROW * i)

@@ -12,51 +12,32 @@ import numpy as np
 
 from .._common.checks import FloatArray, IntArray
 from .._common.compiled import cached
-from .counts import COUNTED
 from .curves import carry_jacobian, compiled, curve_at, cycle_quantities, cycle_slope, cycles_of_decay, hermite
-from .forces import KIND, OWN_EQUATION, ROW
-from .halfcycle import (
-    COMPLETED,
-    HALF_CYCLE,
-    LOAD_STATES,
-    NO_RETURN,
-    OUT_OF_REACH,
-    RUNAWAY,
-    STUCK,
-    half_cycle,
-    load_states,
-)
+from .halfcycle import COMPLETED, NO_RETURN, OUT_OF_REACH, RUNAWAY, STUCK, half_cycle
 from .instants import ACCELERATION, DISPLACEMENT
 from .memory import (
     AMPLITUDE,
     BY_DECAY,
-    COLUMNS,
     CURSOR,
     HAS_REGIME,
     LARGEST_STEP,
     MAXIMUM,
     MODE,
-    N_EFFECTS,
     N_NUMBERS,
     N_SAMPLES,
-    N_STATES,
     OWN_STATES,
     QUANTITY,
     RELEASE,
     SAMPLE_SLOPES,
-    SENSITIVITY,
     STEP,
     STOP,
-    TABLE,
     TIME,
     TOLERANCE,
-    VALUE,
-    VIRGIN,
     Turns,
     Waveform,
-    memory_of,
 )
 from .pointers import address
+from .run import Run, prepare, release_from, swing
 
 _ON_LEVEL = 3e-5  # a cycle this close to its level is carried there along its slope (error: its square)
 _DERIVATIVES = 2e-6  # the same for derivatives, times the square of the spacing of the levels (in the logarithm)
@@ -68,19 +49,6 @@ _LARGEST_SAMPLED_STEP = 0.5  # ... and here the septic between steps is good to 
 _COARSE, _LARGEST_COARSE_STEP = 1e-8, 1.0  # where less is asked for, it is good to 1e-7
 _RELEASE_GROWTH = 1.25
 _CHECK_PROGRESS = 400  # after so many turning points, and then each time so many
-
-
-class Run(NamedTuple):
-    """A simulation: its description, its memory, and views of what lies in that memory."""
-
-    integers: IntArray
-    memory: FloatArray
-    p: FloatArray
-    y: FloatArray
-    slopes: FloatArray
-    dt: FloatArray
-    columns: int
-    n_states: int
 
 
 class Cycle(NamedTuple):
@@ -95,59 +63,6 @@ class Cycle(NamedTuple):
     peak: float
     quantities: tuple[float, float, float, float]
     along: tuple[float, float, float, float]
-
-
-def define() -> None:
-    """Make the integrator known in this process; needed before any function of this module is called."""
-    COUNTED.define()
-    HALF_CYCLE.define()
-    LOAD_STATES.define()
-
-
-@compiled
-def prepare(integers: IntArray, numbers: FloatArray, p: FloatArray, sensitivities: bool, largest_step: float) -> Run:
-    """Return a run of what is described, with a copy of the description and memory of its own."""
-    mode = SENSITIVITY if sensitivities else VALUE
-    for i in range(integers[N_EFFECTS]):
-        if integers[TABLE + ROW * i + KIND] == OWN_EQUATION:
-            mode = OWN_STATES
-    columns = p.size + 1 if sensitivities else (0 if mode == OWN_STATES else 1)
-    n_states = integers[N_STATES]
-    under_way = integers.copy()
-    under_way[MODE] = mode
-    under_way[COLUMNS] = columns
-    place = memory_of(p.size, n_states, columns, mode)
-    memory = np.zeros(place.size)
-    for i in range(N_NUMBERS):
-        memory[i] = numbers[i]
-    memory[LARGEST_STEP] = largest_step
-    y = memory[place.now : place.next]
-    rows = 2 + n_states
-    slopes = memory[place.now + rows : place.now + rows + columns]
-    return Run(under_way, memory, p, y, slopes, memory[place.dt : place.dt + columns], columns, n_states)
-
-
-@compiled
-def _release(run: Run, amplitude: float) -> None:
-    """Put the oscillator at ``amplitude``, at rest, its states as loaded from rest (virgin) or relaxed."""
-    for i in range(run.y.size):
-        run.y[i] = 0.0
-    for c in range(run.columns):
-        run.dt[c] = 0.0
-    run.y[0] = amplitude
-    if run.columns > 0:
-        run.slopes[0] = 1.0
-    run.memory[TIME] = 0.0
-    run.memory[AMPLITUDE] = abs(amplitude)
-    if run.n_states > 0:
-        load_states(address(run.integers), address(run.memory), address(run.p), run.integers[VIRGIN])
-
-
-@compiled
-def _swing(run: Run, direction: float) -> int:
-    """Run to the next turning point, without sampling."""
-    memory = address(run.memory)
-    return half_cycle(address(run.integers), memory, address(run.p), direction, memory, memory, memory)
 
 
 @compiled
@@ -182,14 +97,14 @@ def _no_answer(k: int, values: FloatArray, jacobian: FloatArray) -> None:
 def _run_cycle(run: Run, start: float, trough: FloatArray) -> tuple[Cycle, int]:
     """Run one cycle from a peak at ``start`` and leave its slopes there in ``trough``; return it and the status."""
     none = (0.0, 0.0, 0.0, 0.0)
-    _release(run, start)
-    code = _swing(run, -1.0)
+    release_from(run, start)
+    code = swing(run, -1.0)
     if code != COMPLETED:
         return Cycle(start, 0.0, 0.0, none, none), code
     q = run.y[0]
     for c in range(run.columns):
         trough[c] = run.slopes[c]
-    code = _swing(run, 1.0)
+    code = swing(run, 1.0)
     p1 = run.y[0]
     if code == COMPLETED and not (p1 > q and start > q):
         code = NO_RETURN
@@ -325,7 +240,7 @@ def _whole_decay(
     are and the status that ended the decay.
     """
     n_samples = waveform.times.size
-    _release(run, release)
+    release_from(run, release)
     run.integers[N_SAMPLES] = n_samples
     run.integers[SAMPLE_SLOPES] = 1 if waveform.slopes.shape[1] > 0 else 0
     run.integers[CURSOR] = 0

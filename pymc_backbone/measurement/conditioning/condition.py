@@ -3,36 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..._common.checks import FloatArray, InputError, check_finite_array
-from ..._common.text import printable
-from ..reading.records import MINIMUM_SAMPLES, QUANTITIES, Record
-from ..turning import rough_noise
+from ..._common.checks import FloatArray, InputError
+from ..reading.records import MINIMUM_SAMPLES, Record
 from .asymmetry import SIGNIFICANT, MidLine, displacement_amplitude, restore_mid_line, second_harmonic
 from .baseline import Baseline, find_baseline
 from .conditioned import ConditionedRecord, MeasuredSamples
-from .decimation import Decimation, design_decimation
-from .filters import BandPass, check_band, design_band_pass, integrate, integration_response
-from .lift import end_of_lift
-from .noise import NoiseSpectrum, amplitude_floor, noise_in_band, noise_of, noise_spectrum, quantum, quiet_spectrum
-from .plausibility import (
-    MINIMUM_CYCLES,
-    check_clipping,
-    check_cycles,
-    check_decays,
-    check_moves,
-    check_per_cycle,
-    check_stops_growing,
-)
-from .release import end_of_drive, end_of_motion, end_of_rest, envelope, leading_rest, regrowth
+from .filters import BandPass, design_band_pass, integrate, integration_response
+from .free_part import FreePart, dropped
+from .noise import NoiseSpectrum, amplitude_floor, noise_in_band, noise_of, noise_spectrum, quiet_spectrum
+from .plausibility import MINIMUM_CYCLES, check_cycles, check_decays, check_stops_growing
+from .release import end_of_drive, end_of_motion, envelope, regrowth
 from .second_mode import SecondMode, find_second_mode
-from .spikes import Spike, without_spikes
-from .time_grid import to_uniform
-from .tracking import Track, dominant_frequency, track
+from .tracking import Track, track
 
 __all__ = ["ConditionedRecord", "condition"]
 
@@ -108,56 +93,32 @@ def condition(
     >>> round(decay.frequency, 3), round(decay.baseline, 4)
     (5.0, 2.0)
     """
-    return _Conditioning(record, band, start, stop).run()
+    return _Conditioning(FreePart(record, band, start, stop)).run()
 
 
 class _Conditioning:
-    """The steps of `condition`, in order, with what they share."""
+    """The steps of `condition` after the free part of the record is found, in order, with what they share."""
 
-    def __init__(self, record: Record, band: Any, start: float | None, stop: float | None) -> None:
-        if not isinstance(record, Record):
-            raise InputError(f"`record` must be a Record, got {type(record).__name__}; see `read_records`.")
-        self.record = record
-        self.name = printable(record.source)
-        self.notes: list[str] = list(record.notes)
-        self.integrations = QUANTITIES.index(record.quantity)
-        keep = self._chosen(start, stop)
-        time, values = record.time[keep], record.values[keep]
-        check_moves(values, self.name)
-        self.step = quantum(values)
-        # a sensor may read ten thousand times the motion: no filter stops that much
-        self.reading = float(np.median(values))
-        values = values - self.reading
-        self.samples = to_uniform(time, values, self.name)
-        self.notes += self.samples.notes
-        self.values, self.spikes = without_spikes(self.samples.values, self.step)
-        check_moves(self.values, self.name)
-        self.rate = self.samples.sampling_rate
-        self.band = None if band is None else check_band(band, self.rate, self.name)
-        self.frequency = self._dominant(time, values)
-        self.begin = self.samples.start
-        self.whole = self.values
-        self.search = start is None and not record.starts_free
-        self.decimation: Decimation | None = None
+    def __init__(self, free: FreePart) -> None:
+        self.free = free
+        self.record, self.name, self.integrations = free.record, free.name, free.integrations
+        self.frequency, self.rate, self.step = free.frequency, free.rate, free.step
+        self.begin, self.notes = free.begin, free.notes
 
     def run(self) -> ConditionedRecord:
         """Condition the record."""
-        measured, is_cut = self._released(self.values)
-        measured, is_lifted = self._let_go(measured)
-        is_cut |= is_lifted
-        self._note_spikes(self.spikes)
-        measured = self._decimated(measured)
-        self.whole, released = measured, self.begin
+        measured, is_cut = self.free.values, self.free.is_cut
         band_pass = None
-        if self.band is not None:
-            band_pass = design_band_pass(self.band, self.frequency, self.rate, self.name)
+        if self.free.band is not None:
+            band_pass = design_band_pass(self.free.band, self.frequency, self.rate, self.name)
             measured = self._filtered(measured, band_pass)
         what = "after the release" if band_pass is None else "left by the band-pass"
         followed = track(measured, self.rate, self.frequency)
         if followed is None or followed.cycles + 2.0 < MINIMUM_CYCLES:
+            samples = self.free.samples
             check_stops_growing(
-                envelope(self.values, self.samples.sampling_rate, self.frequency, self.integrations),
-                self.samples.sampling_rate / self.frequency,
+                envelope(self.free.whole, samples.sampling_rate, self.frequency, self.integrations),
+                samples.sampling_rate / self.frequency,
                 self.name,
             )
         path = check_cycles(followed, self.name, what)
@@ -167,14 +128,14 @@ class _Conditioning:
         baseline = self._baseline(measured, path, end, spectrum, band_pass)
         second = self._second_mode(measured, path)
         first, last = self._range(path, is_cut and band_pass is None, end, measured.size)
-        before = round((self.begin - released) * self.rate)
+        before = round((self.begin - self.free.begin) * self.rate)
         displacement = self._displacement(measured[first:last], path.shifted(first / self.rate))
         mid_line = None
         time = np.arange(first, last) / self.rate
         amplitude = displacement_amplitude(path, self.integrations)
         if self.integrations or band_pass:
             lag = 0.0 if band_pass is None else band_pass.half / self.rate
-            mid_line = self._mid_line(self.whole, path.shifted(-lag), second, is_filtered=band_pass is not None)
+            mid_line = self._mid_line(self.free.values, path.shifted(-lag), second, is_filtered=band_pass is not None)
         if mid_line is not None:
             displacement += mid_line.at(amplitude.amplitude_at(time))
         self._note_band_pass(band_pass, path)
@@ -187,7 +148,7 @@ class _Conditioning:
             sampling_rate=self.rate,
             noise=noise.standard_deviation,
             noise_autocovariance=_frozen(noise.autocovariance),
-            baseline=baseline.value + self.reading if is_absolute else 0.0,
+            baseline=baseline.value + self.free.reading if is_absolute else 0.0,
             baseline_error=baseline.error,
             rest_offset=baseline.rest,
             offset_is_measured=is_absolute or mid_line is not None,
@@ -195,7 +156,7 @@ class _Conditioning:
             amplitude=float(amplitude.amplitude_at(time[:1])[0]),
             unit=self.record.unit.partition("/")[0],
             quantity=self.record.quantity,
-            band=self.band,
+            band=self.free.band,
             lost_cycles=0.0 if band_pass is None else band_pass.half * path.frequency / self.rate,
             end_of_motion=min(self.begin + end, self.begin + float(time[-1])),
             second_mode_frequency=second.frequency if second else np.nan,
@@ -204,102 +165,6 @@ class _Conditioning:
             measured=self._measured(before, is_cut, (first, last), path, spectrum, band_pass),
             notes=tuple(self.notes),
         )
-
-    def _chosen(self, start: float | None, stop: float | None) -> NDArray[np.bool_]:
-        """Return which samples lie between ``start`` and ``stop``."""
-        time = self.record.time
-        keep = np.ones(time.size, dtype=bool)
-        # the limits may be stamps of a grid that is known to a millionth of a sample only
-        slack = 1e-3 * float(np.median(np.diff(time)))
-        if start is not None:
-            keep &= time >= float(check_finite_array("start", start, ndim=0)) - slack
-        if stop is not None:
-            keep &= time <= float(check_finite_array("stop", stop, ndim=0)) + slack
-        if np.count_nonzero(keep) < MINIMUM_SAMPLES:
-            raise InputError(
-                f"{self.name}: {np.count_nonzero(keep)} samples lie between `start` and `stop`, expected at least "
-                f"{MINIMUM_SAMPLES} of the record from {time[0]:.6g} to {time[-1]:.6g} s; choose other limits."
-            )
-        return keep
-
-    def _dominant(self, time: FloatArray, values: FloatArray) -> float:
-        """Return the frequency of the dominant mode (within the band), after the checks that need it."""
-        uniform = self.values
-        lead = leading_rest(uniform)
-        free = uniform[lead:] if uniform.size - lead >= MINIMUM_SAMPLES else uniform
-        frequency = dominant_frequency(free, self.rate, self.band)
-        if frequency is None and self.band is not None:
-            other = dominant_frequency(free, self.rate)
-            hint = f"the dominant motion is at {other:.4g} Hz" if other else "nothing oscillates outside it either"
-            raise InputError(
-                f"{self.name}: nothing oscillates between {self.band[0]:g} and {self.band[1]:g} Hz; {hint}, "
-                "choose the band around a mode."
-            )
-        if frequency is None:
-            raise InputError(f"{self.name}: no oscillation stands out of the record; check the column, or give a band.")
-        check_per_cycle(self.rate, frequency, self.name)
-        check_clipping(values, self.reading, time, frequency, self.step, self.name)
-        return frequency
-
-    def _released(self, values: FloatArray) -> tuple[FloatArray, bool]:
-        """Return the values from the release on, and whether anything before it was cut."""
-        if not self.search:
-            return values, False
-        # at rest nothing moves, whatever the mode: judged by the record's own dominant motion
-        lead = leading_rest(values)
-        whole = dominant_frequency(values[lead:], self.rate) if values.size - lead >= MINIMUM_SAMPLES else None
-        index = end_of_rest(values, self.rate, whole or self.frequency)
-        if index is not None:
-            return self._without(values, index, "at rest"), True
-        if (
-            self.band is None
-            and (index := end_of_drive(values, self.rate, self.frequency, self.integrations)) is not None
-        ):
-            return self._without(values, index, "driven"), True
-        return values, False
-
-    def _let_go(self, values: FloatArray) -> tuple[FloatArray, bool]:
-        """Return the values from where a hand let go, and whether a hand was seen."""
-        if not self.search or self.integrations or self.band is not None:
-            return values, False
-        index = end_of_lift(values, self.rate, self.frequency, rough_noise(values))
-        return (values, False) if index is None else (self._without(values, index, "moved by hand"), True)
-
-    def _note_spikes(self, spikes: list[Spike]) -> None:
-        """Say which spikes of the free decay were bridged."""
-        places = [(self.samples.start + spike.first / self.samples.sampling_rate, spike) for spike in spikes]
-        for time, spike in places:
-            if time >= self.begin:
-                samples = "1 sample" if spike.count == 1 else f"{spike.count} samples"
-                self.notes.append(
-                    f"warning: a spike of {spike.height:.3g} {self.record.unit} at {time:.6g} s ({samples}) was cut "
-                    "out and bridged; if it is motion, look at the sensor's cable and range"
-                )
-
-    def _without(self, values: FloatArray, index: int, state: str) -> FloatArray:
-        """Return the values from an index on and note what is dropped."""
-        self.notes.append(f"the first {index / self.rate:.4g} s, {state} before the free decay, were dropped")
-        self.begin += index / self.rate
-        return values[index:]
-
-    def _decimated(self, values: FloatArray) -> FloatArray:
-        """Return fewer samples of a long record, as many as the motion needs."""
-        # a band may reach beyond what the mode alone needs
-        highest = self.frequency if self.band is None else max(self.frequency, self.band[1] / 8.0)
-        decimation = design_decimation(values.size, self.rate, highest)
-        if decimation is None:
-            return values
-        kept = decimation.apply(values)
-        self.decimation = decimation
-        self.begin += decimation.half / self.rate
-        self.rate /= decimation.factor
-        # rounding spreads its variance over all frequencies, of which fewer are left
-        self.step /= np.sqrt(decimation.factor)
-        self.notes.append(
-            f"of {values.size} samples every {decimation.factor}th was kept after a low-pass without phase shift: "
-            f"{self.rate / self.frequency:.0f} per cycle, frequencies up to {0.25 * self.rate:.4g} Hz are untouched"
-        )
-        return kept
 
     def _filtered(self, values: FloatArray, band_pass: BandPass) -> FloatArray:
         """Return the band-passed record without its ends, and without forcing at its start."""
@@ -310,8 +175,12 @@ class _Conditioning:
             )
         result = band_pass.apply(values)
         self.begin += band_pass.half / self.rate
-        index = end_of_drive(result, self.rate, self.frequency, self.integrations) if self.search else None
-        return result if index is None else self._without(result, index, "driven")
+        index = end_of_drive(result, self.rate, self.frequency, self.integrations) if self.free.searches else None
+        if index is None:
+            return result
+        self.notes.append(dropped(index / self.rate, "driven"))
+        self.begin += index / self.rate
+        return result[index:]
 
     def _motion(
         self, values: FloatArray, path: Track, band_pass: BandPass | None
@@ -344,7 +213,7 @@ class _Conditioning:
                 "`stop`, or a mode with `band`"
             )
             path = check_cycles(path.until(end), self.name, "before the amplitude grows again")
-        self.samples.check_gaps(path.frequency, self.begin + end, self.name)
+        self.free.samples.check_gaps(path.frequency, self.begin + end, self.name)
         return spectrum, path, end
 
     def _spectrum(self, values: FloatArray, path: Track, band_pass: BandPass | None) -> NoiseSpectrum:
@@ -352,12 +221,12 @@ class _Conditioning:
         if band_pass is None:
             return noise_spectrum(values, self.rate, path, self.step, self.integrations, self._kept)
         return noise_in_band(
-            values, self.rate, path, lambda f: np.abs(band_pass.gain(f)) * self._kept(f), self.step, self.whole
+            values, self.rate, path, lambda f: np.abs(band_pass.gain(f)) * self._kept(f), self.step, self.free.values
         )
 
     def _kept(self, frequency: FloatArray) -> FloatArray:
         """Return the share of the amplitude of white noise that decimation keeps."""
-        return np.ones_like(frequency) if self.decimation is None else self.decimation.gain(frequency)
+        return np.ones_like(frequency) if self.free.decimation is None else self.free.decimation.gain(frequency)
 
     def _baseline(
         self, values: FloatArray, path: Track, end: float, spectrum: NoiseSpectrum, band_pass: BandPass | None
@@ -368,7 +237,9 @@ class _Conditioning:
         harmonic = second_harmonic(values, self.rate, path, 0)
         baseline = find_baseline(values, self.rate, path, end, spectrum.total, harmonic)
         unit = self.record.unit
-        self.notes.append(f"baseline {baseline.value + self.reading:.6g} +- {baseline.error:.2g} {unit} was subtracted")
+        self.notes.append(
+            f"baseline {baseline.value + self.free.reading:.6g} +- {baseline.error:.2g} {unit} was subtracted"
+        )
         if np.isfinite(baseline.rest):
             self.notes.append(
                 f"the motion came to rest {baseline.rest:.3g} {unit} off the mid-line of its last cycles (dry "
@@ -392,7 +263,7 @@ class _Conditioning:
     def _range(self, path: Track, is_cut: bool, end: float, size: int) -> tuple[int, int]:
         """Return the samples from a quarter of a cycle before the first turning point to the end of motion."""
         cycle = 1.0 / path.frequency
-        lost = 0 if self.decimation is None else self.decimation.half // self.decimation.factor
+        lost = 0 if self.free.decimation is None else self.free.decimation.half // self.free.decimation.factor
         first = max(0, self._undisturbed(path, -lost / self.rate) - lost) if is_cut else 0
         last = min(size, int(np.ceil((end + cycle) * self.rate)) + 1)
         if size - last > cycle * self.rate:
@@ -421,7 +292,7 @@ class _Conditioning:
         if band_pass is not None:
             # a passed sample stems from those around it: none of them may be driven, or touched by hand or hammer
             is_driven = before > band_pass.half
-            last = min(self.whole.size, last + before + band_pass.half)
+            last = min(self.free.values.size, last + before + band_pass.half)
             first = self._undisturbed(path, -before / self.rate) if is_cut else 0
             rest = (last - before - 2 * band_pass.half) * path.frequency / self.rate
             if is_driven:
@@ -430,7 +301,7 @@ class _Conditioning:
         noise = noise_of(spectrum, self._kept, path.frequency, self.rate)
         return MeasuredSamples(
             time=_frozen(begin + np.arange(last - first) / self.rate),
-            values=_frozen(np.array(self.whole[first:last])),
+            values=_frozen(np.array(self.free.values[first:last])),
             autocovariance=_frozen(noise.autocovariance),
             order=self.integrations,
             band_pass=band_pass,

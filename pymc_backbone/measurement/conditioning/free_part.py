@@ -1,0 +1,192 @@
+"""The part of a record in which a structure moves freely: even in time, without spikes, as many samples as it needs."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._common.checks import FloatArray, InputError, check_finite_array
+from ..._common.text import printable
+from ..reading.records import MINIMUM_SAMPLES, QUANTITIES, Record
+from ..turning import rough_noise
+from .decimation import Decimation, design_decimation
+from .filters import check_band
+from .lift import end_of_lift
+from .noise import quantum
+from .plausibility import check_clipping, check_moves, check_per_cycle
+from .release import end_of_drive, end_of_rest, leading_rest
+from .spikes import Spike, without_spikes
+from .time_grid import to_uniform
+from .tracking import dominant_frequency
+
+
+class FreePart:
+    """The free part of a record, in the measured quantity, found step by step as it is made.
+
+    Attributes
+    ----------
+    record : Record
+        What it is a part of.
+    name : str
+        The file, safe to print.
+    integrations : int
+        How often the measured quantity has to be integrated to give displacement.
+    step : float
+        Of the digitiser [measured quantity]; 0 where none is seen.
+    reading : float
+        Of the sensor, subtracted from all values [measured quantity].
+    samples : UniformSamples
+        The chosen part of the record, even in time.
+    whole : (m,) array
+        Its values without spikes.
+    band : (float, float) or None
+        Checked edges of the band [Hz].
+    frequency : float
+        Of the dominant motion, in the band where one is given [Hz].
+    searches : bool
+        Whether the release is to be found.
+    is_cut : bool
+        Whether something before the release was left out.
+    decimation : Decimation or None
+        What left samples out.
+    values : (n,) array
+        The free part.
+    begin : float
+        Its first instant on the record's clock [s].
+    rate : float
+        Its sampling rate [Hz].
+    notes : list of str
+        What was done, in the order of doing.
+    """
+
+    def __init__(
+        self, record: Record, band: tuple[float, float] | None, start: float | None, stop: float | None
+    ) -> None:
+        if not isinstance(record, Record):
+            raise InputError(f"`record` must be a Record, got {type(record).__name__}; see `read_records`.")
+        self.record = record
+        self.name = printable(record.source)
+        self.notes: list[str] = list(record.notes)
+        self.integrations = QUANTITIES.index(record.quantity)
+        keep = self._chosen(start, stop)
+        time, values = record.time[keep], record.values[keep]
+        check_moves(values, self.name)
+        self.step = quantum(values)
+        # a sensor may read ten thousand times the motion: no filter stops that much
+        self.reading = float(np.median(values))
+        values = values - self.reading
+        self.samples = to_uniform(time, values, self.name)
+        self.notes += self.samples.notes
+        self.whole, spikes = without_spikes(self.samples.values, self.step)
+        check_moves(self.whole, self.name)
+        self.begin, self.rate = self.samples.start, self.samples.sampling_rate
+        self.band = None if band is None else check_band(band, self.rate, self.name)
+        self.frequency = self._dominant(time, values)
+        self.searches = start is None and not record.starts_free
+        self.decimation: Decimation | None = None
+        self.values, self.is_cut = self._released(self.whole)
+        self.values, is_lifted = self._let_go(self.values)
+        self.is_cut |= is_lifted
+        self._note_spikes(spikes)
+        self.values = self._decimated(self.values)
+
+    def _chosen(self, start: float | None, stop: float | None) -> NDArray[np.bool_]:
+        """Return which samples lie between ``start`` and ``stop``."""
+        time = self.record.time
+        keep = np.ones(time.size, dtype=bool)
+        # the limits may be stamps of a grid that is known to a millionth of a sample only
+        slack = 1e-3 * float(np.median(np.diff(time)))
+        if start is not None:
+            keep &= time >= float(check_finite_array("start", start, ndim=0)) - slack
+        if stop is not None:
+            keep &= time <= float(check_finite_array("stop", stop, ndim=0)) + slack
+        if np.count_nonzero(keep) < MINIMUM_SAMPLES:
+            raise InputError(
+                f"{self.name}: {np.count_nonzero(keep)} samples lie between `start` and `stop`, expected at least "
+                f"{MINIMUM_SAMPLES} of the record from {time[0]:.6g} to {time[-1]:.6g} s; choose other limits."
+            )
+        return keep
+
+    def _dominant(self, time: FloatArray, values: FloatArray) -> float:
+        """Return the frequency of the dominant mode (within the band), after the checks that need it."""
+        uniform = self.whole
+        lead = leading_rest(uniform)
+        free = uniform[lead:] if uniform.size - lead >= MINIMUM_SAMPLES else uniform
+        frequency = dominant_frequency(free, self.rate, self.band)
+        if frequency is None and self.band is not None:
+            other = dominant_frequency(free, self.rate)
+            hint = f"the dominant motion is at {other:.4g} Hz" if other else "nothing oscillates outside it either"
+            raise InputError(
+                f"{self.name}: nothing oscillates between {self.band[0]:g} and {self.band[1]:g} Hz; {hint}, "
+                "choose the band around a mode."
+            )
+        if frequency is None:
+            raise InputError(f"{self.name}: no oscillation stands out of the record; check the column, or give a band.")
+        check_per_cycle(self.rate, frequency, self.name)
+        check_clipping(values, self.reading, time, frequency, self.step, self.name)
+        return frequency
+
+    def _released(self, values: FloatArray) -> tuple[FloatArray, bool]:
+        """Return the values from the release on, and whether anything before it was cut."""
+        if not self.searches:
+            return values, False
+        # at rest nothing moves, whatever the mode: judged by the record's own dominant motion
+        lead = leading_rest(values)
+        whole = dominant_frequency(values[lead:], self.rate) if values.size - lead >= MINIMUM_SAMPLES else None
+        index = end_of_rest(values, self.rate, whole or self.frequency)
+        if index is not None:
+            return self._without(values, index, "at rest"), True
+        if (
+            self.band is None
+            and (index := end_of_drive(values, self.rate, self.frequency, self.integrations)) is not None
+        ):
+            return self._without(values, index, "driven"), True
+        return values, False
+
+    def _let_go(self, values: FloatArray) -> tuple[FloatArray, bool]:
+        """Return the values from where a hand let go, and whether a hand was seen."""
+        if not self.searches or self.integrations or self.band is not None:
+            return values, False
+        index = end_of_lift(values, self.rate, self.frequency, rough_noise(values))
+        return (values, False) if index is None else (self._without(values, index, "moved by hand"), True)
+
+    def _note_spikes(self, spikes: list[Spike]) -> None:
+        """Say which spikes of the free decay were bridged."""
+        places = [(self.samples.start + spike.first / self.samples.sampling_rate, spike) for spike in spikes]
+        for time, spike in places:
+            if time >= self.begin:
+                samples = "1 sample" if spike.count == 1 else f"{spike.count} samples"
+                self.notes.append(
+                    f"warning: a spike of {spike.height:.3g} {self.record.unit} at {time:.6g} s ({samples}) was cut "
+                    "out and bridged; if it is motion, look at the sensor's cable and range"
+                )
+
+    def _without(self, values: FloatArray, index: int, state: str) -> FloatArray:
+        """Return the values from an index on and note what is dropped."""
+        self.notes.append(dropped(index / self.rate, state))
+        self.begin += index / self.rate
+        return values[index:]
+
+    def _decimated(self, values: FloatArray) -> FloatArray:
+        """Return fewer samples of a long record, as many as the motion needs."""
+        # a band may reach beyond what the mode alone needs
+        highest = self.frequency if self.band is None else max(self.frequency, self.band[1] / 8.0)
+        decimation = design_decimation(values.size, self.rate, highest)
+        if decimation is None:
+            return values
+        kept = decimation.apply(values)
+        self.decimation = decimation
+        self.begin += decimation.half / self.rate
+        self.rate /= decimation.factor
+        # rounding spreads its variance over all frequencies, of which fewer are left
+        self.step /= np.sqrt(decimation.factor)
+        self.notes.append(
+            f"of {values.size} samples every {decimation.factor}th was kept after a low-pass without phase shift: "
+            f"{self.rate / self.frequency:.0f} per cycle, frequencies up to {0.25 * self.rate:.4g} Hz are untouched"
+        )
+        return kept
+
+
+def dropped(duration: float, state: str) -> str:
+    """Return the sentence on a beginning of so many seconds that is not free."""
+    return f"the first {duration:.4g} s, {state} before the free decay, were dropped"
