@@ -19,9 +19,10 @@ from pymc_backbone._common import compiled
 from pymc_backbone._common.checks import InputError
 from pymc_backbone.effects import BASE_EFFECTS, LIBRARY, Effect
 from pymc_backbone.oscillator import Oscillator
-from pymc_backbone.simulation import forces, kernels, memory, stepper
+from pymc_backbone.simulation import forces, memory, stepper
 from pymc_backbone.simulation.decay import Simulator, Status, simulate_backbone, simulate_decay, simulate_waveform
 from pymc_backbone.simulation.pointers import address, shifted
+from pymc_backbone.simulation.run import prepare
 
 from .decay_cases import (
     AMPLITUDE,
@@ -382,7 +383,7 @@ def test_units_do_not_matter(effects, factors):
 @numba.njit
 def _steps(integers, numbers, p, h, count, sensitivities):
     """Return displacement, velocity, and their derivatives to the start and to p[2], after steps of fixed length."""
-    run = kernels.prepare(integers, numbers, p, sensitivities, 1.5)
+    run = prepare(integers, numbers, p, sensitivities, 1.5)
     place = memory.place_of(address(run.integers))
     room = address(run.memory)
     model = memory.model_of(address(run.integers), room, address(run.p), place)

@@ -18,6 +18,7 @@ from ..simulation.counts import FAILURES, GRADIENTS, SIMULATIONS, count
 from ..simulation.forces import ROW
 from ..simulation.memory import N_EFFECTS, N_LEVELS, N_NUMBERS, N_PARAMETERS, ROWS, TABLE
 from ..simulation.pointers import FLOATS, INTEGERS, Floats, Integers
+from ..simulation.run import define
 from .density_kernel import log_density
 
 
@@ -115,6 +116,6 @@ def define_symbols() -> None:
 
     Must have run in a process before code that calls them is loaded there: every Op runs it when it is made.
     """
-    kernels.define()
+    define()
     BACKBONE.define()
     LOG_LIKELIHOOD.define()
