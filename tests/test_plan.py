@@ -142,11 +142,20 @@ def test_a_plan_in_words():
     assert "none of 14 tests" in sentences(nothing, PRESENT, "m")[0]
 
 
-@pytest.fixture
-def folder(tmp_path):
-    """An ambiguous result on records."""
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """An ambiguous result on records, as a study writes it."""
     study = dataclasses.replace(make_study("ambiguous"), present=PRESENT, contenders=(CUBIC, NOTHING), plan=promised())
-    write_study(study, tmp_path / "diagnosis")
+    place = tmp_path_factory.mktemp("written") / "diagnosis"
+    write_study(study, place)
+    return (place / "result.json").read_text()
+
+
+@pytest.fixture
+def folder(written, tmp_path):
+    """A folder of its own with that result."""
+    (tmp_path / "diagnosis").mkdir()
+    (tmp_path / "diagnosis" / "result.json").write_text(written)
     return tmp_path / "diagnosis"
 
 
