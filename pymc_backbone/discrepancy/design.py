@@ -70,6 +70,10 @@ class Contender:
         As the study says.
     parameters, errors : mapping of str to float
         Value over the batch of all parameters of the extended model, base included, and standard errors.
+
+    See Also
+    --------
+    Study : holds those that remain possible.
     """
 
     effects: tuple[str, ...]
@@ -95,6 +99,10 @@ class Affordable:
         Standard deviation that a better sensor has, in the measured quantity; by default there is none.
     added_masses : tuple of float
         That can be fixed to the structure [kg or kg m^2]; by default none.
+
+    See Also
+    --------
+    plan_tests : looks at tests within these limits.
     """
 
     smallest: float | None = None
