@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from . import paper, plots
     from ._common.checks import InputError
     from ._common.citation import citation
+    from .discrepancy.design import Affordable, Contender, Design, Plan, PlannedTest
+    from .discrepancy.plan import plan_tests
     from .discrepancy.study import Study
     from .discrepancy.workflow import find_missing_effect
     from .effects import LIBRARY, Effect, Parameter, Signature, get_effect
@@ -86,6 +88,8 @@ _WHERE = {
     "inference.diagnostics": ("findings", "summarise"),
     "inference.fit_verdict": ("GoodnessOfFit",),
     "inference.goodness": ("goodness_of_fit",),
+    "discrepancy.design": ("Affordable", "Contender", "Design", "Plan", "PlannedTest"),
+    "discrepancy.plan": ("plan_tests",),
     "discrepancy.study": ("Study",),
     "discrepancy.workflow": ("find_missing_effect",),
     "effects": ("LIBRARY", "Effect", "Parameter", "Signature", "get_effect"),
@@ -113,13 +117,16 @@ _RENAMED = {
 
 __all__ = [
     "LIBRARY",
+    "Affordable",
     "BackboneLogLikelihood",
     "BackboneOp",
     "BackboneResult",
     "ConditionedRecord",
+    "Contender",
     "Cycles",
     "DecayResult",
     "Density",
+    "Design",
     "Effect",
     "ForcedOscillator",
     "FrequencyResponse",
@@ -128,6 +135,8 @@ __all__ = [
     "Oscillator",
     "Parameter",
     "PeriodicMotion",
+    "Plan",
+    "PlannedTest",
     "Record",
     "ResponseFit",
     "Signature",
@@ -157,6 +166,7 @@ __all__ = [
     "goodness_of_fit",
     "paper",
     "periodic_motion",
+    "plan_tests",
     "plots",
     "read_backbones",
     "read_records",

@@ -1,4 +1,4 @@
-"""The command line: ``pymc-backbone extract | update | diagnose | cases | effects | demo``.
+"""The command line: ``pymc-backbone extract | update | diagnose | plan | cases | effects | demo``.
 
 What a user can get wrong ends with one sentence on standard error and exit code 2; Ctrl-C with 130. Everything heavy is
 imported when it is needed, so that help and most errors come at once.
@@ -31,6 +31,9 @@ from . import (
     diagnose as _cli_diagnose,
 )
 from . import (
+    plan as _cli_plan,
+)
+from . import (
     update as _cli_update,
 )
 from .wording import commands_of, option_names, with_options
@@ -60,6 +63,8 @@ First steps:
       the updated model
   pymc-backbone diagnose my_records/ --mass 1.2 --out diagnosis
       what the model lacks: the missing effect, with its probability, and a report
+  pymc-backbone plan diagnosis
+      which test decides, where the records could not
 
 `pymc-backbone COMMAND --help` explains each command. Exit codes: 0 done; 1 what is printed cannot be
 written, or a fault of the program; 2 something in the input or the options cannot
@@ -95,6 +100,7 @@ def build_parser() -> argparse.ArgumentParser:
     _cli_update.add_extract(commands)
     _cli_update.add_update(commands)
     _cli_diagnose.add_diagnose(commands)
+    _cli_plan.add_plan(commands)
     _cli_cases.add_cases(commands)
     effects = commands.add_parser(
         "effects",

@@ -10,6 +10,7 @@ import xarray as xr
 
 from .._common.checks import FloatArray
 from ..oscillator import Oscillator
+from .design import Contender, Design, Plan
 from .verdict import AdequateBy, Status, Verdict
 
 
@@ -219,6 +220,12 @@ class Study:
         Of computation.
     seed : int
         Of everything random.
+    present : Design or None
+        The test that these records are; None where only backbones are known.
+    contenders : tuple of Contender
+        The sets that remain possible, with their parameters, where the verdict is ``ambiguous`` and there are records.
+    plan : Plan or None
+        Which test would tell them apart; None where none was looked for.
 
     See Also
     --------
@@ -261,3 +268,6 @@ class Study:
     seconds: float
     seed: int
     posterior_backbone: xr.Dataset | None = None
+    present: Design | None = None
+    contenders: tuple[Contender, ...] = ()
+    plan: Plan | None = None

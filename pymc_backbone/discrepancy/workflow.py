@@ -16,13 +16,15 @@ from ..measurement.conditioning.conditioned import ConditionedRecord
 from ..measurement.options import Measuring
 from ..measurement.reading.records import Record
 from ..oscillator import Oscillator
-from . import rivals, words
+from . import plan_words, rivals, words
 from .candidate_table import candidates_of
 from .curves import simulate
 from .decide import Decision, decide, mind_second_mode
+from .design import Contender, Plan, contender, present_design
 from .extend import Inference, Sampling, infer
 from .joint_fit import Fit
 from .locate import where_different
+from .plan import plan_tests
 from .question import Question, ask
 from .search import BUDGET, Progress, Search
 from .study import Check, Study
@@ -168,7 +170,8 @@ def find_missing_effect(
         "tune": tune, "chains": chains, "band": band, "start": start,
         "stop": stop, "levels": given_levels, "strict": strict,
     }  # fmt: skip
-    return _study(question, outcome, verification, inference, asked, seed, begun)
+    plan = None if quick else _planned(question, outcome, seed, say)
+    return _study(question, outcome, verification, inference, asked, plan, seed, begun)
 
 
 def _searched(question: Question, quick: bool, say: Progress) -> Search:
@@ -215,6 +218,7 @@ def _study(
     verification: Verification,
     inference: Inference,
     asked: Mapping[str, object],
+    plan: Plan | None,
     seed: int,
     begun: float,
 ) -> Study:
@@ -234,7 +238,7 @@ def _study(
         probability=decision.probability,
         candidates=candidates_of(search, decision),
         ambiguous_sets=decision.listed if is_ambiguous else (),
-        advice=words.advice(search, decision) if is_ambiguous else (),
+        advice=_advice(question, outcome, plan) if is_ambiguous else (),
         reasons=words.reasons(batch, extended, decision.best) if extended is not None else (),
         below_tolerance=decision.below,
         where=where_different(batch, before),
@@ -261,7 +265,41 @@ def _study(
         notes=(*question.notes, *_search_notes(search)),
         seconds=time.perf_counter() - begun,
         seed=seed,
+        present=present_design(batch),
+        contenders=_contenders(outcome),
+        plan=plan,
     )
+
+
+def _contenders(outcome: Outcome) -> tuple[Contender, ...]:
+    """Return the sets that an ambiguous verdict on records leaves possible."""
+    search, decision = outcome.search, outcome.decision
+    if decision.verdict is not Verdict.AMBIGUOUS or not search.batch.has_records:
+        return ()
+    return tuple(
+        contender(names, decision.probabilities[names], search.fits[names])
+        for names in decision.listed
+        if decision.probabilities[names] > 0.0
+    )
+
+
+def _planned(question: Question, outcome: Outcome, seed: int, say: Progress) -> Plan | None:
+    """Return which test would tell apart what remains possible; None where that is not a matter of sets."""
+    present, remaining = present_design(question.batch), _contenders(outcome)
+    if present is None or len(remaining) < 2:
+        return None
+    return plan_tests(question.base, remaining, present, own_effects=question.own, random_seed=seed, progress=say)
+
+
+def _advice(question: Question, outcome: Outcome, plan: Plan | None) -> tuple[str, ...]:
+    """Return what measurement would tell more: computed where there is a plan, else from the backbones."""
+    said = words.advice(outcome.search, outcome.decision)
+    present = present_design(question.batch)
+    if plan is None or present is None:
+        return said
+    unit = str(question.batch.backbones.attrs.get("amplitude_unit", "m"))
+    drift = said[:1] if words.is_drift_possible(outcome.decision) else ()
+    return (*drift, *plan_words.sentences(plan, present, unit))
 
 
 def _search_notes(search: Search) -> list[str]:

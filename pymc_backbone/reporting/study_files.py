@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from ..discrepancy.design import Contender, Plan
 from ..discrepancy.study import Estimate, HeldOut, Study
 from .model_script import model_script
 from .output_folder import REPORT, SCRIPT, package_version, prepare_output, write_results
@@ -71,6 +72,12 @@ DIAGNOSIS_KEYS = {
     "notes": "what was assumed or done while reading and conditioning the records",
     "seconds": "of computation",
     "seed": "of everything random; the same seed and versions give the same study",
+    "present": "the test that these records are: release [m or rad], records, duration [s], sampling_rate [Hz], noise "
+    "(standard deviation in the measured quantity), quantity, added_mass; null where only backbones were given",
+    "contenders": "the sets that remain possible, for `pymc-backbone plan`: effects, probability, parameters and "
+    "errors by name, of the whole model; empty unless ambiguous",
+    "plan": "tests that would tell these apart, the most promising first: best and repeat (the same test again), each "
+    "with design, probability, by_set, seconds; null where none was looked for",
     "files": "written by this run, relative to the folder",
 }
 """Keys of ``result.json``; what is not a number (NaN) is null."""
@@ -192,6 +199,29 @@ def study_entries(study: Study, version: str) -> dict[str, Any]:
         "notes": list(study.notes),
         "seconds": study.seconds,
         "seed": study.seed,
+        "present": None if study.present is None else asdict(study.present),
+        "contenders": [contender_entries(item) for item in study.contenders],
+        "plan": None if study.plan is None else plan_entries(study.plan),
+    }
+
+
+def contender_entries(item: Contender) -> dict[str, Any]:
+    """Return a set that remains possible as a result file holds it."""
+    return {
+        "effects": list(item.effects),
+        "probability": item.probability,
+        "parameters": dict(item.parameters),
+        "errors": dict(item.errors),
+    }
+
+
+def plan_entries(plan: Plan) -> dict[str, Any]:
+    """Return a plan as a result file holds it."""
+    return {
+        "contenders": [list(item.effects) for item in plan.contenders],
+        "best": [asdict(item) for item in plan.best],
+        "repeat": asdict(plan.repeat),
+        "looked_at": plan.looked_at,
     }
 
 

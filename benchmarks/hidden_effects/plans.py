@@ -1,0 +1,161 @@
+"""Whether the test that is advised decides: ambiguous batches, the advice carried out in simulation; prints Markdown.
+
+    python benchmarks/hidden_effects/plans.py --batches 20 --seed 314159 [--tiers close_pairs few_data] [--workers 2]
+
+Batches are drawn until so many are ambiguous with the truth among the sets that remain. For each the first advice and,
+for comparison, the present test are carried out with the same structures and fresh noise, by the generator's own
+integrator; the records at hand and the new ones are then diagnosed together. A test decides where the verdict is
+`found`. *Promised* is the probability that the plan gave.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from multiprocessing import get_context
+from typing import Any
+
+import numpy as np
+from batches import Batch, make_batch
+from motion import simulate
+from systems import pack
+
+from pymc_backbone import Design, InputError, Oscillator, Record, find_missing_effect, plan_tests
+from pymc_backbone.discrepancy.study import Study
+
+AMBIGUOUS_TIERS = ("close_pairs", "few_data", "noisy_and_coarse")
+LONGEST = 12000  # samples
+
+
+def records_of(batch: Batch) -> list[Record]:
+    """Return the records of a batch as a user has them."""
+    return [
+        Record(f"specimen_{k}", item.time, item.measured, "displacement", "m")
+        for k, item in enumerate(batch.records, start=1)
+    ]
+
+
+def carried_out(batch: Batch, design: Design, rng: np.random.Generator, name: str) -> list[Record]:
+    """Return the records of a test of the same structures, one after the other, with fresh noise."""
+    made = []
+    for k in range(design.records):
+        parameters = {**batch.truth["parameters"][k % len(batch.records)]}
+        parameters.pop("specimen")
+        parameters["mass"] = batch.truth["mass"] + design.added_mass
+        count = min(int(design.duration * design.sampling_rate), LONGEST)
+        time = np.arange(count) / design.sampling_rate
+        exact = simulate(pack(parameters), design.release, time).displacement
+        values = exact + design.noise * rng.standard_normal(time.size)
+        made.append(Record(f"{name}_{k + 1}", time, values, "displacement", "m"))
+    return made
+
+
+def diagnosed(batch: Batch, records: list[Record]) -> Study:
+    """Return the verdict on some records of a batch."""
+    oscillator = Oscillator(batch.truth["mass"], batch.truth["base"])
+    return find_missing_effect(oscillator, records, quick=True, tolerance=0, held_out=0, random_seed=1)
+
+
+def outcome(batch: Batch, study: Study) -> str:
+    """Return what a verdict is worth."""
+    hidden = tuple(batch.truth["hidden"])
+    if study.verdict == "found":
+        return "right" if tuple(sorted(study.missing_effects)) == hidden else "wrong"
+    if study.verdict == "adequate":
+        return "wrong" if hidden else "right"
+    return str(study.verdict)
+
+
+def judge(task: tuple[int, int, str]) -> dict[str, Any] | None:
+    """Return what became of one batch; None where it is not ambiguous, or the truth is not listed."""
+    seed, index, tier = task
+    batch = make_batch(seed, index, tier)
+    hidden = tuple(batch.truth["hidden"])
+    try:
+        study = diagnosed(batch, records_of(batch))
+        listed = {tuple(sorted(item.effects)) for item in study.contenders}
+        if len(study.contenders) < 2 or hidden not in listed or study.present is None:
+            return None
+        begin = time.perf_counter()
+        base = Oscillator(batch.truth["mass"], batch.truth["base"])
+        plan = plan_tests(base, study.contenders, study.present, random_seed=index)
+        seconds = time.perf_counter() - begin
+        if not plan.best:
+            return {"index": index, "tier": tier, "hidden": hidden, "promised": None, "seconds": seconds}
+        rng = np.random.default_rng([seed, index, 7])
+        # what is listed speaks of the median release; a repetition has the releases of the batch
+        advised = carried_out(batch, plan.best[0].design, rng, "next")
+        repeat = carried_out(batch, replace(study.present), rng, "again")
+        after = diagnosed(batch, records_of(batch) + advised)
+        again = diagnosed(batch, records_of(batch) + repeat)
+    except InputError as error:
+        return {"index": index, "tier": tier, "hidden": hidden, "error": str(error)}
+    return {
+        "index": index,
+        "tier": tier,
+        "hidden": hidden,
+        "promised": plan.best[0].probability,
+        "promised_again": plan.repeat.probability,
+        "after": outcome(batch, after),
+        "again": outcome(batch, again),
+        "seconds": seconds,
+    }
+
+
+def drawn(seed: int, tiers: list[str]) -> Iterator[tuple[int, int, str]]:
+    """Yield batches to look at, one tier after the other."""
+    index = 0
+    while True:
+        yield seed, index, tiers[index % len(tiers)]
+        index += 1
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """Return what the rows say together."""
+    done = [row for row in rows if row.get("after")]
+    lines = ["| test | promised | decided | of these wrong |", "|---|---|---|---|"]
+    for name, promise, key in (("advised", "promised", "after"), ("the same again", "promised_again", "again")):
+        decided = [row[key] in ("right", "wrong") for row in done]
+        wrong = sum(row[key] == "wrong" for row in done)
+        promised = float(np.mean([row[promise] for row in done])) if done else float("nan")
+        share = float(np.mean(decided)) if done else float("nan")
+        lines.append(f"| {name} | {promised:.0%} | {share:.0%} ({sum(decided)} of {len(done)}) | {wrong} |")
+    none = sum(row.get("promised", 0) is None for row in rows)
+    failed = sum("error" in row for row in rows)
+    seconds = [row["seconds"] for row in rows if "seconds" in row]
+    lines.append("")
+    lines.append(
+        f"{len(rows)} ambiguous batches; for {none} no test is better than the same again; {failed} could not be "
+        f"carried out; a plan takes {np.median(seconds) if seconds else float('nan'):.0f} s (median)."
+    )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Look at batches until so many were ambiguous."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--batches", type=int, default=20)
+    parser.add_argument("--seed", type=int, required=True)
+    parser.add_argument("--tiers", nargs="+", default=list(AMBIGUOUS_TIERS))
+    parser.add_argument("--workers", type=int, default=2)
+    given = parser.parse_args()
+    rows: list[dict[str, Any]] = []
+    looked_at = 0
+    tasks = drawn(given.seed, given.tiers)
+    with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn")) as pool:
+        while len(rows) < given.batches:
+            for row in pool.map(judge, [next(tasks) for _ in range(2 * given.workers)]):
+                looked_at += 1
+                if row is not None:
+                    rows.append(row)
+                    print(json.dumps(row), flush=True)
+    print(f"\n{looked_at} batches were looked at.\n")
+    print(table(rows))
+
+
+if __name__ == "__main__":
+    main()
