@@ -127,6 +127,13 @@ def add_measurement(parser: argparse.ArgumentParser, *, observables: bool = True
         metavar="HZ",
         help="samples per second; replaces the file's times (default: the file's)",
     )
+    reading.add_argument(
+        "--sensitivity",
+        action="append",
+        metavar="S",
+        help="of the sensor, where a channel is in volts, such as '10.2 mV/g', '2.25 mV/N' (of a hammer), or "
+        "'acc_x=10.2 mV/g' for one channel; may be repeated",
+    )
     group = parser.add_argument_group("measurement")
     group.add_argument(
         "--band", type=options.band, metavar="LO:HI", help="keep this frequency band [Hz]; for a second mode"

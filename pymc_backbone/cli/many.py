@@ -39,6 +39,7 @@ COLUMNS: dict[str, Callable[[str], Any]] = {
     "quantity": str,
     "unit": str,
     "sampling_rate": options.number("sampling_rate"),
+    "sensitivity": lambda text: [text],
 }
 
 

@@ -131,6 +131,8 @@ def _read(path: Data, reading: Reading, measuring: Measuring, say: Say) -> tuple
 
 OPTIONS = {"is_table": "backbones", "random_seed": "seed"}
 """Options of the command line that have another name than the setting."""
+REPEATED = ("sensitivity",)
+"""Options that are given once for each of their values."""
 
 
 def command_line(
@@ -155,7 +157,11 @@ def command_line(
     for name, value in {"base": list(base) or None, **settings}.items():
         if value is None or value is False or value == defaults.get(name):
             continue
-        words.append(f"--{OPTIONS.get(name, name).replace('_', '-')}")
+        option = f"--{OPTIONS.get(name, name).replace('_', '-')}"
+        if name in REPEATED:
+            words += [word for item in value for word in (option, item)]
+            continue
+        words.append(option)
         if value is not True:
             words.append(_option_value(name, value))
     words += ["--overwrite"] if overwrite else []
