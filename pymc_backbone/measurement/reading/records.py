@@ -6,6 +6,7 @@ import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +45,8 @@ from .units import is_voltage, split_header
 __all__ = ["QUANTITIES", "Record", "read_backbones", "read_records", "write_records"]
 
 _MOST_NAMED = 6
+_MOST_TWICE = 0.02
+"""Share of the lines that may stand there twice."""
 MINIMUM_SAMPLES = 32
 """Four cycles of eight samples: with less there is no decay to speak of."""
 
@@ -226,8 +229,13 @@ def _records_of_table(table: Table, reading: Reading) -> Iterator[Record]:
     picked = find_values(table, reading)
     force = _force_of(table, reading, [column for column, _ in picked])
     units = [unit_of_values(table, column, quantity, reading) for column, quantity in picked]
+    for specimen, rows in specimens.items():
+        if len(rows) < MINIMUM_SAMPLES:
+            whose = f" of specimen {shorten(specimen)!r}" if len(specimens) > 1 else ""
+            table.fail(f"a record needs at least {MINIMUM_SAMPLES} samples, got {len(rows)}{whose}; record longer.")
+    specimens, twice = _without_repeats(table, reading, specimens)
     times, time_notes = _times_of_table(table, reading, specimens)
-    notes = table.notes + time_notes + _choice(table, reading, [column for column, _ in picked], force)
+    notes = table.notes + twice + time_notes + _choice(table, reading, [column for column, _ in picked], force)
     for (column, quantity), (unit, unit_notes) in zip(picked, units, strict=True):
         values = scaled(table.numbers(column), unit.factor)
         for specimen, rows in specimens.items():
@@ -239,14 +247,34 @@ def _records_of_table(table: Table, reading: Reading) -> Iterator[Record]:
             yield from [record] if force is None else _after_hits(record, table.numbers(force.column)[rows], force)
 
 
+def _without_repeats(
+    table: Table, reading: Reading, specimens: Mapping[str, np.ndarray]
+) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
+    """Return the rows of each specimen without lines that repeat the one before, time and all, and a note on them.
+
+    Where most lines do, it is no mistake of the logger but times of too few digits, which are refused later.
+    """
+    kept: dict[str, np.ndarray] = {}
+    lines: list[int] = []
+    has_time = reading.rate is None and _time_column(table, reading) is not None
+    for name, rows in specimens.items():
+        cells = [[column[row] for row in rows] for column in table.cells] if has_time else []
+        same = np.array([here == before for before, here in pairwise(zip(*cells, strict=True))], dtype=bool)
+        if 0 < np.count_nonzero(same) <= _MOST_TWICE * len(rows):
+            lines += [table.lines[row] for row in rows[1:][same]]
+            rows = rows[np.concatenate([[True], ~same])]
+        kept[name] = rows
+    if not lines:
+        return kept, ()
+    places = ", ".join(map(str, lines[:_MOST_NAMED])) + (" ..." if len(lines) > _MOST_NAMED else "")
+    what = "1 line repeats" if len(lines) == 1 else f"{len(lines)} lines repeat"
+    return kept, (f"{what} the one before (line {places}) and {'was' if len(lines) == 1 else 'were'} dropped",)
+
+
 def _times_of_table(
     table: Table, reading: Reading, specimens: Mapping[str, np.ndarray]
 ) -> tuple[dict[str, FloatArray], tuple[str, ...]]:
     """Return the sampling instants [s] of each specimen of a table, and notes."""
-    for specimen, rows in specimens.items():
-        if len(rows) < MINIMUM_SAMPLES:
-            whose = f" of specimen {shorten(specimen)!r}" if len(specimens) > 1 else ""
-            table.fail(f"a record needs at least {MINIMUM_SAMPLES} samples, got {len(rows)}{whose}; record longer.")
     rate = reading.rate
     notes: tuple[str, ...] = ()
     if rate is not None:
