@@ -143,6 +143,12 @@ def add_measurement(parser: argparse.ArgumentParser, *, observables: bool = True
     )
     group.add_argument("--stop", type=options.number("--stop"), metavar="S", help="use the record up to this time [s]")
     group.add_argument(
+        "--floor",
+        type=options.amplitude,
+        metavar="A",
+        help="use the record down to this amplitude, such as '0.2 mm' or '0.5 deg' (m or rad without a unit)",
+    )
+    group.add_argument(
         "--levels",
         type=options.levels,
         metavar="N|A,B,C",

@@ -21,7 +21,8 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,6 +33,7 @@ import xarray as xr
 
 from .._common.atomic_files import replacing
 from .._common.checks import OBSERVABLE_UNITS, OBSERVABLES, InputError
+from ..inference.store.lock import LOCK, FolderLock
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -81,6 +83,41 @@ RESULT_KEYS = {
 """Keys of ``result.json``; ``extract`` writes those that apply to it."""
 
 
+@contextmanager
+def claimed_output(
+    path: str | os.PathLike[str] | None, overwrite: bool = False, *, records: Any = None
+) -> Iterator[Path | None]:
+    """Make the output folder ready as `prepare_output` does, and keep it from other runs while this one lasts.
+
+    Parameters
+    ----------
+    path : path-like or None
+        Folder; None: there is none.
+    overwrite, records
+        As in `prepare_output`.
+
+    Yields
+    ------
+    pathlib.Path or None
+        The folder.
+
+    Raises
+    ------
+    InputError
+        As `prepare_output`, and where another run is writing there.
+    """
+    if path is None:
+        yield None
+        return
+    folder = prepare_output(path, overwrite, records=records)
+    lock = FolderLock(folder, "output folder")
+    lock.acquire()
+    try:
+        yield prepare_output(path, overwrite, records=records)  # another run may have ended between check and lock
+    finally:
+        lock.remove()
+
+
 def prepare_output(path: str | os.PathLike[str], overwrite: bool = False, *, records: Any = None) -> Path:
     """Make the output folder ready, before any long computation.
 
@@ -112,7 +149,7 @@ def prepare_output(path: str | os.PathLike[str], overwrite: bool = False, *, rec
         raise InputError(f"The output {folder} is a file; name a folder.")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        occupied = sorted(entry.name for entry in folder.iterdir())
+        occupied = sorted(entry.name for entry in folder.iterdir() if entry.name != LOCK)
         if occupied and not overwrite:
             raise InputError(
                 f"The output folder {folder} is not empty (it holds {occupied[0]}); name another one, or give "

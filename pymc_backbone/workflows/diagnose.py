@@ -15,7 +15,7 @@ from ..discrepancy.options import Searching
 from ..inference.options import Sampling
 from ..measurement.options import Measuring
 from ..measurement.reading.options import Reading
-from ..reporting.output_folder import REPORT, package_version, plain, prepare_output, read_result
+from ..reporting.output_folder import REPORT, claimed_output, package_version, plain, read_result
 from ..reporting.terminal import aligned, describe_reading, short
 from .measure import Progress, Say, measure, say_warnings
 
@@ -78,20 +78,32 @@ def diagnose(
     reading = Reading() if reading is None else reading
     measuring = Measuring() if measuring is None else measuring
     sampling = Sampling() if sampling is None else sampling
-    folder = None if output is None else prepare_output(output, overwrite, records=path)
+    with claimed_output(output, overwrite, records=path):
+        return _diagnosed(
+            path, mass, output, base, searching, reading, measuring, sampling, overwrite=overwrite, progress=progress,
+            say=say,
+        )  # fmt: skip
+
+
+def _diagnosed(
+    path: Data, mass: float, output: str | os.PathLike[str] | None, base: Sequence[str], searching: Searching,
+    reading: Reading, measuring: Measuring, sampling: Sampling, *, overwrite: bool, progress: Progress | None, say: Say,
+) -> dict[str, Any]:  # fmt: skip
+    """Diagnose into a folder that is ready."""
     from ..oscillator import Oscillator
 
     oscillator = Oscillator(mass, base)
-    data, records = _read(path, reading, measuring, say)
+    data, records, left_out = _read(path, reading, measuring, say)
     settings = {name: value for name, value in settings_of(searching, sampling).items() if value is not None}
     if not reading.is_table:  # the tables are at the levels already
         settings |= {name: value for name, value in settings_of(measuring).items() if name != "observables"}
     from ..discrepancy.workflow import find_missing_effect
 
     study = find_missing_effect(oscillator, data, progress=progress, **settings)
+    study = replace(study, notes=(*left_out, *study.notes))
     from ..reporting.study_files import study_entries, write_study
 
-    if folder is None or output is None:
+    if output is None:
         _say_study(study, say)
         return dict(plain(study_entries(study, package_version())))
     if progress is not None:
@@ -100,9 +112,10 @@ def diagnose(
     if isinstance(path, str | os.PathLike):
         chosen = (searching, reading, measuring, replace(sampling, random_seed=study.seed))
         command = command_line(path, mass, base, settings_of(*chosen), output, overwrite=overwrite)
+    folder = Path(output)
     write_study(study, folder, overwrite=overwrite, command=command, records=records)
     _say_study(study, say)
-    say(f"\nThe report is {Path(folder) / REPORT}; numbers, figures and a PyMC script are beside it.")
+    say(f"\nThe report is {folder / REPORT}; numbers, figures and a PyMC script are beside it.")
     return read_result(folder)
 
 
@@ -111,22 +124,24 @@ def _say_study(study: Study, say: Say) -> None:
     say(describe_study(study))
 
 
-def _read(path: Data, reading: Reading, measuring: Measuring, say: Say) -> tuple[Any, Sequence[Record]]:
-    """Return the data for the search, and the records among them."""
+def _read(path: Data, reading: Reading, measuring: Measuring, say: Say) -> tuple[Any, Sequence[Record], list[str]]:
+    """Return the data for the search, the records among them, and notes on the files that were left out."""
     if not isinstance(path, str | os.PathLike):
         given = next((name for name, value in reading.of_records.items() if value is not None), None)
         if given is not None:
             raise InputError(f"`{given}` is for files, and these records are read already; give it to `read_records`.")
-        return path, path if isinstance(path, Sequence) and not isinstance(path, str) else ()
+        return path, path if isinstance(path, Sequence) and not isinstance(path, str) else (), []
     if reading.is_table:
-        return measure(path, reading, measuring).backbones, ()
-    from ..measurement.reading.records import read_records
+        return measure(path, reading, measuring).backbones, (), []
+    from ..measurement.reading.records import read_record_files
 
-    records = read_records(path, **reading.of_records)
-    assumed = describe_reading(records)
+    files = read_record_files(path, strict=measuring.strict, **reading.of_records)
+    assumed = describe_reading(files.records)
     if assumed:
         say(assumed + "\n")
-    return records, records
+    from ..measurement.extraction import LEFT_OUT
+
+    return files.records, files.records, [f"{LEFT_OUT}{sentence}" for sentence in files.refused]
 
 
 OPTIONS = {"is_table": "backbones", "random_seed": "seed"}

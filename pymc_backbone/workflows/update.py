@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,7 +19,7 @@ from .._common.options import settings_of
 from ..inference.options import Comparing, Keeping, Modelling, Sampling
 from ..measurement.options import Measuring
 from ..measurement.reading.options import Reading
-from ..reporting.output_folder import REPORT, package_version, prepare_output, read_result, write_results
+from ..reporting.output_folder import REPORT, claimed_output, package_version, read_result, write_results
 from ..reporting.terminal import compare, describe_batch, describe_result
 from .measure import Measured, Progress, Say, measure, say_reading, say_warnings
 
@@ -107,13 +108,25 @@ def update(
     dict
         What ``result.json`` holds; its keys are `results.RESULT_KEYS`.
     """
-    begin = time.perf_counter()
     reading = Reading() if reading is None else reading
     measuring = Measuring() if measuring is None else measuring
     comparing = Comparing() if comparing is None else comparing
     sampling = Sampling() if sampling is None else sampling
     keeping = Keeping() if keeping is None else keeping
-    folder = _folders(path, output, overwrite, keeping)
+    with _output_of(path, output, overwrite, keeping) as folder:
+        return _update_into(
+            folder, path, modelling, reading, measuring, comparing, sampling, keeping, overwrite=overwrite,
+            command=command, true_values=true_values, progress=progress, say=say,
+        )  # fmt: skip
+
+
+def _update_into(
+    folder: Path | None, path: str | os.PathLike[str], modelling: Modelling, reading: Reading, measuring: Measuring,
+    comparing: Comparing, sampling: Sampling, keeping: Keeping, *, overwrite: bool, command: str,
+    true_values: Mapping[str, FloatArray] | None, progress: Progress | None, say: Say,
+) -> dict[str, Any]:  # fmt: skip
+    """Update into a folder that is ready, or into none."""
+    begin = time.perf_counter()
     sampling = replace(sampling, random_seed=_seed(sampling, keeping))
     oscillator = _oscillator(modelling)
     measured = measure(path, reading, measuring, progress)
@@ -127,7 +140,7 @@ def update(
         "path": path,
         **settings_of(reading, measuring, modelling, comparing, sampling, keeping),
         "likelihood": updated.likelihood,
-        "output": output,
+        "output": folder,
         "overwrite": overwrite,
     }
     result = _result(updated, command, settings)
@@ -228,15 +241,15 @@ def _result(updated: Updated, command: str, settings: Mapping[str, Any]) -> dict
     }
 
 
-def _folders(
+def _output_of(
     path: str | os.PathLike[str], output: str | os.PathLike[str] | None, overwrite: bool, keeping: Keeping
-) -> Path | None:
-    """Return the output folder, made ready; the draws are kept elsewhere."""
-    if output is None:
-        return None
-    if keeping.store is not None and Path(keeping.store).resolve() == Path(output).resolve():
+) -> AbstractContextManager[Path | None]:
+    """Return what makes the output folder ready; the draws are kept elsewhere."""
+    is_same = output is not None and keeping.store is not None
+    if is_same and Path(str(keeping.store)).resolve() == Path(str(output)).resolve():
         raise InputError(f"The store and the output are both {output}; give each a folder of its own.")
-    return prepare_output(output, overwrite or (keeping.resume and _ended_early(output)), records=path)
+    is_rest = output is not None and keeping.resume and _ended_early(output)
+    return claimed_output(output, overwrite or is_rest, records=path)
 
 
 def _seed(sampling: Sampling, keeping: Keeping) -> int:

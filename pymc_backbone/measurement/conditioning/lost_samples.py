@@ -217,7 +217,7 @@ def _confirmed(
     if not abs(off) < _WHOLE + 3.0 * error:
         return None
     # beside it, the same number of cycles without a jump
-    beside = []
+    beside: list[float] = []
     for start in (low - 2 * half, high):
         part = values[max(start, 0) : max(start, 0) + 2 * half + 1]
         if start >= 0 and part.size == 2 * half + 1:
@@ -241,7 +241,7 @@ def _misfit(window: FloatArray, rate: float, at: int, shift: float) -> float:
         # what is too much is not fitted
         keep = (place < at) | (place >= at - shift)
         place, window = place[keep], window[keep]
-        weight = keep.size / max(np.count_nonzero(keep), 1)
+        weight = keep.size / max(int(np.count_nonzero(keep)), 1)
     place = np.where(place >= at, place + shift, place)
     u = 2.0 * place / max(place[-1], 1.0) - 1.0
     columns = [np.ones_like(u), u]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import NoReturn, Protocol
@@ -205,14 +205,14 @@ def find_values(source: Source, reading: Reading) -> list[tuple[Column, str]]:
         return _named_values(source, reading, by_unit)
     found = _found_values(source, reading)
     picked = found if reading.quantity is None else [pair for pair in found if pair[1] == reading.quantity]
-    if len(picked) == 1:
+    if len(picked) == 1 or _is_one_cell(column for column, _ in picked):
         return picked
     of_all = next((item.quantity for item in reading.sensitivities if item.channel is None), None)
     held = reading.quantity or by_unit or (of_all if of_all in QUANTITIES else None)
     if not found and held:
         others = [column for column in source.columns if not is_no_signal(column, reading.time)]
-        if len(others) == 1:
-            return [(others[0], held)]
+        if len(others) == 1 or _is_one_cell(others):
+            return [(column, held) for column in others]
     if not picked:
         expected = (
             f"a column '{reading.quantity}'"
@@ -228,6 +228,12 @@ def find_values(source: Source, reading: Reading) -> list[tuple[Column, str]]:
     names = ", ".join(repr(shorten(column.header)) for column, _ in picked[:9]) + (" ..." if len(picked) > 9 else "")
     option = "`quantity`" if len({held for _, held in picked}) == len(picked) else "`columns`"
     source.fail(f"expected one measured quantity, found {names}; choose with {option}.", source.header_line)
+
+
+def _is_one_cell(columns: Iterable[Column]) -> bool:
+    """Return whether columns are the items of one cell array, which are records of their own."""
+    cells = {column.cell for column in columns}
+    return len(cells) == 1 and "" not in cells
 
 
 def _named_values(source: Source, reading: Reading, by_unit: str | None) -> list[tuple[Column, str]]:

@@ -195,32 +195,94 @@ def read_records(
     ``Acc (g)``, ``angle [deg]``) and SI is assumed, and noted, where none does. A further column ``specimen`` divides a
     file.
     """
-    reading = reading_of(columns, quantity, unit, sampling_rate, sensitivity)
+    options = {"columns": columns, "quantity": quantity, "unit": unit, "sampling_rate": sampling_rate}
+    return list(read_record_files(path, strict=True, sensitivity=sensitivity, **options).records)
+
+
+@dataclass(frozen=True)
+class RecordFiles:
+    """What was read from files.
+
+    Attributes
+    ----------
+    records : tuple of Record
+        Naturally sorted by specimen.
+    refused : tuple of str
+        A sentence for each file that cannot be used.
+    """
+
+    records: tuple[Record, ...]
+    refused: tuple[str, ...] = ()
+
+
+def read_record_files(path: Any, *, strict: bool = False, **options: Any) -> RecordFiles:
+    """Read as `read_records` does; leave out files of a folder that cannot be used, as long as half of them remain.
+
+    Parameters
+    ----------
+    path
+        As in `read_records`.
+    strict : bool, default False
+        Whether the first file that cannot be used ends it.
+    **options
+        ``columns``, ``quantity``, ``unit``, ``sampling_rate``, ``sensitivity``, as in `read_records`.
+
+    Returns
+    -------
+    RecordFiles
+
+    Raises
+    ------
+    InputError
+        When nothing or less than half can be used, or two files hold the same specimen.
+    """
+    names = ("columns", "quantity", "unit", "sampling_rate", "sensitivity")
+    reading = reading_of(*(options.get(name) for name in names))
     records: dict[str, Record] = {}
-    for record in _all_records(path, reading):
-        if record.specimen in records:
-            raise InputError(
-                f"{printable(record.source)}: specimen {shorten(record.specimen)!r} is also in "
-                f"{printable(records[record.specimen].source)}; rename one of them."
-            )
-        records[record.specimen] = record
-    return [records[name] for name in sorted(records, key=natural_key)]
+    refused: list[str] = []
+    sources = _sources(path)
+    for source in sources:
+        try:
+            found = list(_records_of(source, reading))
+        except InputError as error:
+            if strict or len(sources) == 1:
+                raise
+            refused.append(str(error))
+            continue
+        for record in found:
+            if record.specimen in records:
+                raise InputError(
+                    f"{printable(record.source)}: specimen {shorten(record.specimen)!r} is also in "
+                    f"{printable(records[record.specimen].source)}; rename one of them."
+                )
+            records[record.specimen] = record
+    if len(refused) == len(sources):
+        raise InputError(refused[0])
+    if 2 * len(refused) > len(sources):
+        raise InputError(
+            f"{len(refused)} of {len(sources)} files cannot be used, more than half of them; the first: {refused[0]}"
+        )
+    return RecordFiles(tuple(records[name] for name in sorted(records, key=natural_key)), tuple(refused))
 
 
-def _all_records(path: Any, reading: Reading) -> Iterator[Record]:
-    """Yield the records of all files, or of SEP-005 dictionaries."""
-    if isinstance(path, Mapping | list | tuple):
+def _sources(path: Any) -> list[Any]:
+    """Return the files a path stands for, or what holds SEP-005 dictionaries as the only source."""
+    return [path] if isinstance(path, Mapping | list | tuple) else list(list_tables(path, list_recordings))
+
+
+def _records_of(source: Any, reading: Reading) -> Iterator[Record]:
+    """Yield the records of a file, or of SEP-005 dictionaries."""
+    if not isinstance(source, Path):
         where = "SEP-005"
-        channels = channels_of_sep005(path, where)
+        channels = channels_of_sep005(source, where)
         stem = channels[0].name if len(channels) == 1 else ""
         yield from _records_of_channels(Recording(Path(where), tuple(channels)), stem, reading)
         return
-    for file in list_tables(path, list_recordings):
-        recording = read_recording(file)
-        if recording is None:
-            yield from _records_of_table(read_table(file), reading)
-        else:
-            yield from _records_of_channels(recording, file.stem, reading)
+    recording = read_recording(source)
+    if recording is None:
+        yield from _records_of_table(read_table(source), reading)
+    else:
+        yield from _records_of_channels(recording, source.stem, reading)
 
 
 def _records_of_table(table: Table, reading: Reading) -> Iterator[Record]:
