@@ -47,16 +47,12 @@ def say_of(given: argparse.Namespace) -> Callable[[str], None]:
 
 
 @contextmanager
-def extraction_progress(given: argparse.Namespace) -> Iterator[tuple[ProgressBar, Callable[[str], None]]]:
-    """Yield a bar for the extraction of cycles, shown after 2 s, and what prints a line below it."""
-    say_line = say_of(given)
-    with ProgressBar(is_shown=not given.quiet, delay=2.0) as progress:
-
-        def say_below(text: str) -> None:
-            progress.clear()
-            say_line(text)
-
-        yield progress, say_below
+def shown_progress(
+    given: argparse.Namespace, *, delay: float = 0.0
+) -> Iterator[tuple[ProgressBar, Callable[[str], None]]]:
+    """Yield a bar, shown after ``delay`` seconds, and what prints a line below it."""
+    with ProgressBar(is_shown=not given.quiet, delay=delay) as progress:
+        yield progress, progress.below(say_of(given))
 
 
 def print_result(given: argparse.Namespace, result: Any) -> None:

@@ -22,8 +22,7 @@ from ..measurement.options import Measuring
 from ..measurement.reading.options import Reading
 from ..measurement.reading.tables import read_text
 from . import options
-from .common import chosen, print_result, say_of
-from .progress import ProgressBar
+from .common import chosen, print_result, say_of, shown_progress
 
 MOST_NAMED = 3
 CONNECT = 10.0  # seconds to reach a scheduler
@@ -107,12 +106,7 @@ def diagnose_many(given: argparse.Namespace) -> None:
     kinds = (chosen(Reading, given), chosen(Measuring, given), chosen(Sampling, given))
     settings = settings_of(searching_of(given), *kinds)
     say = say_of(given)
-    with _executor(given.dask) as executor, ProgressBar(is_shown=not given.quiet) as progress:
-
-        def say_below(text: str) -> None:
-            progress.clear()
-            say(text)
-
+    with _executor(given.dask) as executor, shown_progress(given) as (progress, say_below):
         survey = diagnose_many(
             given.path,
             mass=given.mass,

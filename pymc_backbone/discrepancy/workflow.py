@@ -166,7 +166,7 @@ def find_missing_effect(
     sampling = None if quick else Sampling(draws, tune, chains, step, seed)
     if sampling is not None:
         say("sampling", 0.0)
-    inference = infer(question.batch, outcome.model, sampling)
+    inference = infer(question.batch, outcome.model, sampling, progress)
     asked = {
         "candidates": list(question.candidates), "max_effects": question.max_effects,
         "tolerance": dict(question.tolerance), "held_out": most, "quick": quick, "step": step, "draws": draws,

@@ -64,6 +64,8 @@ def _extract_into(
 ) -> dict[str, Any]:
     """Extract backbones into a folder that is ready."""
     begin = time.perf_counter()
+    if progress is not None:
+        progress("reading the records", float("nan"))
     measured = measure(path, reading, measuring, progress)
     say_reading(measured, say)
     say(describe_measured(measured.backbones))

@@ -99,7 +99,7 @@ def update(
     true_values : mapping of str to array of float, optional
         Known parameters of the specimens, drawn in the figure of the posterior.
     progress : callable, optional
-        Called with the stage and the fraction done while cycles are extracted.
+        Called with the stage and the fraction done.
     say : callable, optional
         Called with each line of progress; ``print`` by default.
 
@@ -129,12 +129,14 @@ def _update_into(
     begin = time.perf_counter()
     sampling = replace(sampling, random_seed=_seed(sampling, keeping))
     oscillator = _oscillator(modelling)
+    tell = progress or (lambda _stage, _fraction: None)
+    tell("reading the records", float("nan"))
     measured = measure(path, reading, measuring, progress)
     say_reading(measured, say)
     say(describe_batch(measured.backbones))
     say_warnings(measured.notes, say)
     read = time.perf_counter()
-    updated = _infer(oscillator, measured, modelling, comparing, sampling, keeping, say)
+    updated = _infer(oscillator, measured, modelling, comparing, sampling, keeping, say, progress)
     sampled = time.perf_counter()
     settings = {
         "path": path,
@@ -147,6 +149,7 @@ def _update_into(
     say("\n" + describe_result(result))
     if result["interrupted"]:
         say(f"\n{result['interrupted']}")
+    tell("drawing the figures", float("nan"))
     figures = {} if folder is None else _figures(updated, true_values)
     texts = {} if folder is None else {REPORT: _report(result, updated, figures)}
     result["seconds"] = {
@@ -169,8 +172,11 @@ def _infer(
     sampling: Sampling,
     keeping: Keeping,
     say: Say,
+    progress: Progress | None,
 ) -> Updated:
     """Build the model, sample it, and simulate backbones with draws of its posterior."""
+    tell = progress or (lambda _stage, _fraction: None)
+    tell("building the model", float("nan"))
     from ..inference.diagnostics import summarise
     from ..inference.goodness import goodness_of_fit
     from ..inference.model import build_model, likelihood_of
@@ -186,10 +192,11 @@ def _infer(
         f"({sampling.step}, {kind} likelihood) ..."
     )
     kept = settings_of(keeping) if keeping.store is not None else {}
-    posterior = sample(model, **settings_of(sampling), **kept)
+    posterior = sample(model, **settings_of(sampling), **kept, progress=progress)
     if "interrupted" in posterior.attrs and posterior["posterior"].sizes["draw"] < FEWEST_DRAWS:
         say(f"\n{posterior.attrs['interrupted']} These are too few for a summary.")
         raise KeyboardInterrupt
+    tell("comparing the posterior with the measurement", float("nan"))
     fit = goodness_of_fit(
         oscillator,
         measured.backbones,
