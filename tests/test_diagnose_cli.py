@@ -91,7 +91,7 @@ def test_every_option_is_handed_on(capsys, calls, tmp_path):
     given = calls["diagnose"]
     assert isinstance(given.pop("progress"), ProgressBar) and callable(given.pop("say"))
     assert given == {
-        "path": Path("records"), "mass": 1.5, "base": ["cubic_stiffness", "iwan", "freeplay"],
+        "path": Path("records"), "mass": 1.5, "mass_error": 0.0, "base": ["cubic_stiffness", "iwan", "freeplay"],
         "searching": Searching(["jenkins", "bouc_wen"], 2, {"frequency": 0.002, "damping": 0.0}, 1, quick=True),
         "reading": Reading(is_table=True), "measuring": Measuring(levels=8), "sampling": Sampling(10, 0, 2, "slice", 7),
         "output": tmp_path, "overwrite": True,

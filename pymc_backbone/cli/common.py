@@ -83,7 +83,11 @@ def add_model(parser: argparse.ArgumentParser, *, required: bool = True) -> argp
     """Add the group of options of the model, with the mass, and return it."""
     group = parser.add_argument_group("model")
     group.add_argument(
-        "--mass", type=options.number("--mass"), required=required, metavar="M", help="mass [kg], or inertia [kg m^2]"
+        "--mass",
+        type=options.mass,
+        required=required,
+        metavar="M",
+        help="mass [kg], or inertia [kg m^2]; with its standard deviation: 2.3±0.05 (or 2.3+-0.05)",
     )
     return group
 

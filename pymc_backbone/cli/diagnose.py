@@ -121,7 +121,8 @@ def _diagnose(given: argparse.Namespace) -> None:
 
         result = run_diagnosis.diagnose(
             given.path,
-            mass=given.mass,
+            mass=given.mass[0],
+            mass_error=given.mass[1],
             output=given.output,
             base=options.split(given.base),
             searching=searching_of(given),

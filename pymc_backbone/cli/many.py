@@ -96,6 +96,8 @@ def diagnose_many(given: argparse.Namespace) -> None:
     """Run ``diagnose --many``."""
     from ..survey.names import structures_of
 
+    if given.mass is not None and given.mass[1]:
+        raise InputError("a mass with its deviation is for one structure: give --mass without it, or drop --many.")
     names = list(structures_of(given.path, given.output))
     each = {} if given.structures is None else read_structures(given.structures, names)
     if given.dask is not None and given.workers is not None:
@@ -109,7 +111,7 @@ def diagnose_many(given: argparse.Namespace) -> None:
     with _executor(given.dask) as executor, shown_progress(given) as (progress, say_below):
         survey = diagnose_many(
             given.path,
-            mass=given.mass,
+            mass=None if given.mass is None else given.mass[0],
             base=options.split(given.base),
             each=each,
             executor=executor,

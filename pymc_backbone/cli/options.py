@@ -63,6 +63,19 @@ def band(text: str) -> tuple[float, float]:
     return low, high
 
 
+def mass(text: str) -> tuple[float, float]:
+    """Read a mass, or a mass with its standard deviation such as 2.3±0.05 or 2.3+-0.05."""
+    value, sign, rest = next(
+        (parts for parts in (text.partition(sign) for sign in ("±", "+-", "+/-")) if parts[1]), (text, "", "")
+    )
+    number, error = _float(value), _float(rest) if sign else 0.0
+    if number is None or error is None or error < 0.0 or (sign and error == 0.0):
+        raise argparse.ArgumentTypeError(f"expected a mass such as 2.3, or 2.3±0.05 with its deviation, got {text!r}")
+    if error > number:
+        raise argparse.ArgumentTypeError(f"expected a deviation below the mass itself, got {text!r}")
+    return number, error
+
+
 def amplitude(text: str) -> float:
     """Read an amplitude of displacement in m or rad, or with its unit, such as 0.2 mm."""
     value = _float(text)

@@ -179,10 +179,11 @@ def _extract(given: argparse.Namespace) -> None:
 def _update(given: argparse.Namespace) -> None:
     hush_libraries(given.quiet)
     modelling = Modelling(
-        given.mass,
+        given.mass[0],
         options.split(given.effects),
         options.once("--prior", given.priors),
         options.once("--fix", given.fixed),
+        given.mass[1],
     )
     with shown_progress(given, delay=1.5) as (progress, say):
         from ..workflows import update as run

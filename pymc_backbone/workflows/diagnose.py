@@ -9,7 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .._common.checks import InputError
+import numpy as np
+
+from .._common.checks import InputError, check_positive
 from .._common.options import settings_of
 from ..discrepancy.options import Searching
 from ..inference.options import Sampling
@@ -22,7 +24,7 @@ from .measure import Progress, Say, measure, say_warnings
 if TYPE_CHECKING:
     import xarray as xr
 
-    from ..discrepancy.study import Study
+    from ..discrepancy.study import Estimate, Study
     from ..measurement.reading.records import Record
 
     Data = str | os.PathLike[str] | Sequence[Record] | xr.Dataset
@@ -34,6 +36,7 @@ def diagnose(
     path: Data,
     *,
     mass: float,
+    mass_error: float = 0.0,
     output: str | os.PathLike[str] | None,
     base: Sequence[str] = (),
     searching: Searching | None = None,
@@ -52,6 +55,8 @@ def diagnose(
         File or folder of records, or of backbone tables; or records or a Dataset of backbones.
     mass : float
         Mass [kg], or inertia [kg m^2] for a rotation.
+    mass_error : float, optional
+        Its standard deviation, which goes into those of the parameters that go with the mass.
     output : path-like or None
         Output folder; None: nothing is written.
     base : sequence of str, optional
@@ -81,13 +86,14 @@ def diagnose(
     with claimed_output(output, overwrite, records=path):
         return _diagnosed(
             path, mass, output, base, searching, reading, measuring, sampling, overwrite=overwrite, progress=progress,
-            say=say,
+            say=say, mass_error=mass_error,
         )  # fmt: skip
 
 
 def _diagnosed(
     path: Data, mass: float, output: str | os.PathLike[str] | None, base: Sequence[str], searching: Searching,
     reading: Reading, measuring: Measuring, sampling: Sampling, *, overwrite: bool, progress: Progress | None, say: Say,
+    mass_error: float,
 ) -> dict[str, Any]:  # fmt: skip
     """Diagnose into a folder that is ready."""
     from ..oscillator import Oscillator
@@ -101,6 +107,8 @@ def _diagnosed(
 
     study = find_missing_effect(oscillator, data, progress=progress, **settings)
     study = replace(study, notes=(*left_out, *study.notes))
+    if mass_error:
+        study = with_uncertain_mass(study, mass_error)
     from ..reporting.study_files import study_entries, write_study
 
     if output is None:
@@ -111,7 +119,7 @@ def _diagnosed(
     command = ""
     if isinstance(path, str | os.PathLike):
         chosen = (searching, reading, measuring, replace(sampling, random_seed=study.seed))
-        command = command_line(path, mass, base, settings_of(*chosen), output, overwrite=overwrite)
+        command = command_line(path, (mass, mass_error), base, settings_of(*chosen), output, overwrite=overwrite)
     folder = Path(output)
     write_study(study, folder, overwrite=overwrite, command=command, records=records)
     _say_study(study, say)
@@ -144,6 +152,38 @@ def _read(path: Data, reading: Reading, measuring: Measuring, say: Say) -> tuple
     return files.records, files.records, [f"{LEFT_OUT}{sentence}" for sentence in files.refused]
 
 
+def with_uncertain_mass(study: Study, mass_error: float) -> Study:
+    """Return a study whose parameters hold the uncertainty of the mass they go with.
+
+    A decay shows forces over mass: which effect is missing does not depend on the mass, but every parameter of a force
+    is as uncertain as the mass, beside what the decays leave open.
+    """
+    check_positive("mass_error", mass_error)
+    oscillator = study.extended or study.base
+    mass, powers = oscillator.mass, oscillator.mass_exponents
+    relative = mass_error / mass
+
+    def widened(name: str, estimate: Estimate) -> Estimate:
+        own = estimate.sd
+        sd = float(np.hypot(own, powers.get(name, 0.0) * relative * estimate.mean))
+        if not sd > own:
+            return estimate
+        # skew intervals keep their skewness: each side grows by what the mass adds to it
+        added = 1.96 * abs(powers[name] * relative * estimate.mean)
+        low, high = (float(np.hypot(end - estimate.mean, added)) for end in (estimate.hdi_low, estimate.hdi_high))
+        return replace(estimate, sd=sd, hdi_low=estimate.mean - low, hdi_high=estimate.mean + high)
+
+    parameters = {
+        effect: {name: widened(name, estimate) for name, estimate in group.items()}
+        for effect, group in study.parameters.items()
+    }
+    note = (
+        f"the mass is {mass:g} +- {mass_error:g}: standard deviations and intervals of parameters that go with it hold "
+        f"its {relative:.2%}; posterior.nc and the figures of draws are for {mass:g}"
+    )
+    return replace(study, parameters=parameters, notes=(*study.notes, note))
+
+
 OPTIONS = {"is_table": "backbones", "random_seed": "seed"}
 """Options of the command line that have another name than the setting."""
 REPEATED = ("sensitivity",)
@@ -152,7 +192,7 @@ REPEATED = ("sensitivity",)
 
 def command_line(
     path: str | os.PathLike[str],
-    mass: float,
+    mass: float | tuple[float, float],
     base: Sequence[str],
     settings: Mapping[str, Any],
     output: str | os.PathLike[str],
@@ -168,7 +208,9 @@ def command_line(
     "pymc-backbone diagnose 'my records' --mass 1.2 --base freeplay --seed 4 --levels 0.1,0.2 --backbones --out out"
     """
     defaults = settings_of(Searching(), Reading(), Measuring(), Sampling())
-    words = ["pymc-backbone", "diagnose", str(path), "--mass", f"{mass:.15g}"]
+    value, error = mass if isinstance(mass, tuple) else (mass, 0.0)
+    weight = f"{value:.15g}" + (f"+-{error:.15g}" if error else "")
+    words = ["pymc-backbone", "diagnose", str(path), "--mass", weight]
     for name, value in {"base": list(base) or None, **settings}.items():
         if value is None or value is False or value == defaults.get(name):
             continue

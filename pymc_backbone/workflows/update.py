@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from ..oscillator import Oscillator
 
 MOST_PAIRED = 6  # parameters against each other in one figure; ArviZ draws no more than 40 panels
+MASS = "mass"
 FEWEST_DRAWS = 20  # of a run that was ended early; nothing can be said from fewer
 
 
@@ -50,6 +51,7 @@ class Updated:
     predictive: xr.Dataset
     table: pd.DataFrame
     """What `summarise` says of each parameter."""
+    mass_error: float = 0.0
 
     @property
     def names(self) -> list[str]:
@@ -186,7 +188,14 @@ def _infer(
     kind = likelihood_of(measured.backbones, comparing.likelihood)
     bounds = _bounds(oscillator, measured, modelling)
     chosen = {**settings_of(comparing), "likelihood": kind}
-    model = build_model(oscillator, measured.backbones, bounds=bounds, fixed=dict(modelling.fixed), **chosen)
+    model = build_model(
+        oscillator,
+        measured.backbones,
+        bounds=bounds,
+        fixed=dict(modelling.fixed),
+        mass_error=modelling.mass_error,
+        **chosen,
+    )
     say(
         f"\n{oscillator.equation}\n\nSampling {sampling.chains} chains of {sampling.tune} + {sampling.draws} draws "
         f"({sampling.step}, {kind} likelihood) ..."
@@ -197,12 +206,13 @@ def _infer(
         say(f"\n{posterior.attrs['interrupted']} These are too few for a summary.")
         raise KeyboardInterrupt
     tell("comparing the posterior with the measurement", float("nan"))
+    nominal, fixed = _at_nominal_mass(posterior, oscillator, modelling)
     fit = goodness_of_fit(
         oscillator,
         measured.backbones,
-        posterior,
+        nominal,
         bounds,
-        fixed=modelling.fixed,
+        fixed=fixed,
         likelihood=kind,
         random_seed=sampling.random_seed,
     )
@@ -216,8 +226,27 @@ def _infer(
         posterior=posterior,
         fit=fit,
         predictive=_predictive(fit, measured.backbones),
-        table=summarise(posterior, [name for name in bounds if name in posterior["posterior"]]),
+        table=summarise(posterior, [name for name in (MASS, *bounds) if name in posterior["posterior"]]),
+        mass_error=modelling.mass_error,
     )
+
+
+def _at_nominal_mass(
+    posterior: xr.DataTree, oscillator: Oscillator, modelling: Modelling
+) -> tuple[xr.DataTree, dict[str, float]]:
+    """Return the posterior as the oscillator with its one mass would have it, and what is fixed in all its draws."""
+    from ..inference.model import NOMINAL
+
+    fixed = dict(modelling.fixed)
+    if MASS not in posterior["posterior"]:
+        return posterior, fixed
+    draws = posterior["posterior"].to_dataset()
+    powers = oscillator.mass_exponents
+    goes_with_mass = {name: draws[f"{NOMINAL}{name}"] for name in powers if f"{NOMINAL}{name}" in draws}
+    for name in [name for name in fixed if powers[name]]:
+        goes_with_mass[name] = fixed.pop(name) * (oscillator.mass / draws[MASS]) ** powers[name]
+    kept = draws.drop_vars([MASS, *(f"{NOMINAL}{name}" for name in powers if f"{NOMINAL}{name}" in draws)])
+    return xr.DataTree.from_dict({"posterior": kept.assign(goes_with_mass)}), fixed
 
 
 def _result(updated: Updated, command: str, settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -232,10 +261,11 @@ def _result(updated: Updated, command: str, settings: Mapping[str, Any]) -> dict
         "seed": settings["random_seed"],
         "equation": oscillator.equation,
         "mass": oscillator.mass,
+        "mass_error": updated.mass_error,
         "effects": [effect.name for effect in oscillator.effects],
         "density": None if updated.density is None else updated.density.description,
         **updated.measured.entries(),
-        "parameters": _parameters(updated.table, oscillator, updated.bounds),
+        "parameters": _parameters(updated),
         "fixed": dict(updated.fixed),
         "comparison": compare(updated.measured.backbones, updated.predictive),
         "interrupted": posterior.attrs.get("interrupted"),
@@ -333,17 +363,22 @@ def _remedy(updated: Updated) -> str:
     return f"run `pymc-backbone diagnose --base {' '.join(base)}` with the same records to find what is missing"
 
 
-def _parameters(
-    table: pd.DataFrame, oscillator: Oscillator, bounds: Mapping[str, tuple[float, float]]
-) -> dict[str, dict[str, Any]]:
+def _parameters(updated: Updated) -> dict[str, dict[str, Any]]:
     entries = {}
-    for label, row in table.iterrows():
+    mass = updated.oscillator.mass
+    is_rotation = updated.measured.amplitude_unit == "rad"
+    # of a prior that is no interval the central 95 % are given
+    bounds = {
+        **updated.bounds, MASS: (max(mass - 1.96 * updated.mass_error, 0.0), mass + 1.96 * updated.mass_error)
+    }  # fmt: skip
+    units = {**updated.oscillator.units, MASS: "kg m^2" if is_rotation else "kg"}
+    for label, row in updated.table.iterrows():
         name = str(label).partition("[")[0]
         low, high = bounds[name]
         kept = ("mean", "sd", "hdi_low", "hdi_high", "r_hat", "ess_bulk", "ess_tail")
         entries[str(label)] = {
             **{key: float(row[key]) for key in kept},
-            "unit": oscillator.units[name],
+            "unit": units[name],
             "prior_low": float(low),
             "prior_high": float(high),
         }
