@@ -1,4 +1,4 @@
-"""A mass that is known to so much only: a variable of the model, and a part of what is said of stiffness and damping."""
+"""A mass that is known to so much only: a variable of the model, and a part of what is said of stiffness."""
 
 from __future__ import annotations
 
@@ -58,16 +58,18 @@ def test_parameters_go_with_the_mass_as_they_say(name: str) -> None:
     effect = LIBRARY[name]
     assert effect.signature is not None
     values = {"linear_stiffness": 400.0, "viscous_damping": 0.2}
-    values |= dict(zip(effect.parameter_names, effect.signature.typical(1.0, 0.01, 20.0), strict=True))
+    values |= dict(zip(effect.parameter_names, effect.signature.typical(1.0, 1.0, 20.0), strict=True))
     powers = light.mass_exponents
     heavy = {key: value * 2.0 ** powers[key] for key, value in values.items()}
-    options = {"release_amplitude": 0.012}
-    one = simulate_backbone(light, values, LEVELS, **options).values
-    other = simulate_backbone(Oscillator(2.0, name), heavy, LEVELS, **options).values
+    options = {"release_amplitude": 1.2}
+    one = simulate_backbone(light, values, 100.0 * LEVELS, **options).values
+    other = simulate_backbone(Oscillator(2.0, name), heavy, 100.0 * LEVELS, **options).values
     np.testing.assert_allclose(other, one, rtol=1e-7, atol=1e-9)
     assert np.isfinite(one).any()
     without = {key: value * (1.0 if key in effect.parameter_names else 2.0) for key, value in values.items()}
-    assert not np.allclose(simulate_backbone(Oscillator(2.0, name), without, LEVELS, **options).values, one, rtol=1e-5)
+    assert not np.allclose(
+        simulate_backbone(Oscillator(2.0, name), without, 100.0 * LEVELS, **options).values, one, rtol=1e-5
+    )
 
 
 def run(tmp_path, mass_error: float, fixed: dict[str, float] | None = None) -> dict:

@@ -21,7 +21,7 @@ _PER_CYCLE = 8
 _REACHES = ((4, 4), (2, 4), (4, 2), (2, 2))
 _FAR, _SHARPEST = 4.0, 0.4
 """What makes a step of the tracked phase worth a look: standard errors from zero, and intervals it is known to."""
-_TRIES = 5
+_TRIES = 3
 _GAIN = 20.0
 """Logarithm of the likelihood ratio over the best other number of samples."""
 _WHOLE = 0.1
@@ -179,14 +179,27 @@ def _confirmed(
     values: FloatArray, sampling_rate: float, path: Track, place: float, shift: float, interval: float
 ) -> Jump | None:
     """Return the jump near a place that the samples themselves show, or None."""
-    cycle = float(np.interp(place + 1.0 / path.frequency, path.time, path.time)) - place
-    cycle = max(cycle, 0.5 / path.frequency)
     centre, half = round(place * sampling_rate), int(_CONFIRM * sampling_rate / path.frequency)
     low, high = max(0, centre - half), min(values.size, centre + half + 1)
     if high - low < 1.5 * half:
         return None
     rate = 2.0 * np.pi * path.frequency / sampling_rate
     window = values[low:high]
+    freedom = window.size - _width()
+    floor = np.finfo(float).eps ** 2 * float(window @ window)
+    # beside it, the same number of cycles without a jump
+    beside: list[float] = []
+    for start in (low - 2 * half, high):
+        part = values[max(start, 0) : max(start, 0) + 2 * half + 1]
+        if start >= 0 and part.size == 2 * half + 1:
+            beside.append(_misfit(part, rate, part.size, 0.0) / (part.size - _width()))
+    without = _misfit(window, rate, window.size, 0.0)
+    if not beside:
+        return None
+    # what no jump can gain is not searched for: it leaves the noise of the quieter neighbour, four deviations aside
+    noise = max(min(beside) * max(1.0 - 4.0 * np.sqrt(2.0 / freedom), 0.1), floor)
+    if 0.5 * freedom * np.log(max(without / freedom, floor) / noise) < _GAIN:
+        return None
     moved = shift * sampling_rate
     reach = int(1.25 * sampling_rate / path.frequency)
     bounds = (max(low + 4, centre - reach), min(high - 4, centre + reach))
@@ -202,12 +215,9 @@ def _confirmed(
             misfits = np.concatenate([misfits, [_misfit(window, rate, int(at) - low, moved) for at in extra]])
             stride = finer
     best = int(candidates[int(np.argmin(misfits))])
-    freedom = window.size - _width()
     least = float(misfits.min())
     one = interval * sampling_rate
     others = [_misfit(window, rate, best - low, moved + extra * one) for extra in (-1.0, 1.0)]
-    without = _misfit(window, rate, window.size, 0.0)
-    floor = np.finfo(float).eps ** 2 * float(window @ window)
     gain = 0.5 * freedom * np.log(max(min(without, *others), floor) / max(least, floor))
     if gain < _GAIN:
         return None
@@ -216,13 +226,7 @@ def _confirmed(
     off, error = 0.5 * (others[0] - others[1]) / bend, np.sqrt(2.0 * least / freedom / bend)
     if not abs(off) < _WHOLE + 3.0 * error:
         return None
-    # beside it, the same number of cycles without a jump
-    beside: list[float] = []
-    for start in (low - 2 * half, high):
-        part = values[max(start, 0) : max(start, 0) + 2 * half + 1]
-        if start >= 0 and part.size == 2 * half + 1:
-            beside.append(_misfit(part, rate, part.size, 0.0) / (part.size - _width()))
-    if not beside or least / freedom > _AS_GOOD * max(*beside, floor):
+    if least / freedom > _AS_GOOD * max(*beside, floor):
         return None
     scale = max(least / freedom, floor)
     likely = candidates[misfits < misfits.min() + 4.0 * scale]
