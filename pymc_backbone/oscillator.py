@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import importlib
+import math
 import re
 import sys
 from collections.abc import Iterable, Mapping
@@ -124,6 +125,25 @@ class Oscillator:
         if parameter_name not in names:
             raise InputError(f"the oscillator has {', '.join(names)}; got {_unknown([parameter_name], names)}.")
         return names.index(parameter_name)
+
+    @property
+    def mass_exponents(self) -> dict[str, float]:
+        """Power of the mass with which each parameter goes where the motion stays the same.
+
+        Forces are proportional to the parameters that hold them, and a free decay shows forces over mass: of a
+        stiffness 1, of a gap 0. Read from the default bounds, which are scaled with the mass.
+
+        Examples
+        --------
+        >>> Oscillator(2.0, "freeplay").mass_exponents
+        {'linear_stiffness': 1.0, 'viscous_damping': 1.0, 'contact_stiffness': 1.0, 'gap': 0.0}
+        """
+        result = {}
+        for parameter in self.parameters:
+            pairs = zip(parameter.bounds(self.mass, 1.0, 1.0), parameter.bounds(2.0 * self.mass, 1.0, 1.0), strict=True)
+            powers = [math.log2(heavy / light) for light, heavy in pairs if light != 0.0 and heavy / light > 0.0]
+            result[parameter.name] = round(float(powers[-1]), 9) if powers else 0.0
+        return result
 
     def default_bounds(self, amplitude: float, angular_frequency: float) -> dict[str, tuple[float, float]]:
         """Return bounds of a Uniform prior for each parameter, scaled with the record.

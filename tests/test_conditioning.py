@@ -180,7 +180,7 @@ def test_missing_samples_are_found_among_jitter(rng: np.random.Generator) -> Non
     keep[[300, 700, 701, 1500]] = False
     values = make_interp_spline(time, x, k=5)(np.clip(jittered, 0.0, time[-1]))
     decay = condition(record(jittered[keep], values[keep]))
-    assert any("4 missing sample(s) in 3 gap(s)" in note for note in decay.notes)
+    assert any("4 missing samples in 3 gaps" in note for note in decay.notes)
     assert decay.sampling_rate == pytest.approx(600.0, rel=1e-3)
 
 
@@ -191,7 +191,7 @@ def test_a_few_missing_samples_are_interpolated_and_many_are_refused() -> None:
     decay = condition(record(time[keep], x[keep]))
     assert is_uniform(decay.time)
     np.testing.assert_allclose(decay.displacement, x[: decay.time.size], atol=1e-4)
-    assert any("4 missing sample(s) in 3 gap(s)" in note for note in decay.notes)
+    assert any("4 missing samples in 3 gaps" in note for note in decay.notes)
     keep[500:530] = False
     with pytest.raises(
         InputError, match=r"s: samples are missing between 0\.83166\d* and 0\.88333\d* s.*stop=.*start="

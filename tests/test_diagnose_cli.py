@@ -91,7 +91,7 @@ def test_every_option_is_handed_on(capsys, calls, tmp_path):
     given = calls["diagnose"]
     assert isinstance(given.pop("progress"), ProgressBar) and callable(given.pop("say"))
     assert given == {
-        "path": Path("records"), "mass": 1.5, "base": ["cubic_stiffness", "iwan", "freeplay"],
+        "path": Path("records"), "mass": 1.5, "mass_error": 0.0, "base": ["cubic_stiffness", "iwan", "freeplay"],
         "searching": Searching(["jenkins", "bouc_wen"], 2, {"frequency": 0.002, "damping": 0.0}, 1, quick=True),
         "reading": Reading(is_table=True), "measuring": Measuring(levels=8), "sampling": Sampling(10, 0, 2, "slice", 7),
         "output": tmp_path, "overwrite": True,
@@ -207,7 +207,7 @@ def test_bar_on_a_terminal_is_one_line_and_goes_away():
 
 def test_time_left_is_estimated_once_there_is_something_to_go_by(monkeypatch):
     now = [0.0]
-    monkeypatch.setattr("pymc_backbone.cli.progress.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("pymc_backbone._common.progress.time.monotonic", lambda: now[0])
     stream = Terminal()
     with ProgressBar(stream) as bar:
         for at, share in ((0.0, 0.0), (1.0, 0.1), (10.0, 0.25), (20.0, 0.5)):
@@ -216,7 +216,7 @@ def test_time_left_is_estimated_once_there_is_something_to_go_by(monkeypatch):
         now[0] = 40.0
         bar("sampling", 0.5)  # a stage of its own, of which nothing is known yet
     drawn = stream.getvalue().split("\r\x1b[K")
-    assert [text.partition("about ")[2] for text in drawn if text] == ["", "", "0:30 left", "0:20 left", ""]
+    assert [text.partition("about ")[2] for text in drawn if text] == ["", "", "0:45 left", "0:20 left", ""]
     silent = Terminal()
     with ProgressBar(silent, is_shown=False) as bar:
         bar("pairs", 0.5)
@@ -232,7 +232,7 @@ def test_time_left_is_estimated_once_there_is_something_to_go_by(monkeypatch):
 
 def test_lines_now_and_then_where_there_is_no_terminal(monkeypatch):
     now = [100.0]
-    monkeypatch.setattr("pymc_backbone.cli.progress.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("pymc_backbone._common.progress.time.monotonic", lambda: now[0])
     stream = io.StringIO()
     with ProgressBar(stream) as bar:
         for step in range(100):

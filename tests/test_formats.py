@@ -434,7 +434,7 @@ def test_sep005_dictionaries_are_as_its_own_check_wants_them(tmp_path: Path) -> 
         ({"data": VALUES + 1j}, ("complex",)),
         ({"time": None, "fs": 0}, ("fs must be a positive number",)),
         ({"name": 3}, ("name must hold a text",)),
-        ({"unit_str": "V"}, ("'V'", "displacement")),
+        ({"unit_str": "V"}, ("is a voltage (V)", "`sensitivity`")),
         ({"quantity": "f"}, ("found 'tip'",)),
     ],
 )

@@ -254,7 +254,7 @@ def test_a_bad_line_is_named(tmp_path: Path, line: str, words: tuple[str, ...]) 
         ("foo,displacement", ("line 1", "'time'", "found 'foo', 'displacement'")),
         ("time,displacement,time [s]", ("line 2", "expected 3")),
         ("0.0,1.0", ("line 1", "header line", "numbers")),
-        ("time,displacement [V]", ("'V'", "known unit of displacement")),
+        ("time,displacement [V]", ("'displacement [V]'", "is a voltage", "`sensitivity`")),
         ("time [furlong],displacement", ("'furlong'", "known unit of time")),
         ("time,velocity [mm]", ("'mm'", "Did you mean 'mm/s'")),
         ("time", ("line 2", "expected 1")),

@@ -14,7 +14,6 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pymc as pm
@@ -23,7 +22,6 @@ import pytest
 from pymc_backbone import InputError, build_model, fit_density, sample
 from pymc_backbone._common import atomic_files
 from pymc_backbone._common.atomic_files import replacing
-from pymc_backbone.inference import sampling
 from pymc_backbone.inference.store import lock as _store_lock
 from pymc_backbone.inference.store import recorder
 from pymc_backbone.inference.store import run_folder as store
@@ -569,19 +567,6 @@ def test_at_most_a_hundred_draws_or_ten_seconds_are_lost(seconds, draws, monkeyp
     for _ in range(2 * draws + 1):
         step.step({})
     assert written == [draws, draws, 1]  # the last one with the end of the chain
-
-
-def test_time_left_counts_the_draws_that_took_time(monkeypatch, caplog):
-    now = 0.0
-    monkeypatch.setattr(sampling, "time", SimpleNamespace(monotonic=lambda: now))
-    report = sampling._Reporter(100, repeated=50)
-    with caplog.at_level(logging.INFO, "pymc_backbone"):
-        for _ in range(50):
-            report()
-        for _ in range(10):
-            now += 2.0
-            report()
-    assert "58 of 100 draws, about 84 s left" in caplog.text  # 42 draws at 2 s, said after 16 s
 
 
 def test_growing_lists_are_written_by_their_ends(rng):

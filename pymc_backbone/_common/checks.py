@@ -54,6 +54,18 @@ def check_levels(levels: ArrayLike, name: str = "levels") -> FloatArray:
     return array
 
 
+LARGEST_AMPLITUDE, SLOWEST, FASTEST = 1e6, 1e-7, 1e12
+
+
+def check_motion(amplitude: float, frequency: float, unit: str, name: str) -> None:
+    """Raise `InputError` where amplitude [m or rad] or frequency [Hz] are those of no structure at all."""
+    if amplitude > LARGEST_AMPLITUDE or not SLOWEST < frequency < FASTEST:
+        raise InputError(
+            f"{name}: an amplitude of {amplitude:.3g} {unit} at {frequency:.3g} Hz is no motion of a structure; check "
+            "the units of time and of the measured quantity, and the sampling rate."
+        )
+
+
 def check_positive(name: str, value: Any) -> float:
     """Return ``value`` as a positive finite float, or raise `InputError`."""
     try:

@@ -20,7 +20,7 @@ def pick[Options: DataclassInstance](kind: type[Options], settings: Mapping[str,
     --------
     >>> from pymc_backbone.measurement.options import Measuring
     >>> pick(Measuring, {"levels": 8, "draws": 100})
-    Measuring(band=None, start=None, stop=None, levels=8, observables=None, strict=False)
+    Measuring(band=None, start=None, stop=None, levels=8, observables=None, strict=False, floor=None)
     """
     return kind(**{name: settings[name] for name in names_of(kind) if name in settings})
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from .._common.quiet import hush_libraries
 from . import options
-from .common import add_output, add_talk, print_result, say_of
+from .common import add_output, add_talk, print_result, shown_progress
 
 NAMES = ("1", "2", "3", "4", "5", "single", "beam", "all")
 LIKELIHOODS = ("product", "joint", "data_consistent", "all")
@@ -76,20 +76,22 @@ def add_cases(commands: Any) -> None:
 
 def _cases(given: argparse.Namespace) -> None:
     hush_libraries(given.quiet)
-    from ..paper.run_cases import run_cases
+    with shown_progress(given) as (progress, say):
+        from ..paper.run_cases import run_cases
 
-    records = run_cases(
-        given.names,
-        given.likelihood,
-        output=given.output,
-        overwrite=given.overwrite,
-        say=say_of(given),
-        workers=given.workers,
-        specimens=given.specimens,
-        draws=given.draws,
-        tune=given.tune,
-        chains=given.chains,
-        observables=given.observables,
-        random_seed=given.random_seed,
-    )
+        progress("running the cases", float("nan"))
+        records = run_cases(
+            given.names,
+            given.likelihood,
+            output=given.output,
+            overwrite=given.overwrite,
+            say=say,
+            workers=given.workers,
+            specimens=given.specimens,
+            draws=given.draws,
+            tune=given.tune,
+            chains=given.chains,
+            observables=given.observables,
+            random_seed=given.random_seed,
+        )
     print_result(given, records)

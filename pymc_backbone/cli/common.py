@@ -47,16 +47,12 @@ def say_of(given: argparse.Namespace) -> Callable[[str], None]:
 
 
 @contextmanager
-def extraction_progress(given: argparse.Namespace) -> Iterator[tuple[ProgressBar, Callable[[str], None]]]:
-    """Yield a bar for the extraction of cycles, shown after 2 s, and what prints a line below it."""
-    say_line = say_of(given)
-    with ProgressBar(is_shown=not given.quiet, delay=2.0) as progress:
-
-        def say_below(text: str) -> None:
-            progress.clear()
-            say_line(text)
-
-        yield progress, say_below
+def shown_progress(
+    given: argparse.Namespace, *, delay: float = 0.0
+) -> Iterator[tuple[ProgressBar, Callable[[str], None]]]:
+    """Yield a bar, shown after ``delay`` seconds, and what prints a line below it."""
+    with ProgressBar(is_shown=not given.quiet, delay=delay) as progress:
+        yield progress, progress.below(say_of(given))
 
 
 def print_result(given: argparse.Namespace, result: Any) -> None:
@@ -87,7 +83,11 @@ def add_model(parser: argparse.ArgumentParser, *, required: bool = True) -> argp
     """Add the group of options of the model, with the mass, and return it."""
     group = parser.add_argument_group("model")
     group.add_argument(
-        "--mass", type=options.number("--mass"), required=required, metavar="M", help="mass [kg], or inertia [kg m^2]"
+        "--mass",
+        type=options.mass,
+        required=required,
+        metavar="M",
+        help="mass [kg], or inertia [kg m^2]; with its standard deviation: 2.3±0.05 (or 2.3+-0.05)",
     )
     return group
 
@@ -127,6 +127,13 @@ def add_measurement(parser: argparse.ArgumentParser, *, observables: bool = True
         metavar="HZ",
         help="samples per second; replaces the file's times (default: the file's)",
     )
+    reading.add_argument(
+        "--sensitivity",
+        action="append",
+        metavar="S",
+        help="of the sensor, where a channel is in volts, such as '10.2 mV/g', '2.25 mV/N' (of a hammer), or "
+        "'acc_x=10.2 mV/g' for one channel; may be repeated",
+    )
     group = parser.add_argument_group("measurement")
     group.add_argument(
         "--band", type=options.band, metavar="LO:HI", help="keep this frequency band [Hz]; for a second mode"
@@ -135,6 +142,12 @@ def add_measurement(parser: argparse.ArgumentParser, *, observables: bool = True
         "--start", type=options.number("--start"), metavar="S", help="release at this time [s], instead of finding it"
     )
     group.add_argument("--stop", type=options.number("--stop"), metavar="S", help="use the record up to this time [s]")
+    group.add_argument(
+        "--floor",
+        type=options.amplitude,
+        metavar="A",
+        help="use the record down to this amplitude, such as '0.2 mm' or '0.5 deg' (m or rad without a unit)",
+    )
     group.add_argument(
         "--levels",
         type=options.levels,

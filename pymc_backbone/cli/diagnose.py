@@ -21,10 +21,9 @@ from .common import (
     add_talk,
     chosen,
     print_result,
-    say_of,
+    shown_progress,
 )
 from .many import add_many, diagnose_many, refuse_without_many, searching_of
-from .progress import ProgressBar
 
 DESCRIPTION = """\
 Find where simulation and measurement disagree, name the missing effect, add it, and show the gap shrink.
@@ -116,19 +115,14 @@ def _run(given: argparse.Namespace) -> None:
 
 
 def _diagnose(given: argparse.Namespace) -> None:
-    from ..workflows import diagnose as run_diagnosis
-
     hush_libraries(given.quiet)
-    say = say_of(given)
-    with ProgressBar(is_shown=not given.quiet) as progress:
-
-        def say_below(text: str) -> None:
-            progress.clear()
-            say(text)
+    with shown_progress(given) as (progress, say):
+        from ..workflows import diagnose as run_diagnosis
 
         result = run_diagnosis.diagnose(
             given.path,
-            mass=given.mass,
+            mass=given.mass[0],
+            mass_error=given.mass[1],
             output=given.output,
             base=options.split(given.base),
             searching=searching_of(given),
@@ -137,6 +131,6 @@ def _diagnose(given: argparse.Namespace) -> None:
             sampling=chosen(Sampling, given),
             overwrite=given.overwrite,
             progress=progress,
-            say=say_below,
+            say=say,
         )
     print_result(given, result)

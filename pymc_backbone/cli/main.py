@@ -243,10 +243,11 @@ def _effect_text(effect: Any) -> str:
 
 
 def _demo(given: argparse.Namespace) -> None:
-    from ..workflows import demo
-
     hush_libraries(given.quiet)
-    result = demo.run_demo(given.output, overwrite=given.overwrite, say=_cli_common.say_of(given))
+    with _cli_common.shown_progress(given, delay=1.5) as (progress, say):
+        from ..workflows import demo
+
+        result = demo.run_demo(given.output, overwrite=given.overwrite, progress=progress, say=say)
     _cli_common.print_result(given, result)
 
 

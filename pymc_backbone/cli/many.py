@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import re
 import shlex
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
@@ -19,9 +20,9 @@ from ..discrepancy.options import Searching
 from ..inference.options import Sampling
 from ..measurement.options import Measuring
 from ..measurement.reading.options import Reading
+from ..measurement.reading.tables import read_text
 from . import options
-from .common import chosen, print_result, say_of
-from .progress import ProgressBar
+from .common import chosen, print_result, say_of, shown_progress
 
 MOST_NAMED = 3
 CONNECT = 10.0  # seconds to reach a scheduler
@@ -33,13 +34,17 @@ COLUMNS: dict[str, Callable[[str], Any]] = {
     "band": options.band,
     "start": options.number("start"),
     "stop": options.number("stop"),
+    "floor": options.amplitude,
     "levels": options.levels,
     "tolerance": options.tolerance,
     "columns": options.columns,
     "quantity": str,
     "unit": str,
     "sampling_rate": options.number("sampling_rate"),
+    "sensitivity": lambda text: [text],
 }
+WITH_COMMAS = ("mass", "band", "start", "stop", "floor", "sampling_rate")
+"""Columns of single numbers, whose commas are decimal where cells are separated by semicolons or tabs."""
 
 
 def add_many(parser: argparse.ArgumentParser) -> None:
@@ -91,6 +96,8 @@ def diagnose_many(given: argparse.Namespace) -> None:
     """Run ``diagnose --many``."""
     from ..survey.names import structures_of
 
+    if given.mass is not None and given.mass[1]:
+        raise InputError("a mass with its deviation is for one structure: give --mass without it, or drop --many.")
     names = list(structures_of(given.path, given.output))
     each = {} if given.structures is None else read_structures(given.structures, names)
     if given.dask is not None and given.workers is not None:
@@ -101,15 +108,10 @@ def diagnose_many(given: argparse.Namespace) -> None:
     kinds = (chosen(Reading, given), chosen(Measuring, given), chosen(Sampling, given))
     settings = settings_of(searching_of(given), *kinds)
     say = say_of(given)
-    with _executor(given.dask) as executor, ProgressBar(is_shown=not given.quiet) as progress:
-
-        def say_below(text: str) -> None:
-            progress.clear()
-            say(text)
-
+    with _executor(given.dask) as executor, shown_progress(given) as (progress, say_below):
         survey = diagnose_many(
             given.path,
-            mass=given.mass,
+            mass=None if given.mass is None else given.mass[0],
             base=options.split(given.base),
             each=each,
             executor=executor,
@@ -140,18 +142,22 @@ def diagnose_many(given: argparse.Namespace) -> None:
 def read_structures(path: Path, names: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Return the settings of single structures, of those named, from a CSV file with a column ``name``.
 
+    Commas, semicolons or tabs separate the cells; with the latter two, numbers may have decimal commas.
+
     Raises
     ------
     InputError
         With the line and the column at fault.
     """
+    if not path.is_file():
+        raise InputError(f"{path}: is no file; check the path.")
+    text, _ = read_text(path, str(path))
+    first = text.partition("\n")[0]
+    separator = next((sign for sign in ";\t" if sign in first), ",")
     try:
-        with path.open(encoding="utf-8-sig", newline="") as stream:
-            rows = list(csv.reader(stream, strict=True, skipinitialspace=True))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); check the path.") from None
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: is not a CSV file in UTF-8 ({error}).") from None
+        rows = list(csv.reader(text.splitlines(), strict=True, skipinitialspace=True, delimiter=separator))
+    except csv.Error as error:
+        raise InputError(f"{path}: is not a CSV file ({error}).") from None
     head = [cell.strip().lower().replace("-", "_") for cell in rows[0]] if rows else []
     if "name" not in head:
         raise InputError(f"{path}, line 1: expected a column 'name', the folder of each structure, and others.")
@@ -170,8 +176,16 @@ def read_structures(path: Path, names: Sequence[str]) -> dict[str, dict[str, Any
         if not name or name in found:
             raise InputError(f"{path}, line {line}: the name {name!r} is {'twice there' if name else 'missing'}.")
         check_choice(f"{path}, line {line}: name", name, names)
-        found[name] = {column: _read(path, line, column, text) for column, text in cells.items() if text}
+        found[name] = {
+            column: _read(path, line, column, _plain(column, text, separator)) for column, text in cells.items() if text
+        }
     return found
+
+
+def _plain(column: str, text: str, separator: str) -> str:
+    """Return a cell with its decimal commas as points, where commas separate neither cells nor numbers."""
+    is_number = column in WITH_COMMAS and separator != ","
+    return re.sub(r"(?<=\d),(?=\d)", ".", text) if is_number else text
 
 
 def _read(path: Path, line: int, column: str, text: str) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import re
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -60,6 +61,34 @@ def band(text: str) -> tuple[float, float]:
     if low < 0.0:
         raise argparse.ArgumentTypeError(f"expected frequencies in Hz, not negative, got {text!r}")
     return low, high
+
+
+def mass(text: str) -> tuple[float, float]:
+    """Read a mass, or a mass with its standard deviation such as 2.3±0.05 or 2.3+-0.05."""
+    value, sign, rest = next(
+        (parts for parts in (text.partition(sign) for sign in ("±", "+-", "+/-")) if parts[1]), (text, "", "")
+    )
+    number, error = _float(value), _float(rest) if sign else 0.0
+    if number is None or error is None or error < 0.0 or (sign and error == 0.0):
+        raise argparse.ArgumentTypeError(f"expected a mass such as 2.3, or 2.3±0.05 with its deviation, got {text!r}")
+    if error > number:
+        raise argparse.ArgumentTypeError(f"expected a deviation below the mass itself, got {text!r}")
+    return number, error
+
+
+def amplitude(text: str) -> float:
+    """Read an amplitude of displacement in m or rad, or with its unit, such as 0.2 mm."""
+    value = _float(text)
+    if value is None:
+        from ..measurement.reading.units import parse_unit
+
+        parts = re.fullmatch(r"\s*([-+0-9.eE]*[0-9.])\s*(\D+)", text)
+        unit = parse_unit(parts[2], "displacement") if parts else None
+        value = _float(parts[1]) if parts else None
+        value = None if value is None or unit is None else value * unit.factor
+    if value is None or not value > 0.0:
+        raise argparse.ArgumentTypeError(f"expected an amplitude such as '0.2 mm' or 0.0002, got {text!r}")
+    return value
 
 
 def levels(text: str) -> int | tuple[float, ...]:

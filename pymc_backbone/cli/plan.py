@@ -8,8 +8,7 @@ from typing import Any
 
 from .._common.quiet import hush_libraries
 from . import options
-from .common import add_talk, print_result, say_of
-from .progress import ProgressBar
+from .common import add_talk, print_result, shown_progress
 
 DESCRIPTION = """\
 Say which test decides where `diagnose` could not: a search over ring-downs that you can afford, from other releases,
@@ -67,22 +66,16 @@ def add_plan(commands: Any) -> None:
 
 
 def _run(given: argparse.Namespace) -> None:
-    from ..discrepancy.design import Affordable
-    from ..workflows import plan as run_plan
-
     hush_libraries(given.quiet)
-    say = say_of(given)
-    affordable = Affordable(
-        given.smallest, given.largest, given.records, given.duration, given.noise, tuple(given.added_masses)
-    )
-    with ProgressBar(is_shown=not given.quiet) as progress:
+    with shown_progress(given) as (progress, say):
+        from ..discrepancy.design import Affordable
+        from ..workflows import plan as run_plan
 
-        def say_below(text: str) -> None:
-            progress.clear()
-            say(text)
-
+        affordable = Affordable(
+            given.smallest, given.largest, given.records, given.duration, given.noise, tuple(given.added_masses)
+        )
         result = run_plan.plan(
             given.folder, affordable=affordable, random_seed=given.random_seed, output=given.output,
-            overwrite=given.overwrite, progress=progress, say=say_below,
+            overwrite=given.overwrite, progress=progress, say=say,
         )  # fmt: skip
     print_result(given, result)

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import shutil
 import sys
-import time
+from collections.abc import Callable
 from typing import TextIO
 
-LINE_EVERY = 15.0  # seconds between lines of one stage where there is no terminal
-DRAW_EVERY = 0.1  # seconds between two drawings of the bar
+from .._common.progress import LINE_EVERY, Progress, clock_of
+
+__all__ = ["LINE_EVERY", "ProgressBar"]
+
+DRAW_EVERY = 0.1  # seconds between two drawings of the bar, ...
+REDRAW_EVERY = 1.0  # ... and those without news, for the clock
 WIDTH = 24
-ESTIMATE_AFTER = 2.0  # seconds of a stage before the time left is estimated
+STARTING = "starting"
 
 
-class ProgressBar:
+class ProgressBar(Progress):
     """Called with the name of the stage and the fraction done, in [0, 1]; use it in a ``with`` block.
 
     Parameters
@@ -27,65 +31,73 @@ class ProgressBar:
 
     Notes
     -----
-    The time left is that of the stage, from the share of it that is done; it is shown once the stage has taken 2 s.
+    The time left is that of the stage, from the share of it that is done; it is shown once the stage has taken 2 s, and
+    where it was as fast lately as on the whole. Something comes within two seconds, and then every ten.
     """
 
     def __init__(self, stream: TextIO | None = None, *, is_shown: bool = True, delay: float = 0.0) -> None:
+        super().__init__(lambda line: self._write(f"{line}\n"), stage=STARTING)
         self.is_shown, self.delay = is_shown, delay
         self.stream = sys.stderr if stream is None else stream
         self.is_terminal = self.stream.isatty()
-        self.begin = time.monotonic()
-        self.last = -LINE_EVERY
-        self.stage = ""
-        self.stage_begin = 0.0
         self.is_drawn = False
-
-    def __call__(self, stage: str, fraction: float) -> None:
-        """Show the stage and how far it is."""
-        now = time.monotonic() - self.begin
-        if not self.is_shown or now < self.delay:
-            return
-        share = min(max(float(fraction), 0.0), 1.0) if fraction == fraction else 0.0
-        if stage == self.stage and now - self.last < (DRAW_EVERY if self.is_terminal else LINE_EVERY):
-            return
-        if stage != self.stage:
-            self.stage_begin = now
-        self.stage, self.last = stage, now
-        left = self._left(share, now)
-        if self.is_terminal:
-            self._draw(stage + left, share, now)
-        else:
-            self._write(f"{share:4.0%}  {stage}  ({_clock(now)}{left})\n")
+        self._drawn: tuple[str, float] = ("", -1.0)
 
     def __enter__(self) -> ProgressBar:
+        if self.is_shown:
+            super().__enter__()
         return self
 
     def __exit__(self, *_: object) -> None:
+        super().__exit__()
         self.clear()
+
+    def __call__(self, stage: str, fraction: float) -> None:
+        """Show the stage and how far it is."""
+        if self.is_shown:
+            super().__call__(stage, fraction)
+
+    def is_due(self, now: float) -> bool:
+        """Return whether it is time to show it again."""
+        if now < self.delay:
+            return False
+        if not self.is_terminal:
+            return super().is_due(now)
+        every = DRAW_EVERY if self._drawn != (self.stage, self.share) else REDRAW_EVERY
+        return now >= every if self.last is None else now - self.last >= every
+
+    def tell(self, now: float) -> None:
+        """Draw the bar, or write a line."""
+        if now < self.delay:
+            return
+        if not self.is_terminal:
+            super().tell(now)
+            return
+        self.last, self._drawn = now, (self.stage, self.share)
+        is_known = self.share == self.share
+        filled = round(WIDTH * self.share) if is_known else 0
+        share = f"{self.share:4.0%}" if is_known else "    "
+        bar = f"[{'#' * filled}{'.' * (WIDTH - filled)}] {share}  {clock_of(now)}  {self.stage}{self.left(now)}"
+        self._write(f"\r\x1b[K{bar[: max(20, shutil.get_terminal_size().columns - 1)]}")
+        self.is_drawn = True
 
     def clear(self) -> None:
         """Take the bar off the terminal, so that something else can be printed."""
-        if self.is_drawn:
-            self._write("\r\x1b[K")
-            self.is_drawn = False
+        with self.lock:
+            if self.is_drawn:
+                self._write("\r\x1b[K")
+                self.is_drawn = False
 
-    def _draw(self, stage: str, share: float, now: float) -> None:
-        filled = round(WIDTH * share)
-        text = f"[{'#' * filled}{'.' * (WIDTH - filled)}] {share:4.0%}  {_clock(now)}  {stage}"
-        self._write(f"\r\x1b[K{text[: max(20, shutil.get_terminal_size().columns - 1)]}")
-        self.is_drawn = True
+    def below(self, say: Callable[[str], None]) -> Callable[[str], None]:
+        """Return what prints a line below the bar, which does not come back in between."""
 
-    def _left(self, share: float, now: float) -> str:
-        """Return how long the stage will still take, as words; empty where that cannot be said yet."""
-        spent = now - self.stage_begin
-        if spent < ESTIMATE_AFTER or not 0.02 < share < 1.0:
-            return ""
-        return f", about {_clock(spent * (1.0 - share) / share + 0.5)} left"
+        def say_below(text: str) -> None:
+            with self.lock:
+                self.clear()
+                say(text)
+
+        return say_below
 
     def _write(self, text: str) -> None:
         self.stream.write(text)
         self.stream.flush()
-
-
-def _clock(seconds: float) -> str:
-    return f"{int(seconds) // 60}:{int(seconds) % 60:02d}"

@@ -19,8 +19,8 @@ from .common import (
     add_sampling,
     add_talk,
     chosen,
-    extraction_progress,
     print_result,
+    shown_progress,
 )
 
 LIKELIHOODS = ("auto", "population", "specimen", "pooled")
@@ -161,9 +161,9 @@ def add_update(commands: Any) -> None:
 
 
 def _extract(given: argparse.Namespace) -> None:
-    from ..workflows import extract as run
+    with shown_progress(given, delay=1.5) as (progress, say):
+        from ..workflows import extract as run
 
-    with extraction_progress(given) as (progress, say):
         result = run.extract(
             given.path,
             output=given.output,
@@ -177,16 +177,17 @@ def _extract(given: argparse.Namespace) -> None:
 
 
 def _update(given: argparse.Namespace) -> None:
-    from ..workflows import update as run
-
     hush_libraries(given.quiet)
     modelling = Modelling(
-        given.mass,
+        given.mass[0],
         options.split(given.effects),
         options.once("--prior", given.priors),
         options.once("--fix", given.fixed),
+        given.mass[1],
     )
-    with extraction_progress(given) as (progress, say):
+    with shown_progress(given, delay=1.5) as (progress, say):
+        from ..workflows import update as run
+
         result = run.update(
             given.path,
             modelling,

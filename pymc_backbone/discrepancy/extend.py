@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
@@ -145,7 +145,9 @@ class Inference:
     convergence: Mapping[str, float] = field(default_factory=dict)
 
 
-def infer(batch: Batch, found: Fit, sampling: Sampling | None) -> Inference:
+def infer(
+    batch: Batch, found: Fit, sampling: Sampling | None, progress: Callable[[str, float], None] | None = None
+) -> Inference:
     """Return the parameters of a model from draws or, without ``sampling``, from the curvature of the fit."""
     if sampling is None:
         return Inference(estimates_from_fit(batch, found))
@@ -158,7 +160,7 @@ def infer(batch: Batch, found: Fit, sampling: Sampling | None) -> Inference:
     bounds, held = prior_bounds(batch, found, mean)
     model = build_model(found.layout.oscillator, backbone, bounds=bounds, fixed=held, likelihood="pooled")
     chosen = sampling.for_model(found)
-    posterior = sample(model, progressbar=False, **asdict(chosen))
+    posterior = sample(model, progressbar=False, progress=progress, **asdict(chosen))
     table = summarise(posterior)
     return Inference(
         estimates=estimates_from_draws(found, posterior, held),

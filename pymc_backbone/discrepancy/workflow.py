@@ -92,6 +92,7 @@ def find_missing_effect(
     stop: float | None = None,
     levels: int | ArrayLike | None = None,
     strict: bool = False,
+    floor: float | None = None,
 ) -> Study:
     """Find what a model lacks to explain a batch of free decays, and how probable that is.
 
@@ -124,6 +125,8 @@ def find_missing_effect(
         As in `condition` and `backbones_at_levels`, for records.
     strict : bool, default False
         Whether one record that cannot be used ends it; else it is left out, as long as half of them remain.
+    floor : float, optional
+        As in `condition`.
 
     Returns
     -------
@@ -151,7 +154,7 @@ def find_missing_effect(
     seed = int(np.random.default_rng().integers(2**31)) if random_seed is None else int(random_seed)
     say("reading backbones", 0.0)
     given_levels = None if levels is None else np.asarray(levels).tolist()
-    measuring = Measuring(band, start, stop, given_levels, strict=strict)
+    measuring = Measuring(band, start, stop, given_levels, strict=strict, floor=floor)
     question = ask(
         oscillator, data, candidates=candidates, max_effects=max_effects, tolerance=tolerance, measuring=measuring
     )
@@ -163,12 +166,12 @@ def find_missing_effect(
     sampling = None if quick else Sampling(draws, tune, chains, step, seed)
     if sampling is not None:
         say("sampling", 0.0)
-    inference = infer(question.batch, outcome.model, sampling)
+    inference = infer(question.batch, outcome.model, sampling, progress)
     asked = {
         "candidates": list(question.candidates), "max_effects": question.max_effects,
         "tolerance": dict(question.tolerance), "held_out": most, "quick": quick, "step": step, "draws": draws,
         "tune": tune, "chains": chains, "band": band, "start": start,
-        "stop": stop, "levels": given_levels, "strict": strict,
+        "stop": stop, "levels": given_levels, "strict": strict, "floor": floor,
     }  # fmt: skip
     plan = None if quick else _planned(question, outcome, seed, say)
     return _study(question, outcome, verification, inference, asked, plan, seed, begun)

@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 from pytensor.tensor import TensorVariable as Tensor
 
-from .._common.checks import OBSERVABLES, FloatArray, InputError, check_choice
+from .._common.checks import OBSERVABLES, FloatArray, InputError, check_choice, check_positive
 from ..likelihood.data_consistent import fit_data_consistent
 from ..likelihood.density import Density
 from ..likelihood.density_fit import fit_density
@@ -22,6 +22,8 @@ from ..simulation.response import Response, make_response
 from .targets import note_density
 
 Source = Oscillator | Callable[[dict[str, float], FloatArray], ArrayLike]
+NOMINAL = "nominal_"
+"""Before the name of a parameter as if the mass were that of the oscillator, where it is uncertain."""
 LIKELIHOODS = ("auto", "population", "specimen", "pooled")
 POPULATION_SIZE = 8  # from this many complete specimens on, "auto" fits a density over them
 
@@ -172,6 +174,7 @@ def build_model(
     blocked: bool = False,
     release_amplitude: float | None = None,
     virgin: bool = True,
+    mass_error: float = 0.0,
 ) -> pm.Model:
     """Build a PyMC model with Uniform priors and the likelihood of measured backbones.
 
@@ -199,6 +202,11 @@ def build_model(
         Whether all parameters form one vector ``parameters``, which Metropolis then moves as a block.
     release_amplitude, virgin
         As in `backbone_likelihood`.
+    mass_error : float, default 0
+        Standard deviation of the oscillator's mass [kg, kg m^2]: the model then has a variable ``mass``, normal and
+        positive. A decay shows forces over mass only, so that what is sampled is ``nominal_linear_stiffness`` and the
+        like, the parameters as if the mass were the oscillator's, with the priors; ``linear_stiffness`` is what
+        follows with the mass. The decays say nothing of the mass unless a parameter that goes with it is fixed.
 
     Returns
     -------
@@ -237,9 +245,13 @@ def build_model(
         coords["parameter"] = list(intervals)
     low = np.array([interval[0] for interval in intervals.values()])
     high = np.array([interval[1] for interval in intervals.values()])
+    powers = _powers_of_mass(source, mass_error, blocked)
     with pm.Model(coords=coords) as model:
         values: dict[str, Tensor | float] = dict(fixed)
-        if blocked:
+        if powers and isinstance(source, Oscillator):
+            uncertain = (source.mass, mass_error)
+            values = _with_mass(intervals, fixed, powers, uncertain, "specimen" if kind == "specimen" else None)
+        elif blocked:
             dims = ("specimen", "parameter") if kind == "specimen" else ("parameter",)
             block = pm.Uniform("parameters", low, high, dims=dims)
             for index, name in enumerate(intervals):
@@ -256,6 +268,39 @@ def build_model(
             virgin=virgin,
         )
     return model
+
+
+def _powers_of_mass(source: Source, mass_error: float, blocked: bool) -> dict[str, float]:
+    """Return the power of the mass of each parameter; empty where the mass is known."""
+    if mass_error == 0.0:
+        return {}
+    check_positive("mass_error", mass_error)
+    if not isinstance(source, Oscillator):
+        raise InputError("`mass_error` is of an oscillator's mass; a function has none.")
+    if blocked:
+        raise InputError(
+            "`blocked` holds the parameters in one vector, and the mass is none of them; drop one of the two."
+        )
+    return source.mass_exponents
+
+
+def _with_mass(
+    intervals: Mapping[str, tuple[float, float]],
+    fixed: Mapping[str, float],
+    powers: Mapping[str, float],
+    mass: tuple[float, float],
+    dims: str | None,
+) -> dict[str, Tensor | float]:
+    """Add an uncertain mass (value, error) and the parameters; return these as they are at the nominal mass."""
+    nominal, error = mass
+    ratio = pm.TruncatedNormal("mass", nominal, error, lower=0.0) / nominal
+    values: dict[str, Tensor | float] = {name: value / ratio ** powers[name] for name, value in fixed.items()}
+    for name, (lower, upper) in intervals.items():
+        label = f"{NOMINAL}{name}" if powers[name] else name
+        values[name] = pm.Uniform(label, lower, upper, dims=dims)
+        if powers[name]:
+            pm.Deterministic(name, values[name] * ratio ** powers[name], dims=dims)
+    return values
 
 
 def _choose(

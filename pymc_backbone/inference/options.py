@@ -21,12 +21,15 @@ class Modelling:
         Bounds of Uniform priors that replace the default ones.
     fixed : mapping of str to float
         Parameters that are not inferred.
+    mass_error : float
+        Standard deviation of the mass; 0: it is known.
     """
 
     mass: float
     effects: Sequence[str] = ()
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     fixed: Mapping[str, float] = field(default_factory=dict)
+    mass_error: float = 0.0
 
 
 @dataclass(frozen=True)

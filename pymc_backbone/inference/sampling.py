@@ -7,6 +7,7 @@ import os
 import sys
 import time
 import warnings
+from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
@@ -16,6 +17,7 @@ import pytensor
 import xarray as xr
 
 from .._common.checks import InputError, check_choice
+from .._common.progress import Progress
 from ..simulation.counts import read_counts
 from .proposal import make_metropolis
 from .remembering import make_remembering
@@ -24,7 +26,6 @@ from .store.run_folder import DrawStore
 from .targets import is_differentiable
 
 STEPS = ("metropolis", "elementwise", "demetropolisz", "slice", "nuts", "nutpie")
-_LOG_EVERY = 15.0  # seconds between lines where there is no terminal
 logger = logging.getLogger("pymc_backbone")
 
 
@@ -40,6 +41,7 @@ def sample(
     progressbar: bool | None = None,
     store: str | os.PathLike[str] | None = None,
     resume: bool = False,
+    progress: Callable[[str, float], None] | None = None,
     **kwargs: Any,
 ) -> xr.DataTree:
     """Sample the posterior of a model that holds backbone likelihoods.
@@ -62,13 +64,15 @@ def sample(
     cores : int, default 1
         Processes. A cheap likelihood gains nothing from several; a slow function does.
     progressbar : bool, optional
-        Default: where there is a terminal; elsewhere a line is logged every 15 seconds.
+        Default: where there is a terminal; elsewhere a line is logged at least every ten seconds.
     store : path-like, optional
         Folder that keeps draws and the sampler's state on disk as they come; empty or new. For all steps by name but
         ``nutpie``, in one process. A Ctrl-C then ends the run after the draw it comes in, with what was drawn.
     resume : bool, default False
         Continue the run in ``store``, with the draws that it would have had without the interruption; begin one where
         there is none. ``draws`` may be more than before.
+    progress : callable, optional
+        Called with the stage and the fraction done (NaN where it is not known), in place of bar and lines.
     **kwargs
         Passed on to `pymc.sample`, or to `nutpie.sample` with step ``nutpie``.
 
@@ -104,16 +108,25 @@ def sample(
     if store is None:
         if resume:
             raise InputError("`resume` continues a run that was stored; name its folder with `store`.")
-        with _exact():
-            return _run(random_seed, None, *arguments)
+        with _exact(), _told(progress, progressbar) as tell:
+            return _run(random_seed, None, *arguments, tell)
     if step == "nutpie":
         raise InputError("step 'nutpie' keeps its state to itself and cannot be stored; use step 'nuts'.")
     if not isinstance(step, str):
         raise InputError(f"a step of your own cannot be stored; use one of {', '.join(STEPS[:-1])}.")
     if cores != 1:
         raise InputError(f"a run that is stored draws its chains one after another: `cores` must be 1, got {cores}.")
-    with _exact(), DrawStore(store, resume) as kept:
-        return _run(kept.seed(random_seed), kept, *arguments)
+    with _exact(), DrawStore(store, resume) as kept, _told(progress, progressbar) as tell:
+        return _run(kept.seed(random_seed), kept, *arguments, tell)
+
+
+def _told(
+    progress: Callable[[str, float], None] | None, progressbar: bool | None
+) -> AbstractContextManager[Callable[[str, float], None] | None]:
+    """Return what is told of stages and fractions: what was given, or the log where no bar can be shown."""
+    if progress is not None or progressbar is not None or sys.stderr.isatty():
+        return nullcontext(progress)
+    return Progress(lambda line: logger.info("%s", line.strip()))
 
 
 def _exact() -> AbstractContextManager[None]:
@@ -137,10 +150,13 @@ def _run(
     cores: int,
     progressbar: bool | None,
     kwargs: dict[str, Any],
+    tell: Callable[[str, float], None] | None,
 ) -> xr.DataTree:
     """Find starts, sample, and note what it took; in the order that gives a stored run the draws of any other."""
     begin = time.perf_counter()
     seeds = np.random.SeedSequence(random_seed).generate_state(2)
+    told = tell or (lambda _stage, _fraction: None)
+    told("looking for starts", float("nan"))
     finder = StartFinder(model, int(seeds[0]))
     if kept is None:
         starts = finder.find(chains)
@@ -148,16 +164,17 @@ def _run(
         settings = {"draws": draws, "tune": tune, "chains": chains, "step": step, "random_seed": random_seed}
         starts = kept.starts(model, finder, settings)
     before = read_counts()
-    shown = sys.stderr.isatty() if progressbar is None else progressbar
+    shown = (tell is None and sys.stderr.isatty()) if progressbar is None else progressbar
+    told("compiling the sampler", float("nan"))
     recorder = None
     if step == "nutpie":
-        result = _sample_nutpie(model, draws, tune, chains, int(seeds[1]), starts, shown, cores, kwargs)
+        result = _sample_nutpie(model, draws, tune, chains, int(seeds[1]), starts, shown, cores, kwargs, told)
     else:
         stepper = make_metropolis(model, finder) if step == "metropolis" else _make_step(step, model)
         recorder = None if kept is None else kept.record(stepper, read_counts)
-        if not shown and progressbar is None:
+        if tell is not None:
             repeated = 0 if recorder is None else recorder.kept
-            kwargs.setdefault("callback", _Reporter(chains * (draws + tune), repeated))
+            kwargs.setdefault("callback", _Reporter(chains * (draws + tune), repeated, tell))
         before = read_counts()
         with model, warnings.catch_warnings(), nullcontext() if recorder is None else recorder.ending_early():
             # PyMC warns that several processes under fork may deadlock; one process is the default here.
@@ -213,11 +230,13 @@ def _sample_nutpie(
     shown: bool,
     cores: int,
     kwargs: dict[str, Any],
+    told: Callable[[str, float], None],
 ) -> xr.DataTree:
     """Run nutpie from the first start; it takes one start and disperses the chains itself."""
     import nutpie
 
     compiled = nutpie.compile_pymc_model(model, initial_points=starts[0], jitter_rvs=set())
+    told("sampling with nutpie", float("nan"))
     begin = time.perf_counter()
     # Backbones determine combinations of parameters: a mass matrix that follows their correlation halves the cost.
     kwargs.setdefault("adaptation", "low_rank")
@@ -237,18 +256,14 @@ def _sample_nutpie(
 
 
 class _Reporter:
-    """Logs how far a run is, now and then, where no progress bar can be shown."""
+    """Counts the draws of all chains and tells of them."""
 
-    def __init__(self, total: int, repeated: int = 0) -> None:
-        self.total, self.repeated = total, repeated  # draws of an earlier run, which take no time
+    def __init__(self, total: int, repeated: int, tell: Callable[[str, float], None]) -> None:
+        self.total, self.repeated, self.tell = total, repeated, tell  # draws of an earlier run take no time
         self.done = 0
-        self.begin = self.last = time.monotonic()
 
     def __call__(self, **event: Any) -> None:
         """Count one draw of one chain; accept whatever PyMC passes."""
         self.done += 1
-        now = time.monotonic()
-        if now - self.last >= _LOG_EVERY:
-            self.last = now
-            left = (now - self.begin) * (self.total - self.done) / max(1, self.done - self.repeated)
-            logger.info("%d of %d draws, about %.0f s left", self.done, self.total, left)
+        if self.done > self.repeated:
+            self.tell("sampling", (self.done - self.repeated) / max(1, self.total - self.repeated))

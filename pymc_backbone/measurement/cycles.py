@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._common.checks import FloatArray, InputError, check_finite_array
+from .peak_noise import with_peak_noise
 from .smoothing import smooth
 from .template import FLOOR, Fit, fit_with_template
 from .turning import cycle_covariance, rough_noise, rough_turning_points, running_line, turning_covariance
@@ -244,6 +245,12 @@ def _extract(
     n_bands = int(min(3 + np.ceil(lags * step / (0.5 * np.min(periods))), 13))
     influence = fit.influence * inflation[:, None, None]
     covariance = turning_covariance(influence, fit.first, fit.count, autocovariance, n_bands)
+    covariance, own = with_peak_noise(fit.values, signs, covariance)
+    if own is not None:
+        notes.append(
+            f"{specimen}: the turning points scatter by {own[0]:.2g} more than the samples say, correlated by "
+            f"{own[1]:g} from one to the next: their standard errors hold it"
+        )
     # the white noise that would disturb the turning values as much
     white = float(covariance[:, 0, 1, 1].sum() / (influence[:, :, 1] ** 2).sum())
     factor = factor * np.sqrt(max(white, 0.0))

@@ -90,6 +90,7 @@ def measure_batch(
     measuring: Measuring | None = None,
     *,
     every_observable: bool = False,
+    refused: Sequence[str] = (),
     progress: Callable[[str, float], None] | None = None,
 ) -> MeasuredBatch:
     """Return the backbones of records at levels.
@@ -103,6 +104,8 @@ def measure_batch(
     every_observable : bool, optional
         Whether the observables, where none are named, are all that every record tells, the offset among them; else
         frequency and damping.
+    refused : sequence of str, optional
+        A sentence for each file that could not be read: they count as records that cannot be used.
     progress : callable, optional
         Called with the stage and the fraction done, before each record.
 
@@ -121,7 +124,9 @@ def measure_batch(
         band=measuring.band,
         start=measuring.start,
         stop=measuring.stop,
+        floor=measuring.floor,
         strict=measuring.strict,
+        refused=refused,
         progress=progress,
     )
     levels, said = levels_for(extraction.cycles, measuring.levels)
@@ -144,7 +149,9 @@ def extract_all(
     band: tuple[float, float] | None = None,
     start: float | None = None,
     stop: float | None = None,
+    floor: float | None = None,
     strict: bool = False,
+    refused: Sequence[str] = (),
     progress: Callable[[str, float], None] | None = None,
 ) -> Extraction:
     """Condition records and extract their cycles.
@@ -153,10 +160,12 @@ def extract_all(
     ----------
     records : sequence of Record or ConditionedRecord
         At least one.
-    band, start, stop
+    band, start, stop, floor
         As in `condition`.
     strict : bool, optional
         Whether one record that cannot be used ends it; otherwise it is left out, as long as half of them remain.
+    refused : sequence of str, optional
+        As in `measure_batch`.
     progress : callable, optional
         Called with the stage and the fraction done, before each record and once it is conditioned.
 
@@ -171,30 +180,32 @@ def extract_all(
     """
     conditioned: list[ConditionedRecord] = []
     cycles: list[Cycles] = []
-    refused: list[str] = []
+    given, left_out = len(records) + len(refused), list(refused)
     for done, item in enumerate(records):
         if progress is not None:
             progress("extracting cycles", done / len(records))
         try:
-            record = condition(item, band=band, start=start, stop=stop) if isinstance(item, Record) else item
+            record = (
+                condition(item, band=band, start=start, stop=stop, floor=floor) if isinstance(item, Record) else item
+            )
             if progress is not None:
                 progress("extracting cycles", (done + 0.5) / len(records))
             extracted = extract_cycles(record)
         except InputError as error:
-            if strict or len(records) == 1:
+            if strict or given == 1:
                 raise
-            refused.append(str(error))
+            left_out.append(str(error))
             continue
         conditioned.append(record)
         cycles.append(extracted)
-    if len(conditioned) < LEAST_SHARE * len(records):
+    if len(conditioned) < LEAST_SHARE * given:
         raise InputError(
-            f"{len(refused)} of {len(records)} records cannot be used, more than half of them; the first: {refused[0]}"
+            f"{len(left_out)} of {given} records cannot be used, more than half of them; the first: {left_out[0]}"
         )
     units = sorted({record.unit for record in conditioned})
     if len(units) > 1:
         raise InputError(f"the records must all be displacements or all be angles, got both {' and '.join(units)}.")
-    return Extraction(tuple(conditioned), tuple(cycles), tuple(refused))
+    return Extraction(tuple(conditioned), tuple(cycles), tuple(left_out))
 
 
 def levels_for(cycles: Sequence[Cycles], levels: int | ArrayLike | None = None) -> tuple[FloatArray, list[str]]:

@@ -24,6 +24,8 @@ class Measuring:
         What is compared; None: frequency and damping or, of tables, all they hold.
     strict : bool
         Whether one record that cannot be used ends it; else it is left out, as long as half of them remain.
+    floor : float or None
+        Amplitude [m or rad] at which the part to use ends; None: the noise decides.
     """
 
     band: tuple[float, float] | None = None
@@ -32,3 +34,4 @@ class Measuring:
     levels: int | Sequence[float] | None = None
     observables: Sequence[str] | None = None
     strict: bool = False
+    floor: float | None = None

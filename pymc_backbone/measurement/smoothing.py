@@ -19,6 +19,8 @@ SMOOTHNESS_GRID = np.logspace(-1.0, 9.0, 31)
 """Prior variance of the curve's bending over the noise variance, in the direction the record determines best."""
 
 
+_CERTAIN = 1e12
+"""Weight, in observations, of a belief that no scatter shakes."""
 KINKS: tuple[float, ...] = tuple(np.linspace(0.0, 1.0, 9))
 """Places (in the range of the abscissa) where the curve may bend much more than elsewhere."""
 KINK_WIDTH, KINK_EASE = 0.07, 1e4
@@ -179,6 +181,39 @@ def smooth(
     spread += (apart * weights[:, None]).T @ apart
     design = np.hstack([_design(place, target) for place, target in zip(places, targets, strict=True)])
     return Curve(design, coefficients, spread, scatter)
+
+
+def log_evidence(places: list[FloatArray], values: FloatArray, bands: FloatArray, *, kinks: bool = False) -> float:
+    """Return the logarithm of the probability of ``values`` under the curves that `smooth` averages over.
+
+    Parameters
+    ----------
+    places, values, bands, kinks
+        As in `smooth`; orders 2 and 3 count.
+
+    Returns
+    -------
+    float
+        Up to a constant that does not depend on ``bands``, which are taken at their word: no scatter beyond them.
+    """
+    n = values.size
+    bands = regularised_bands(bands)
+    determinant = float(np.log(cholesky_banded(bands, lower=True)[0]).sum())
+    found = []
+    for number, place in enumerate(places):
+        white = _whiten(bands, np.column_stack([values, _design(place, place)]))
+        if n > white.shape[1]:
+            white = np.linalg.qr(white, mode="r")
+        models: list[tuple[int, float | None]] = [(2, None), (3, None)]
+        if kinks and number == 0:
+            models += [(2, kink) for kink in KINKS]
+        for order, kink in models:
+            logs = _smooth_as(white, n, order, kink, _CERTAIN, 1.0)[0]
+            free = white[:, 1:] @ _bending_roots(order, kink)[:, :order]
+            cost = float(np.log(np.abs(np.diag(np.linalg.qr(free, mode="r")))).sum())
+            found.append(float(np.log(np.mean(np.exp(logs - logs.max()))) + logs.max()) - cost)
+    top = max(found)
+    return float(np.log(np.mean(np.exp(np.array(found) - top)))) + top - determinant
 
 
 def _design(place: FloatArray, at: FloatArray) -> FloatArray:

@@ -21,7 +21,8 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,6 +33,7 @@ import xarray as xr
 
 from .._common.atomic_files import replacing
 from .._common.checks import OBSERVABLE_UNITS, OBSERVABLES, InputError
+from ..inference.store.lock import LOCK, FolderLock
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -59,13 +61,15 @@ RESULT_KEYS = {
     "seed": "of the sampler; the same seed and versions give the same draws",
     "equation": "of motion, with the meaning and unit of each symbol",
     "mass": "kg, or kg m^2 for a rotation",
+    "mass_error": "standard deviation of the mass; 0 where it is known",
     "effects": "names, in the order of the parameters",
     "observables": "compared with the measurement: frequency [Hz], damping [1], offset [1]",
     "density": "what was fitted to the population, in words; null if none was",
     "levels": "amplitudes at which curves are compared, in 'amplitude_unit'",
     "amplitude_unit": "m or rad",
     "specimens": "names",
-    "parameters": "name: mean, sd, hdi_low, hdi_high, unit, r_hat, ess_bulk, ess_tail, prior_low, prior_high",
+    "parameters": "name: mean, sd, hdi_low, hdi_high, unit, r_hat, ess_bulk, ess_tail, prior_low, prior_high; also of "
+    "a mass that is uncertain, of whose prior these are the central 95 %",
     "fixed": "name: value of the parameters that were not inferred",
     "comparison": "for each observable and level: mean and sd over the specimens, measured and simulated",
     "interrupted": "what is missing where a stored run was ended with Ctrl-C, a sentence; else null",
@@ -79,6 +83,41 @@ RESULT_KEYS = {
     "files": "written by this run, relative to the folder",
 }
 """Keys of ``result.json``; ``extract`` writes those that apply to it."""
+
+
+@contextmanager
+def claimed_output(
+    path: str | os.PathLike[str] | None, overwrite: bool = False, *, records: Any = None
+) -> Iterator[Path | None]:
+    """Make the output folder ready as `prepare_output` does, and keep it from other runs while this one lasts.
+
+    Parameters
+    ----------
+    path : path-like or None
+        Folder; None: there is none.
+    overwrite, records
+        As in `prepare_output`.
+
+    Yields
+    ------
+    pathlib.Path or None
+        The folder.
+
+    Raises
+    ------
+    InputError
+        As `prepare_output`, and where another run is writing there.
+    """
+    if path is None:
+        yield None
+        return
+    folder = prepare_output(path, overwrite, records=records)
+    lock = FolderLock(folder, "output folder")
+    lock.acquire()
+    try:
+        yield prepare_output(path, overwrite, records=records)  # another run may have ended between check and lock
+    finally:
+        lock.remove()
 
 
 def prepare_output(path: str | os.PathLike[str], overwrite: bool = False, *, records: Any = None) -> Path:
@@ -112,7 +151,7 @@ def prepare_output(path: str | os.PathLike[str], overwrite: bool = False, *, rec
         raise InputError(f"The output {folder} is a file; name a folder.")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        occupied = sorted(entry.name for entry in folder.iterdir())
+        occupied = sorted(entry.name for entry in folder.iterdir() if entry.name != LOCK)
         if occupied and not overwrite:
             raise InputError(
                 f"The output folder {folder} is not empty (it holds {occupied[0]}); name another one, or give "

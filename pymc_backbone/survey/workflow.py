@@ -87,8 +87,9 @@ def diagnose_many(
         Called with a line for each structure that is finished, and with the summary.
     **settings
         ``candidates``, ``max_effects``, ``tolerance``, ``held_out``, ``quick``, ``band``, ``start``, ``stop``,
-        ``levels``, ``strict``, ``draws``, ``tune``, ``chains``, ``step`` as in `find_missing_effect`; ``columns``,
-        ``quantity``, ``unit``, ``sampling_rate`` as in `read_records`; ``is_table``: the files are tables of backbones.
+        ``levels``, ``strict``, ``floor``, ``draws``, ``tune``, ``chains``, ``step`` as in `find_missing_effect`;
+        ``columns``, ``quantity``, ``unit``, ``sampling_rate``, ``sensitivity`` as in `read_records`; ``is_table``: the
+        files are tables of backbones.
 
     Returns
     -------

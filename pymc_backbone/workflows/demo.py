@@ -16,6 +16,7 @@ from ..inference.options import Comparing, Modelling, Sampling
 from ..measurement.options import Measuring
 from ..reporting.output_folder import read_result
 from ..reporting.terminal import aligned, short
+from .measure import Progress
 from .update import update
 
 SAMPLING = Sampling(draws=4000, tune=2000, random_seed=1)
@@ -77,6 +78,7 @@ def run_demo(
     overwrite: bool = False,
     say: Callable[[str], None] = print,
     sampling: Sampling = SAMPLING,
+    progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Infer stiffness, damping and cubic stiffness of the demo batch, and print them beside the true ones.
 
@@ -90,6 +92,8 @@ def run_demo(
         Called with each line of progress; ``print`` by default.
     sampling : Sampling, optional
         Draws, chains, step, seed.
+    progress : callable, optional
+        Called with the stage and the fraction done.
 
     Returns
     -------
@@ -108,6 +112,7 @@ def run_demo(
         overwrite=overwrite or _is_demo(output),
         command="demo",
         true_values=truth,
+        progress=progress,
         say=say,
     )
     say("\n" + compare_with_truth(result["parameters"], truth))

@@ -9,20 +9,22 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .._common.checks import InputError
+import numpy as np
+
+from .._common.checks import InputError, check_positive
 from .._common.options import settings_of
 from ..discrepancy.options import Searching
 from ..inference.options import Sampling
 from ..measurement.options import Measuring
 from ..measurement.reading.options import Reading
-from ..reporting.output_folder import REPORT, package_version, plain, prepare_output, read_result
+from ..reporting.output_folder import REPORT, claimed_output, package_version, plain, read_result
 from ..reporting.terminal import aligned, describe_reading, short
 from .measure import Progress, Say, measure, say_warnings
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from ..discrepancy.study import Study
+    from ..discrepancy.study import Estimate, Study
     from ..measurement.reading.records import Record
 
     Data = str | os.PathLike[str] | Sequence[Record] | xr.Dataset
@@ -34,6 +36,7 @@ def diagnose(
     path: Data,
     *,
     mass: float,
+    mass_error: float = 0.0,
     output: str | os.PathLike[str] | None,
     base: Sequence[str] = (),
     searching: Searching | None = None,
@@ -52,6 +55,8 @@ def diagnose(
         File or folder of records, or of backbone tables; or records or a Dataset of backbones.
     mass : float
         Mass [kg], or inertia [kg m^2] for a rotation.
+    mass_error : float, optional
+        Its standard deviation, which goes into those of the parameters that go with the mass.
     output : path-like or None
         Output folder; None: nothing is written.
     base : sequence of str, optional
@@ -78,20 +83,35 @@ def diagnose(
     reading = Reading() if reading is None else reading
     measuring = Measuring() if measuring is None else measuring
     sampling = Sampling() if sampling is None else sampling
-    folder = None if output is None else prepare_output(output, overwrite, records=path)
+    with claimed_output(output, overwrite, records=path):
+        return _diagnosed(
+            path, mass, output, base, searching, reading, measuring, sampling, overwrite=overwrite, progress=progress,
+            say=say, mass_error=mass_error,
+        )  # fmt: skip
+
+
+def _diagnosed(
+    path: Data, mass: float, output: str | os.PathLike[str] | None, base: Sequence[str], searching: Searching,
+    reading: Reading, measuring: Measuring, sampling: Sampling, *, overwrite: bool, progress: Progress | None, say: Say,
+    mass_error: float,
+) -> dict[str, Any]:  # fmt: skip
+    """Diagnose into a folder that is ready."""
     from ..oscillator import Oscillator
 
     oscillator = Oscillator(mass, base)
-    data, records = _read(path, reading, measuring, say)
+    data, records, left_out = _read(path, reading, measuring, say)
     settings = {name: value for name, value in settings_of(searching, sampling).items() if value is not None}
     if not reading.is_table:  # the tables are at the levels already
         settings |= {name: value for name, value in settings_of(measuring).items() if name != "observables"}
     from ..discrepancy.workflow import find_missing_effect
 
     study = find_missing_effect(oscillator, data, progress=progress, **settings)
+    study = replace(study, notes=(*left_out, *study.notes))
+    if mass_error:
+        study = with_uncertain_mass(study, mass_error)
     from ..reporting.study_files import study_entries, write_study
 
-    if folder is None or output is None:
+    if output is None:
         _say_study(study, say)
         return dict(plain(study_entries(study, package_version())))
     if progress is not None:
@@ -99,10 +119,11 @@ def diagnose(
     command = ""
     if isinstance(path, str | os.PathLike):
         chosen = (searching, reading, measuring, replace(sampling, random_seed=study.seed))
-        command = command_line(path, mass, base, settings_of(*chosen), output, overwrite=overwrite)
+        command = command_line(path, (mass, mass_error), base, settings_of(*chosen), output, overwrite=overwrite)
+    folder = Path(output)
     write_study(study, folder, overwrite=overwrite, command=command, records=records)
     _say_study(study, say)
-    say(f"\nThe report is {Path(folder) / REPORT}; numbers, figures and a PyMC script are beside it.")
+    say(f"\nThe report is {folder / REPORT}; numbers, figures and a PyMC script are beside it.")
     return read_result(folder)
 
 
@@ -111,31 +132,67 @@ def _say_study(study: Study, say: Say) -> None:
     say(describe_study(study))
 
 
-def _read(path: Data, reading: Reading, measuring: Measuring, say: Say) -> tuple[Any, Sequence[Record]]:
-    """Return the data for the search, and the records among them."""
+def _read(path: Data, reading: Reading, measuring: Measuring, say: Say) -> tuple[Any, Sequence[Record], list[str]]:
+    """Return the data for the search, the records among them, and notes on the files that were left out."""
     if not isinstance(path, str | os.PathLike):
         given = next((name for name, value in reading.of_records.items() if value is not None), None)
         if given is not None:
             raise InputError(f"`{given}` is for files, and these records are read already; give it to `read_records`.")
-        return path, path if isinstance(path, Sequence) and not isinstance(path, str) else ()
+        return path, path if isinstance(path, Sequence) and not isinstance(path, str) else (), []
     if reading.is_table:
-        return measure(path, reading, measuring).backbones, ()
-    from ..measurement.reading.records import read_records
+        return measure(path, reading, measuring).backbones, (), []
+    from ..measurement.reading.records import read_record_files
 
-    records = read_records(path, **reading.of_records)
-    assumed = describe_reading(records)
+    files = read_record_files(path, strict=measuring.strict, **reading.of_records)
+    assumed = describe_reading(files.records)
     if assumed:
         say(assumed + "\n")
-    return records, records
+    from ..measurement.extraction import LEFT_OUT
+
+    return files.records, files.records, [f"{LEFT_OUT}{sentence}" for sentence in files.refused]
+
+
+def with_uncertain_mass(study: Study, mass_error: float) -> Study:
+    """Return a study whose parameters hold the uncertainty of the mass they go with.
+
+    A decay shows forces over mass: which effect is missing does not depend on the mass, but every parameter of a force
+    is as uncertain as the mass, beside what the decays leave open.
+    """
+    check_positive("mass_error", mass_error)
+    oscillator = study.extended or study.base
+    mass, powers = oscillator.mass, oscillator.mass_exponents
+    relative = mass_error / mass
+
+    def widened(name: str, estimate: Estimate) -> Estimate:
+        own = estimate.sd
+        sd = float(np.hypot(own, powers.get(name, 0.0) * relative * estimate.mean))
+        if not sd > own:
+            return estimate
+        # skew intervals keep their skewness: each side grows by what the mass adds to it
+        added = 1.96 * abs(powers[name] * relative * estimate.mean)
+        low, high = (float(np.hypot(end - estimate.mean, added)) for end in (estimate.hdi_low, estimate.hdi_high))
+        return replace(estimate, sd=sd, hdi_low=estimate.mean - low, hdi_high=estimate.mean + high)
+
+    parameters = {
+        effect: {name: widened(name, estimate) for name, estimate in group.items()}
+        for effect, group in study.parameters.items()
+    }
+    note = (
+        f"the mass is {mass:g} +- {mass_error:g}: standard deviations and intervals of parameters that go with it hold "
+        f"its {relative:.2%}; posterior.nc and the figures of draws are for {mass:g}"
+    )
+    return replace(study, parameters=parameters, notes=(*study.notes, note))
 
 
 OPTIONS = {"is_table": "backbones", "random_seed": "seed"}
 """Options of the command line that have another name than the setting."""
+REPEATED = ("sensitivity",)
+"""Options that are given once for each of their values."""
 
 
 def command_line(
     path: str | os.PathLike[str],
-    mass: float,
+    mass: float | tuple[float, float],
     base: Sequence[str],
     settings: Mapping[str, Any],
     output: str | os.PathLike[str],
@@ -151,11 +208,17 @@ def command_line(
     "pymc-backbone diagnose 'my records' --mass 1.2 --base freeplay --seed 4 --levels 0.1,0.2 --backbones --out out"
     """
     defaults = settings_of(Searching(), Reading(), Measuring(), Sampling())
-    words = ["pymc-backbone", "diagnose", str(path), "--mass", f"{mass:.15g}"]
+    value, error = mass if isinstance(mass, tuple) else (mass, 0.0)
+    weight = f"{value:.15g}" + (f"+-{error:.15g}" if error else "")
+    words = ["pymc-backbone", "diagnose", str(path), "--mass", weight]
     for name, value in {"base": list(base) or None, **settings}.items():
         if value is None or value is False or value == defaults.get(name):
             continue
-        words.append(f"--{OPTIONS.get(name, name).replace('_', '-')}")
+        option = f"--{OPTIONS.get(name, name).replace('_', '-')}"
+        if name in REPEATED:
+            words += [word for item in value for word in (option, item)]
+            continue
+        words.append(option)
         if value is not True:
             words.append(_option_value(name, value))
     words += ["--overwrite"] if overwrite else []

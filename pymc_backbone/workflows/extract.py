@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 import time
+from pathlib import Path
 from typing import Any
 
 from .._common.options import settings_of
 from ..measurement.options import Measuring
 from ..measurement.reading.options import Reading
-from ..reporting.output_folder import package_version, prepare_output, write_results
+from ..reporting.output_folder import claimed_output, package_version, write_results
 from ..reporting.terminal import describe_measured
 from .measure import Progress, Say, measure, say_reading, say_warnings
 
@@ -46,10 +47,25 @@ def extract(
     dict
         What ``result.json`` holds.
     """
-    begin = time.perf_counter()
     reading = Reading() if reading is None else reading
     measuring = Measuring() if measuring is None else measuring
-    folder = prepare_output(output, overwrite, records=path)
+    with claimed_output(output, overwrite, records=path) as folder:
+        assert folder is not None
+        return _extract_into(folder, path, reading, measuring, progress, say)
+
+
+def _extract_into(
+    folder: Path,
+    path: str | os.PathLike[str],
+    reading: Reading,
+    measuring: Measuring,
+    progress: Progress | None,
+    say: Say,
+) -> dict[str, Any]:
+    """Extract backbones into a folder that is ready."""
+    begin = time.perf_counter()
+    if progress is not None:
+        progress("reading the records", float("nan"))
     measured = measure(path, reading, measuring, progress)
     say_reading(measured, say)
     say(describe_measured(measured.backbones))

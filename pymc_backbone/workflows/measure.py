@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from .._common.checks import InputError, check_choice, check_levels
+from .._common.checks import InputError, check_choice, check_levels, check_motion
+from .._common.text import printable
 from ..measurement.options import Measuring
 from ..measurement.reading.options import Reading
 from ..reporting.terminal import describe_reading
@@ -86,15 +87,15 @@ def measure(
     measuring = Measuring() if measuring is None else measuring
     if reading.is_table:
         return _measure_tables(path, reading, measuring)
-    from ..measurement.reading.records import read_records
+    from ..measurement.reading.records import read_record_files
 
     # Before the compiled modules are loaded: errors in the files come at once.
-    records = read_records(path, **reading.of_records)
+    files = read_record_files(path, strict=measuring.strict, **reading.of_records)
     from ..measurement.extraction import measure_batch
 
-    batch = measure_batch(records, measuring, progress=progress)
+    batch = measure_batch(files.records, measuring, refused=files.refused, progress=progress)
     frequency = float(np.median(np.concatenate([item.frequency for item in batch.extraction.cycles])))
-    return Measured(batch.backbones, 2.0 * np.pi * frequency, records)
+    return Measured(batch.backbones, 2.0 * np.pi * frequency, files.records)
 
 
 def _measure_tables(path: str | os.PathLike[str], reading: Reading, measuring: Measuring) -> Measured:
@@ -105,6 +106,7 @@ def _measure_tables(path: str | os.PathLike[str], reading: Reading, measuring: M
         "band": measuring.band,
         "start": measuring.start,
         "stop": measuring.stop,
+        "floor": measuring.floor,
     }.items():
         if value is not None:
             raise InputError(f"`{name}` is for time histories, and `is_table` says these are not; drop one of them.")
@@ -116,6 +118,7 @@ def _measure_tables(path: str | os.PathLike[str], reading: Reading, measuring: M
         backbones = read_backbones(path, levels=np.geomspace(reached[0], reached[-1], levels))
     else:
         backbones = read_backbones(path, levels=None if levels is None else check_levels(levels))
+    _check_tables(backbones, path)
     held = [str(name) for name in backbones["observable"].values]
     typical = "frequency" in held
     frequency = float(np.nanmedian(np.asarray(backbones["value"].sel(observable="frequency")))) if typical else np.nan
@@ -124,6 +127,17 @@ def _measure_tables(path: str | os.PathLike[str], reading: Reading, measuring: M
             check_choice("observables", name, held)
         backbones = backbones.sel(observable=list(measuring.observables))
     return Measured(backbones, 2.0 * np.pi * frequency)
+
+
+def _check_tables(backbones: xr.Dataset, path: str | os.PathLike[str]) -> None:
+    """Raise where amplitudes or frequencies of tables are those of no structure."""
+    top = float(np.asarray(backbones["level"])[-1])
+    unit = str(backbones.attrs.get("amplitude_unit", "m"))
+    is_told = "frequency" in backbones["observable"].values
+    frequency = np.asarray(backbones["value"].sel(observable="frequency")) if is_told else np.ones(1)
+    frequency = frequency[np.isfinite(frequency)]
+    if frequency.size:
+        check_motion(top, float(np.median(frequency)), unit, printable(str(path)))
 
 
 def say_reading(measured: Measured, say: Say) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,7 +19,7 @@ from .._common.options import settings_of
 from ..inference.options import Comparing, Keeping, Modelling, Sampling
 from ..measurement.options import Measuring
 from ..measurement.reading.options import Reading
-from ..reporting.output_folder import REPORT, package_version, prepare_output, read_result, write_results
+from ..reporting.output_folder import REPORT, claimed_output, package_version, read_result, write_results
 from ..reporting.terminal import compare, describe_batch, describe_result
 from .measure import Measured, Progress, Say, measure, say_reading, say_warnings
 
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from ..oscillator import Oscillator
 
 MOST_PAIRED = 6  # parameters against each other in one figure; ArviZ draws no more than 40 panels
+MASS = "mass"
 FEWEST_DRAWS = 20  # of a run that was ended early; nothing can be said from fewer
 
 
@@ -49,6 +51,7 @@ class Updated:
     predictive: xr.Dataset
     table: pd.DataFrame
     """What `summarise` says of each parameter."""
+    mass_error: float = 0.0
 
     @property
     def names(self) -> list[str]:
@@ -98,7 +101,7 @@ def update(
     true_values : mapping of str to array of float, optional
         Known parameters of the specimens, drawn in the figure of the posterior.
     progress : callable, optional
-        Called with the stage and the fraction done while cycles are extracted.
+        Called with the stage and the fraction done.
     say : callable, optional
         Called with each line of progress; ``print`` by default.
 
@@ -107,33 +110,48 @@ def update(
     dict
         What ``result.json`` holds; its keys are `results.RESULT_KEYS`.
     """
-    begin = time.perf_counter()
     reading = Reading() if reading is None else reading
     measuring = Measuring() if measuring is None else measuring
     comparing = Comparing() if comparing is None else comparing
     sampling = Sampling() if sampling is None else sampling
     keeping = Keeping() if keeping is None else keeping
-    folder = _folders(path, output, overwrite, keeping)
+    with _output_of(path, output, overwrite, keeping) as folder:
+        return _update_into(
+            folder, path, modelling, reading, measuring, comparing, sampling, keeping, overwrite=overwrite,
+            command=command, true_values=true_values, progress=progress, say=say,
+        )  # fmt: skip
+
+
+def _update_into(
+    folder: Path | None, path: str | os.PathLike[str], modelling: Modelling, reading: Reading, measuring: Measuring,
+    comparing: Comparing, sampling: Sampling, keeping: Keeping, *, overwrite: bool, command: str,
+    true_values: Mapping[str, FloatArray] | None, progress: Progress | None, say: Say,
+) -> dict[str, Any]:  # fmt: skip
+    """Update into a folder that is ready, or into none."""
+    begin = time.perf_counter()
     sampling = replace(sampling, random_seed=_seed(sampling, keeping))
     oscillator = _oscillator(modelling)
+    tell = progress or (lambda _stage, _fraction: None)
+    tell("reading the records", float("nan"))
     measured = measure(path, reading, measuring, progress)
     say_reading(measured, say)
     say(describe_batch(measured.backbones))
     say_warnings(measured.notes, say)
     read = time.perf_counter()
-    updated = _infer(oscillator, measured, modelling, comparing, sampling, keeping, say)
+    updated = _infer(oscillator, measured, modelling, comparing, sampling, keeping, say, progress)
     sampled = time.perf_counter()
     settings = {
         "path": path,
         **settings_of(reading, measuring, modelling, comparing, sampling, keeping),
         "likelihood": updated.likelihood,
-        "output": output,
+        "output": folder,
         "overwrite": overwrite,
     }
     result = _result(updated, command, settings)
     say("\n" + describe_result(result))
     if result["interrupted"]:
         say(f"\n{result['interrupted']}")
+    tell("drawing the figures", float("nan"))
     figures = {} if folder is None else _figures(updated, true_values)
     texts = {} if folder is None else {REPORT: _report(result, updated, figures)}
     result["seconds"] = {
@@ -156,8 +174,11 @@ def _infer(
     sampling: Sampling,
     keeping: Keeping,
     say: Say,
+    progress: Progress | None,
 ) -> Updated:
     """Build the model, sample it, and simulate backbones with draws of its posterior."""
+    tell = progress or (lambda _stage, _fraction: None)
+    tell("building the model", float("nan"))
     from ..inference.diagnostics import summarise
     from ..inference.goodness import goodness_of_fit
     from ..inference.model import build_model, likelihood_of
@@ -167,22 +188,31 @@ def _infer(
     kind = likelihood_of(measured.backbones, comparing.likelihood)
     bounds = _bounds(oscillator, measured, modelling)
     chosen = {**settings_of(comparing), "likelihood": kind}
-    model = build_model(oscillator, measured.backbones, bounds=bounds, fixed=dict(modelling.fixed), **chosen)
+    model = build_model(
+        oscillator,
+        measured.backbones,
+        bounds=bounds,
+        fixed=dict(modelling.fixed),
+        mass_error=modelling.mass_error,
+        **chosen,
+    )
     say(
         f"\n{oscillator.equation}\n\nSampling {sampling.chains} chains of {sampling.tune} + {sampling.draws} draws "
         f"({sampling.step}, {kind} likelihood) ..."
     )
     kept = settings_of(keeping) if keeping.store is not None else {}
-    posterior = sample(model, **settings_of(sampling), **kept)
+    posterior = sample(model, **settings_of(sampling), **kept, progress=progress)
     if "interrupted" in posterior.attrs and posterior["posterior"].sizes["draw"] < FEWEST_DRAWS:
         say(f"\n{posterior.attrs['interrupted']} These are too few for a summary.")
         raise KeyboardInterrupt
+    tell("comparing the posterior with the measurement", float("nan"))
+    nominal, fixed = _at_nominal_mass(posterior, oscillator, modelling)
     fit = goodness_of_fit(
         oscillator,
         measured.backbones,
-        posterior,
+        nominal,
         bounds,
-        fixed=modelling.fixed,
+        fixed=fixed,
         likelihood=kind,
         random_seed=sampling.random_seed,
     )
@@ -196,8 +226,27 @@ def _infer(
         posterior=posterior,
         fit=fit,
         predictive=_predictive(fit, measured.backbones),
-        table=summarise(posterior, [name for name in bounds if name in posterior["posterior"]]),
+        table=summarise(posterior, [name for name in (MASS, *bounds) if name in posterior["posterior"]]),
+        mass_error=modelling.mass_error,
     )
+
+
+def _at_nominal_mass(
+    posterior: xr.DataTree, oscillator: Oscillator, modelling: Modelling
+) -> tuple[xr.DataTree, dict[str, float]]:
+    """Return the posterior as the oscillator with its one mass would have it, and what is fixed in all its draws."""
+    from ..inference.model import NOMINAL
+
+    fixed = dict(modelling.fixed)
+    if MASS not in posterior["posterior"]:
+        return posterior, fixed
+    draws = posterior["posterior"].to_dataset()
+    powers = oscillator.mass_exponents
+    goes_with_mass = {name: draws[f"{NOMINAL}{name}"] for name in powers if f"{NOMINAL}{name}" in draws}
+    for name in [name for name in fixed if powers[name]]:
+        goes_with_mass[name] = fixed.pop(name) * (oscillator.mass / draws[MASS]) ** powers[name]
+    kept = draws.drop_vars([MASS, *(f"{NOMINAL}{name}" for name in powers if f"{NOMINAL}{name}" in draws)])
+    return xr.DataTree.from_dict({"posterior": kept.assign(goes_with_mass)}), fixed
 
 
 def _result(updated: Updated, command: str, settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -212,10 +261,11 @@ def _result(updated: Updated, command: str, settings: Mapping[str, Any]) -> dict
         "seed": settings["random_seed"],
         "equation": oscillator.equation,
         "mass": oscillator.mass,
+        "mass_error": updated.mass_error,
         "effects": [effect.name for effect in oscillator.effects],
         "density": None if updated.density is None else updated.density.description,
         **updated.measured.entries(),
-        "parameters": _parameters(updated.table, oscillator, updated.bounds),
+        "parameters": _parameters(updated),
         "fixed": dict(updated.fixed),
         "comparison": compare(updated.measured.backbones, updated.predictive),
         "interrupted": posterior.attrs.get("interrupted"),
@@ -228,15 +278,15 @@ def _result(updated: Updated, command: str, settings: Mapping[str, Any]) -> dict
     }
 
 
-def _folders(
+def _output_of(
     path: str | os.PathLike[str], output: str | os.PathLike[str] | None, overwrite: bool, keeping: Keeping
-) -> Path | None:
-    """Return the output folder, made ready; the draws are kept elsewhere."""
-    if output is None:
-        return None
-    if keeping.store is not None and Path(keeping.store).resolve() == Path(output).resolve():
+) -> AbstractContextManager[Path | None]:
+    """Return what makes the output folder ready; the draws are kept elsewhere."""
+    is_same = output is not None and keeping.store is not None
+    if is_same and Path(str(keeping.store)).resolve() == Path(str(output)).resolve():
         raise InputError(f"The store and the output are both {output}; give each a folder of its own.")
-    return prepare_output(output, overwrite or (keeping.resume and _ended_early(output)), records=path)
+    is_rest = output is not None and keeping.resume and _ended_early(output)
+    return claimed_output(output, overwrite or is_rest, records=path)
 
 
 def _seed(sampling: Sampling, keeping: Keeping) -> int:
@@ -313,17 +363,22 @@ def _remedy(updated: Updated) -> str:
     return f"run `pymc-backbone diagnose --base {' '.join(base)}` with the same records to find what is missing"
 
 
-def _parameters(
-    table: pd.DataFrame, oscillator: Oscillator, bounds: Mapping[str, tuple[float, float]]
-) -> dict[str, dict[str, Any]]:
+def _parameters(updated: Updated) -> dict[str, dict[str, Any]]:
     entries = {}
-    for label, row in table.iterrows():
+    mass = updated.oscillator.mass
+    is_rotation = updated.measured.amplitude_unit == "rad"
+    # of a prior that is no interval the central 95 % are given
+    bounds = {
+        **updated.bounds, MASS: (max(mass - 1.96 * updated.mass_error, 0.0), mass + 1.96 * updated.mass_error)
+    }  # fmt: skip
+    units = {**updated.oscillator.units, MASS: "kg m^2" if is_rotation else "kg"}
+    for label, row in updated.table.iterrows():
         name = str(label).partition("[")[0]
         low, high = bounds[name]
         kept = ("mean", "sd", "hdi_low", "hdi_high", "r_hat", "ess_bulk", "ess_tail")
         entries[str(label)] = {
             **{key: float(row[key]) for key in kept},
-            "unit": oscillator.units[name],
+            "unit": units[name],
             "prior_low": float(low),
             "prior_high": float(high),
         }

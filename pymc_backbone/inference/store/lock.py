@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import platform
@@ -23,6 +24,8 @@ class FolderLock:
     ----------
     folder : pathlib.Path
         An existing folder.
+    what : str, optional
+        What the folder is, for messages.
 
     Notes
     -----
@@ -31,8 +34,9 @@ class FolderLock:
     counts as alive if it has the number and the start time of the file; a number alone may have been given away.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, what: str = "store") -> None:
         self.path = folder / LOCK
+        self.what = what
         self.file: IO[str] | None = None
 
     def acquire(self) -> None:
@@ -41,15 +45,15 @@ class FolderLock:
             self.file = open(self.path, "a+", encoding="utf-8")
         except OSError as error:
             raise InputError(
-                f"The store {self.path.parent} cannot be written ({error.strerror}); name another folder."
+                f"The {self.what} {self.path.parent} cannot be written ({error.strerror}); name another folder."
             ) from None
-        is_free = _lock(self.file)
+        is_free = _lock(self.file) and self._is_in_place()
         holder = self._holder()
         here = platform.node()
         if is_free and holder is not None:
             if holder.get("host") != here:
                 message = (
-                    f"The store {self.path.parent} was in use by process {holder.get('process')} on "
+                    f"The {self.what} {self.path.parent} was in use by process {holder.get('process')} on "
                     f"{holder.get('host')}, which cannot be seen from {here}; if that run is over, delete {self.path}."
                 )
                 self._close()
@@ -59,7 +63,8 @@ class FolderLock:
             self._close()
             who = "another process" if holder is None else f"process {holder.get('process')} on {holder.get('host')}"
             raise InputError(
-                f"The store {self.path.parent} is in use by {who}; wait until that run is over, or name another folder."
+                f"The {self.what} {self.path.parent} is in use by {who}; wait until that run is over, or name another "
+                "folder."
             )
         self._write(json.dumps({"process": os.getpid(), "host": here, "begun": _start_of(os.getpid())}))
 
@@ -68,6 +73,24 @@ class FolderLock:
         if self.file is not None:
             self._write("")
             self._close()
+
+    def remove(self) -> None:
+        """Give the lock back and remove its file; who opened it meanwhile sees that it is gone, and refuses."""
+        if self.file is None:
+            return
+        if sys.platform == "win32":  # what is open cannot be removed there
+            self._close()
+        with contextlib.suppress(OSError):
+            self.path.unlink(missing_ok=True)
+        self._close()
+
+    def _is_in_place(self) -> bool:
+        """Whether the file that was opened is still the one in the folder."""
+        assert self.file is not None
+        try:
+            return os.path.samestat(os.fstat(self.file.fileno()), os.stat(self.path))
+        except OSError:
+            return False
 
     def _holder(self) -> dict[str, Any] | None:
         assert self.file is not None

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..._common.checks import FloatArray, InputError
+from ..._common.checks import FloatArray, InputError, check_motion, check_positive
 from ..reading.records import MINIMUM_SAMPLES, Record
 from .asymmetry import SIGNIFICANT, MidLine, displacement_amplitude, restore_mid_line, second_harmonic
 from .baseline import Baseline, find_baseline
@@ -33,6 +33,7 @@ def condition(
     band: tuple[float, float] | None = None,
     start: float | None = None,
     stop: float | None = None,
+    floor: float | None = None,
 ) -> ConditionedRecord:
     """Turn a measured record into the displacement of its free decay.
 
@@ -44,6 +45,9 @@ def condition(
         Low and high edge [Hz] of a zero-phase band-pass around the mode, for records with more than one mode.
     start, stop : float, optional
         Part of the record to use [s, on its own clock]; ``start`` replaces the search for the release.
+    floor : float, optional
+        Amplitude of the displacement [m or rad] at which the part to use ends. What follows still says where zero is
+        and how large the noise is.
 
     Returns
     -------
@@ -93,14 +97,15 @@ def condition(
     >>> round(decay.frequency, 3), round(decay.baseline, 4)
     (5.0, 2.0)
     """
-    return _Conditioning(FreePart(record, band, start, stop)).run()
+    return _Conditioning(FreePart(record, band, start, stop), floor).run()
 
 
 class _Conditioning:
     """The steps of `condition` after the free part of the record is found, in order, with what they share."""
 
-    def __init__(self, free: FreePart) -> None:
+    def __init__(self, free: FreePart, floor: float | None) -> None:
         self.free = free
+        self.floor = None if floor is None else check_positive("floor", floor)
         self.record, self.name, self.integrations = free.record, free.name, free.integrations
         self.frequency, self.rate, self.step = free.frequency, free.rate, free.step
         self.begin, self.notes = free.begin, free.notes
@@ -127,6 +132,7 @@ class _Conditioning:
         check_decays(displacement_amplitude(path, self.integrations), self.name, path.amplitude[-1] > 3.0 * floor)
         baseline = self._baseline(measured, path, end, spectrum, band_pass)
         second = self._second_mode(measured, path)
+        end = self._above_floor(path, end)
         first, last = self._range(path, is_cut and band_pass is None, end, measured.size)
         before = round((self.begin - self.free.begin) * self.rate)
         displacement = self._displacement(measured[first:last], path.shifted(first / self.rate))
@@ -141,6 +147,8 @@ class _Conditioning:
         self._note_band_pass(band_pass, path)
         noise = noise_of(spectrum, self._response(band_pass, path.frequency), path.frequency, self.rate)
         is_absolute = not (self.integrations or band_pass)
+        largest = float(amplitude.amplitude_at(time[:1])[0])
+        check_motion(largest, path.frequency, self.record.unit.partition("/")[0], self.name)
         return ConditionedRecord(
             specimen=self.record.specimen,
             time=_frozen(self.begin + time),
@@ -153,7 +161,7 @@ class _Conditioning:
             rest_offset=baseline.rest,
             offset_is_measured=is_absolute or mid_line is not None,
             frequency=path.frequency,
-            amplitude=float(amplitude.amplitude_at(time[:1])[0]),
+            amplitude=largest,
             unit=self.record.unit.partition("/")[0],
             quantity=self.record.quantity,
             band=self.free.band,
@@ -259,6 +267,24 @@ class _Conditioning:
                 f"mode at {path.frequency:.4g} Hz; pass one of them, for example with `band=({low:.3g}, {high:.3g})`"
             )
         return second
+
+    def _above_floor(self, path: Track, end: float) -> float:
+        """Return the end of motion, or the earlier time at which the displacement falls below the floor."""
+        if self.floor is None:
+            return end
+        amplitude = displacement_amplitude(path, self.integrations).amplitude
+        below = np.flatnonzero(amplitude < self.floor)
+        if not below.size or path.time[below[0]] >= end:
+            return end
+        at = max(int(below[0]), 1)
+        unit = self.record.unit.partition("/")[0]
+        if path.until(float(path.time[at])).cycles < MINIMUM_CYCLES or not amplitude[0] > self.floor:
+            raise InputError(
+                f"{self.name}: fewer than {MINIMUM_CYCLES:g} cycles lie above the floor of {self.floor:.4g} {unit}, "
+                f"the first amplitude is {amplitude[0]:.4g} {unit}; give a lower `floor`."
+            )
+        self.notes.append(f"what is below an amplitude of {self.floor:.4g} {unit} was left out")
+        return float(path.time[at])
 
     def _range(self, path: Track, is_cut: bool, end: float, size: int) -> tuple[int, int]:
         """Return the samples from a quarter of a cycle before the first turning point to the end of motion."""

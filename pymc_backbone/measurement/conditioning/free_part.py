@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,12 +14,15 @@ from ..turning import rough_noise
 from .decimation import Decimation, design_decimation
 from .filters import check_band
 from .lift import end_of_lift
+from .lost_samples import MOST, Jump, find_jump, mended, repeats
 from .noise import quantum
 from .plausibility import check_clipping, check_moves, check_per_cycle
 from .release import end_of_drive, end_of_rest, leading_rest
 from .spikes import Spike, without_spikes
 from .time_grid import to_uniform
 from .tracking import dominant_frequency
+
+_MOST_PLACES = 5
 
 
 class FreePart:
@@ -75,6 +80,7 @@ class FreePart:
         # a sensor may read ten thousand times the motion: no filter stops that much
         self.reading = float(np.median(values))
         values = values - self.reading
+        time, values = self._without_repeats(time, values)
         self.samples = to_uniform(time, values, self.name)
         self.notes += self.samples.notes
         self.whole, spikes = without_spikes(self.samples.values, self.step)
@@ -88,7 +94,7 @@ class FreePart:
         self.values, is_lifted = self._let_go(self.values)
         self.is_cut |= is_lifted
         self._note_spikes(spikes)
-        self.values = self._decimated(self.values)
+        self.values = self._clocked(self._decimated(self.values))
 
     def _chosen(self, start: float | None, stop: float | None) -> NDArray[np.bool_]:
         """Return which samples lie between ``start`` and ``stop``."""
@@ -167,6 +173,43 @@ class FreePart:
         self.begin += index / self.rate
         return values[index:]
 
+    def _without_repeats(self, time: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the record without samples that were written twice; their places are interpolated later."""
+        at = repeats(values, self.step, rough_noise(values))
+        if not at.size or time.size - at.size < MINIMUM_SAMPLES:
+            return time, values
+        self.notes.append(
+            f"warning: {_counted(at.size, 'sample')} {'repeats' if at.size == 1 else 'repeat'} the one before while "
+            f"the motion goes on ({_places(time[at])}): what was written twice was left out; check the logger or camera"
+        )
+        return np.delete(time, at), np.delete(values, at)
+
+    def _clocked(self, values: FloatArray) -> FloatArray:
+        """Return the values with samples put in, or taken out, where the motion shows that the clock jumped."""
+        interval = 1.0 / self.samples.sampling_rate
+        jumps: list[tuple[float, Jump]] = []
+        while (jump := find_jump(values, self.rate, self.frequency, interval)) is not None:
+            if len(jumps) == MOST:
+                self.notes.append(
+                    f"warning: the clock jumps by whole samples at more than {MOST} places: nothing that this record "
+                    "says of frequency is to be believed; check the logger"
+                )
+                return values
+            jumps.append((self.begin + jump.index / self.rate, jump))
+            values = mended(values, jump, jump.count * interval * self.rate)
+        for is_missing in (True, False):
+            found = sorted((time, abs(jump.count)) for time, jump in jumps if (jump.count > 0) == is_missing)
+            if not found:
+                continue
+            total = sum(count for _, count in found)
+            state = "missing" if is_missing else "too many"
+            self.notes.append(
+                f"warning: {_counted(total, 'sample')} {'is' if total == 1 else 'are'} {state} without a trace in the "
+                f"times ({_places([time for time, _ in found])}): the cycles step there by whole samples; "
+                f"{'put in by interpolation' if is_missing else 'taken out'}; check the logger"
+            )
+        return values
+
     def _decimated(self, values: FloatArray) -> FloatArray:
         """Return fewer samples of a long record, as many as the motion needs."""
         # a band may reach beyond what the mode alone needs
@@ -185,6 +228,17 @@ class FreePart:
             f"{self.rate / self.frequency:.0f} per cycle, frequencies up to {0.25 * self.rate:.4g} Hz are untouched"
         )
         return kept
+
+
+def _counted(number: int, what: str) -> str:
+    return f"1 {what}" if number == 1 else f"{number} {what}s"
+
+
+def _places(times: Sequence[float] | FloatArray) -> str:
+    """Return the first few of the times at which something is amiss, as words."""
+    first = ", ".join(f"{time:.6g}" for time in times[:_MOST_PLACES])
+    rest = len(times) - _MOST_PLACES
+    return f"at {first}{f' and {rest} more' if rest > 0 else ''} s"
 
 
 def dropped(duration: float, state: str) -> str:

@@ -94,7 +94,13 @@ def to_uniform(time: FloatArray, values: FloatArray, name: str = "record") -> Un
         )
     if wide.any():
         missing = int(np.sum(counts[wide] - 1.0))
-        notes.append(f"{missing} missing sample(s) in {int(wide.sum())} gap(s) were interpolated by a cubic spline")
+        count = int(wide.sum())
+        first = f"at {gaps[0, 0]:.6g} s" if count == 1 else f"the first at {gaps[0, 0]:.6g} s"
+        notes.append(
+            f"{missing} missing {'sample' if missing == 1 else 'samples'} in {count} "
+            f"{'gap' if count == 1 else 'gaps'} of the times, {first}, {'was' if missing == 1 else 'were'} "
+            f"interpolated by a cubic spline"
+        )
     grid = start + interval * np.arange(round((stamps[-1] - start) / interval) + 1)
     resampled = CubicSpline(stamps, values)(np.clip(grid, stamps[0], stamps[-1]))
     return UniformSamples(start, 1.0 / interval, resampled, gaps, tuple(notes))

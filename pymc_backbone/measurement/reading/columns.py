@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import NoReturn, Protocol
@@ -12,9 +12,19 @@ import numpy as np
 
 from ..._common.checks import FloatArray, InputError, check_choice, check_positive
 from ..._common.text import printable, shorten
-from .headers import ERROR_WORDS, QUANTITIES, is_angle_name, is_time, mentions_time, quantity_of_name, words_of
+from .headers import (
+    ERROR_WORDS,
+    FORCE_WORDS,
+    QUANTITIES,
+    is_angle_name,
+    is_time,
+    mentions_time,
+    quantity_of_name,
+    words_of,
+)
+from .sensitivity import FORCE, Sensitivity, sensitivities_of
 from .tables import Column, Table
-from .units import Unit, dimension_of, parse_unit, require_unit
+from .units import Unit, dimension_of, is_voltage, parse_unit, require_unit
 
 SI_UNITS = {
     "displacement": ("m", "rad"),
@@ -49,17 +59,34 @@ class Source(Protocol):
 
 @dataclass(frozen=True)
 class Reading:
-    """What the user said about the columns: names wanted, the time column, quantity, unit, sampling rate [Hz]."""
+    """What the user said about the columns: names, the time column, quantity, unit, sampling rate [Hz], sensors."""
 
     columns: tuple[str, ...] = ()
     time: str | None = None
     quantity: str | None = None
     unit: str | None = None
     rate: float | None = None
+    sensitivities: tuple[Sensitivity, ...] = ()
+
+    def sensitivity_of(self, source: Source, column: Column, *, is_force: bool = False) -> Sensitivity | None:
+        """Return the sensitivity of the sensor behind a column: its own, else that of all channels, else None."""
+        of_all = None
+        for item in self.sensitivities:
+            if (item.quantity == FORCE) != is_force:
+                continue
+            if item.channel is None:
+                of_all = item
+            elif any(column.index == one.index for one in named_columns(source, item.channel, "sensitivity")):
+                return item
+        return of_all
 
 
 def reading_of(
-    columns: str | Sequence[str] | None, quantity: str | None, unit: str | None, sampling_rate: float | None
+    columns: str | Sequence[str] | None,
+    quantity: str | None,
+    unit: str | None,
+    sampling_rate: float | None,
+    sensitivity: str | Sequence[str] | None = None,
 ) -> Reading:
     """Check what the user said about the columns; an entry ``time=NAME`` of ``columns`` names the time column."""
     names = [columns] if isinstance(columns, str) else list(columns or ())
@@ -74,6 +101,7 @@ def reading_of(
         None if quantity is None else check_choice("quantity", quantity, QUANTITIES),
         unit,
         None if sampling_rate is None else check_positive("sampling_rate", sampling_rate),
+        sensitivities_of(sensitivity),
     )
 
 
@@ -174,35 +202,27 @@ def find_values(source: Source, reading: Reading) -> list[tuple[Column, str]]:
     """Return the columns to read and the quantity each holds."""
     by_unit = dimension_of(reading.unit) if reading.unit else None
     if reading.columns:
-        picked: list[tuple[Column, str]] = []
-        for wanted in reading.columns:
-            for column in named_columns(source, wanted):
-                held = reading.quantity or _quantity_of(column) or by_unit
-                if held is None:
-                    source.fail(
-                        f"what column {shorten(column.header)!r} holds is not known; give `quantity` "
-                        "(displacement, velocity or acceleration), or `unit`.",
-                        source.header_line,
-                    )
-                if all(column.index != other.index for other, _ in picked):
-                    picked.append((column, held))
-        return picked
-    found = [(column, held) for column in source.columns if (held := _quantity_of(column)) is not None]
+        return _named_values(source, reading, by_unit)
+    found = _found_values(source, reading)
     picked = found if reading.quantity is None else [pair for pair in found if pair[1] == reading.quantity]
-    if len(picked) == 1:
+    if len(picked) == 1 or _is_one_cell(column for column, _ in picked):
         return picked
-    if not found and (reading.quantity or by_unit):
-        others = [column for column in source.columns if not _is_no_signal(column, reading.time)]
-        if len(others) == 1:
-            return [(others[0], reading.quantity or str(by_unit))]
+    of_all = next((item.quantity for item in reading.sensitivities if item.channel is None), None)
+    held = reading.quantity or by_unit or (of_all if of_all in QUANTITIES else None)
+    if not found and held:
+        others = [column for column in source.columns if not is_no_signal(column, reading.time)]
+        if len(others) == 1 or _is_one_cell(others):
+            return [(column, held) for column in others]
     if not picked:
         expected = (
             f"a column '{reading.quantity}'"
             if reading.quantity
             else "a column 'displacement', 'velocity' or 'acceleration'"
         )
+        of_volts = " (of volts: `sensitivity`)" if any(is_voltage(column.unit) for column in source.columns) else ""
         source.fail(
-            f"expected {expected}, found {source.found}; name it in the header, or give `columns` and `quantity`.",
+            f"expected {expected}, found {source.found}; name it in the header, or give `columns` and "
+            f"`quantity`{of_volts}.",
             source.header_line,
         )
     names = ", ".join(repr(shorten(column.header)) for column, _ in picked[:9]) + (" ..." if len(picked) > 9 else "")
@@ -210,17 +230,76 @@ def find_values(source: Source, reading: Reading) -> list[tuple[Column, str]]:
     source.fail(f"expected one measured quantity, found {names}; choose with {option}.", source.header_line)
 
 
-def _is_no_signal(column: Column, time: str | None) -> bool:
+def _is_one_cell(columns: Iterable[Column]) -> bool:
+    """Return whether columns are the items of one cell array, which are records of their own."""
+    cells = {column.cell for column in columns}
+    return len(cells) == 1 and "" not in cells
+
+
+def _named_values(source: Source, reading: Reading, by_unit: str | None) -> list[tuple[Column, str]]:
+    """Return the columns that the user names, and the quantity each holds."""
+    picked: list[tuple[Column, str]] = []
+    for wanted in reading.columns:
+        for column in named_columns(source, wanted):
+            sensor = reading.sensitivity_of(source, column)
+            by_sensor = None if sensor is None else sensor.quantity
+            held = reading.quantity or _quantity_of(column) or by_unit or by_sensor
+            if held is None:
+                source.fail(
+                    f"what column {shorten(column.header)!r} holds is not known; give `quantity` "
+                    "(displacement, velocity or acceleration), or `unit`.",
+                    source.header_line,
+                )
+            if all(column.index != other.index for other, _ in picked):
+                picked.append((column, held))
+    return picked
+
+
+def _found_values(source: Source, reading: Reading) -> list[tuple[Column, str]]:
+    """Return the columns that hold motion by name, by unit, or as volts of a sensor, and the quantity each holds.
+
+    Where the user gives sensitivities, columns of volts come before those that are in a unit of motion.
+    """
+    found = [(column, held) for column in source.columns if (held := _quantity_of(column)) is not None]
+    if not reading.sensitivities:
+        return found
+    in_volts = []
+    for column in source.columns:
+        sensor = reading.sensitivity_of(source, column)
+        if sensor is None or is_no_signal(column, reading.time) or names_force(column):
+            continue
+        known = _quantity_of(column)
+        if is_voltage(column.unit) or (known and not column.unit) or sensor.channel is not None:
+            in_volts.append((column, known or sensor.quantity))
+    return in_volts or found
+
+
+def names_force(column: Column) -> bool:
+    """Return whether the name of a column says force or hammer."""
+    return bool(FORCE_WORDS & set(words_of(column.name)))
+
+
+def is_no_signal(column: Column, time: str | None) -> bool:
+    """Return whether a column is time, the specimen's name, or a date."""
     name = column.name.lower()
     is_given = time is not None and time.lower() in (name, column.header.lower())
-    return is_given or name == "specimen" or is_time(name) or mentions_time(name)
+    return is_given or name in ("specimen", "date", "datum") or is_time(name) or mentions_time(name)
 
 
-def unit_of_values(source: Source, column: Column, quantity: str, given: str | None) -> tuple[Unit, tuple[str, ...]]:
+def unit_of_values(source: Source, column: Column, quantity: str, reading: Reading) -> tuple[Unit, tuple[str, ...]]:
     """Return the unit of the value column and notes on what was assumed or converted."""
     where = f"{source.name}, column {shorten(column.header)!r}"
-    if given is not None:
-        unit = require_unit(given, quantity, "`unit`")
+    sensor = reading.sensitivity_of(source, column)
+    if sensor is not None:
+        return unit_of_sensor(source, column, quantity, sensor, reading.unit)
+    if is_voltage(reading.unit or column.unit):
+        source.fail(
+            f"is a voltage ({printable(reading.unit or column.unit or '')}); give `sensitivity`, such as '10.2 mV/g'.",
+            None,
+            column,
+        )
+    if reading.unit is not None:
+        unit = require_unit(reading.unit, quantity, "`unit`")
     elif column.unit is not None:
         unit = require_unit(column.unit, quantity, where)
     else:
@@ -231,16 +310,39 @@ def unit_of_values(source: Source, column: Column, quantity: str, given: str | N
     return unit, (f"{quantity} was converted from {printable(unit.written)} to {unit.si}",)
 
 
+def unit_of_sensor(
+    source: Source, column: Column, quantity: str, sensor: Sensitivity, given: str | None
+) -> tuple[Unit, tuple[str, ...]]:
+    """Return the unit that a column of volts has by the sensitivity of its sensor, and notes."""
+    if quantity != sensor.quantity:
+        source.fail(
+            f"holds {quantity}, and a `sensitivity` of {printable(sensor.written)} is that of a sensor of "
+            f"{sensor.quantity}; correct one of them.",
+            None,
+            column,
+        )
+    written = given or column.unit or "V"
+    volts = parse_unit(written, "voltage")
+    if volts is None:
+        source.fail(
+            f"is in {printable(shorten(written))}, and `sensitivity` is for volts; drop it, or, if the samples are "
+            "volts, give `unit` V.",
+            None,
+            column,
+        )
+    assumed = () if given or column.unit else (f"the header states no unit of {quantity}: V was assumed",)
+    note = f"{quantity} was converted from {printable(written)} to {sensor.si} at {printable(sensor.written)}"
+    return Unit(written, volts.factor / sensor.volts, sensor.si), (*assumed, note)
+
+
 def scaled(values: FloatArray, factor: float) -> FloatArray:
     """Return values in SI units; what overflows or is no number is found, and named, by the checks that follow."""
     with np.errstate(over="ignore", invalid="ignore"):
         return values * factor
 
 
-def checked_time(table: Table, column: Column | None, stamps: FloatArray | None, rows: np.ndarray) -> FloatArray:
+def checked_time(table: Table, column: Column, time: FloatArray, rows: np.ndarray) -> FloatArray:
     """Return the time stamps of one specimen, or raise at the line where they do not increase."""
-    assert stamps is not None and column is not None
-    time: FloatArray = stamps[rows]
     drop = np.flatnonzero(np.diff(time) <= 0.0)
     if not drop.size:
         return time

@@ -14,8 +14,11 @@ QUANTITY_WORDS = {
     "velocity": {"velocity", "vel", "geschwindigkeit", "schwinggeschwindigkeit", "vitesse"},
     "acceleration": {"acceleration", "acc", "accel", "beschleunigung"},
 }  # fmt: skip
+FORCE_WORDS = {"force", "hammer", "kraft", "hammerkraft", "impuls", "marteau", "fuerza"}
 ANGLE_WORDS = {"angle", "rotation", "angular", "winkel"}
-TIME_WORDS = {"time", "t", "timestamp", "seconds", "zeit", "temps", "tempo", "tiempo"}
+TIME_WORDS = {
+    "time", "t", "timestamp", "datetime", "seconds", "zeit", "uhrzeit", "zeitstempel", "temps", "tempo", "tiempo",
+}  # fmt: skip
 ERROR_WORDS = {"error", "se", "sd", "std"}
 RATE_WORDS = {"fs", "samplerate", "samplingrate", "samplefrequency", "samplingfrequency", "sr", "abtastrate"}
 STEP_WORDS = {"dt", "deltat", "timestep", "samplingperiod", "sampleperiod", "sampleinterval", "samplinginterval"}

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..._common.checks import FloatArray, InputError, IntArray
-from .headers import words_of
+from .columns import names_force
+from .sensitivity import FORCE_UNITS
 from .tables import Column
 
-FORCE_WORDS = {"force", "hammer", "kraft", "hammerkraft", "impuls", "marteau", "fuerza"}
-FORCE_UNITS = {"N", "kN", "mN", "lbf"}
 _SHARE_OF_PEAK, _FAR = 0.05, 8.0
 _NORMAL = 1.4826  # median absolute deviation to standard deviation, for a normal distribution
 _ACTS = 0.2
@@ -51,7 +50,7 @@ def is_force(column: Column) -> bool:
     """
     if column.unit is not None:
         return column.unit.strip() in FORCE_UNITS
-    return bool(FORCE_WORDS & set(words_of(column.name))) and column.quantity is None
+    return names_force(column) and column.quantity is None
 
 
 def find_hits(force: FloatArray) -> list[Hit]:

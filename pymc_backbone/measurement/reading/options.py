@@ -13,7 +13,7 @@ class Reading:
 
     Attributes
     ----------
-    columns, quantity, unit, sampling_rate
+    columns, quantity, unit, sampling_rate, sensitivity
         As in `read_records`; for records only.
     is_table : bool
         Whether the files are tables of backbones instead of records.
@@ -23,6 +23,7 @@ class Reading:
     quantity: str | None = None
     unit: str | None = None
     sampling_rate: float | None = None
+    sensitivity: str | Sequence[str] | None = None
     is_table: bool = False
 
     @property
@@ -33,4 +34,5 @@ class Reading:
             "quantity": self.quantity,
             "unit": self.unit,
             "sampling_rate": self.sampling_rate,
+            "sensitivity": self.sensitivity,
         }

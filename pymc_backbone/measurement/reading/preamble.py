@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
+from .clock import is_clock, is_date
 from .headers import RATE_WORDS, STEP_WORDS, is_time, key_of, mentions_time, quantity_of_name
 from .units import dimension_of, parse_unit, split_header
 
@@ -80,11 +81,15 @@ def _width(line: str, splitter: str | None) -> int:
     cells = _cells(line, splitter)
     if len(cells) < 2 and splitter is not None:
         return 0
-    return len(cells) if all(_NUMBER.fullmatch(cell) for cell in cells) else 0
+    return len(cells) if all(map(_is_datum, cells)) else 0
+
+
+def _is_datum(cell: str) -> bool:
+    return _NUMBER.fullmatch(cell) is not None or is_clock(cell) or is_date(cell)
 
 
 def _names_channels(cells: Sequence[str], width: int) -> bool:
-    if len(cells) != width or any(_NUMBER.fullmatch(cell) for cell in cells):
+    if len(cells) != width or any(map(_is_datum, cells)):
         return False
     for cell in cells:
         name, unit = split_header(cell)

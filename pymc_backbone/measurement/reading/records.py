@@ -6,6 +6,7 @@ import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import numpy as np
 
 from ..._common.checks import FloatArray, InputError, check_choice, check_finite_array
 from ..._common.text import natural_key, printable, shorten
+from .clock import ClockError, is_clock, seconds_of
 from .columns import (
     SI_UNITS,
     Reading,
@@ -22,8 +24,11 @@ from .columns import (
     find_specimens,
     find_time,
     find_values,
+    is_no_signal,
+    names_force,
     reading_of,
     scaled,
+    unit_of_sensor,
     unit_of_time,
     unit_of_values,
 )
@@ -33,11 +38,15 @@ from .formats.sep005 import channels_of_sep005
 from .headers import QUANTITIES
 from .hits import decays_of, is_force
 from .measured_backbones import read_backbones
+from .sensitivity import FORCE
 from .tables import Column, Table, list_tables, read_table
-from .units import split_header
+from .units import is_voltage, split_header
 
 __all__ = ["QUANTITIES", "Record", "read_backbones", "read_records", "write_records"]
 
+_MOST_NAMED = 6
+_MOST_TWICE = 0.02
+"""Share of the lines that may stand there twice."""
 MINIMUM_SAMPLES = 32
 """Four cycles of eight samples: with less there is no decay to speak of."""
 
@@ -136,6 +145,7 @@ def read_records(
     quantity: str | None = None,
     unit: str | None = None,
     sampling_rate: float | None = None,
+    sensitivity: str | Sequence[str] | None = None,
 ) -> list[Record]:
     """Read measured free decays from files, convert them to SI units and check them.
 
@@ -154,6 +164,9 @@ def read_records(
         Unit of the channels, for files that do not state it or state it wrongly.
     sampling_rate : float, optional
         Samples per second [Hz]; replaces the time channel, which may then be missing.
+    sensitivity : str or sequence of str, optional
+        Of the sensors, for channels that are in volts: ``"10.2 mV/g"`` for all, ``"acc_x=10.2 mV/g"`` for one. A
+        hammer's, ``"2.25 mV/N"``, scales the channel of force.
 
     Returns
     -------
@@ -182,77 +195,207 @@ def read_records(
     ``Acc (g)``, ``angle [deg]``) and SI is assumed, and noted, where none does. A further column ``specimen`` divides a
     file.
     """
-    reading = reading_of(columns, quantity, unit, sampling_rate)
+    options = {"columns": columns, "quantity": quantity, "unit": unit, "sampling_rate": sampling_rate}
+    return list(read_record_files(path, strict=True, sensitivity=sensitivity, **options).records)
+
+
+@dataclass(frozen=True)
+class RecordFiles:
+    """What was read from files.
+
+    Attributes
+    ----------
+    records : tuple of Record
+        Naturally sorted by specimen.
+    refused : tuple of str
+        A sentence for each file that cannot be used.
+    """
+
+    records: tuple[Record, ...]
+    refused: tuple[str, ...] = ()
+
+
+def read_record_files(path: Any, *, strict: bool = False, **options: Any) -> RecordFiles:
+    """Read as `read_records` does; leave out files of a folder that cannot be used, as long as half of them remain.
+
+    Parameters
+    ----------
+    path
+        As in `read_records`.
+    strict : bool, default False
+        Whether the first file that cannot be used ends it.
+    **options
+        ``columns``, ``quantity``, ``unit``, ``sampling_rate``, ``sensitivity``, as in `read_records`.
+
+    Returns
+    -------
+    RecordFiles
+
+    Raises
+    ------
+    InputError
+        When nothing or less than half can be used, or two files hold the same specimen.
+    """
+    names = ("columns", "quantity", "unit", "sampling_rate", "sensitivity")
+    reading = reading_of(*(options.get(name) for name in names))
     records: dict[str, Record] = {}
-    for record in _all_records(path, reading):
-        if record.specimen in records:
-            raise InputError(
-                f"{printable(record.source)}: specimen {shorten(record.specimen)!r} is also in "
-                f"{printable(records[record.specimen].source)}; rename one of them."
-            )
-        records[record.specimen] = record
-    return [records[name] for name in sorted(records, key=natural_key)]
+    refused: list[str] = []
+    sources = _sources(path)
+    for source in sources:
+        try:
+            found = list(_records_of(source, reading))
+        except InputError as error:
+            if strict or len(sources) == 1:
+                raise
+            refused.append(str(error))
+            continue
+        for record in found:
+            if record.specimen in records:
+                raise InputError(
+                    f"{printable(record.source)}: specimen {shorten(record.specimen)!r} is also in "
+                    f"{printable(records[record.specimen].source)}; rename one of them."
+                )
+            records[record.specimen] = record
+    if len(refused) == len(sources):
+        raise InputError(refused[0])
+    if 2 * len(refused) > len(sources):
+        raise InputError(
+            f"{len(refused)} of {len(sources)} files cannot be used, more than half of them; the first: {refused[0]}"
+        )
+    return RecordFiles(tuple(records[name] for name in sorted(records, key=natural_key)), tuple(refused))
 
 
-def _all_records(path: Any, reading: Reading) -> Iterator[Record]:
-    """Yield the records of all files, or of SEP-005 dictionaries."""
-    if isinstance(path, Mapping | list | tuple):
+def _sources(path: Any) -> list[Any]:
+    """Return the files a path stands for, or what holds SEP-005 dictionaries as the only source."""
+    return [path] if isinstance(path, Mapping | list | tuple) else list(list_tables(path, list_recordings))
+
+
+def _records_of(source: Any, reading: Reading) -> Iterator[Record]:
+    """Yield the records of a file, or of SEP-005 dictionaries."""
+    if not isinstance(source, Path):
         where = "SEP-005"
-        channels = channels_of_sep005(path, where)
+        channels = channels_of_sep005(source, where)
         stem = channels[0].name if len(channels) == 1 else ""
         yield from _records_of_channels(Recording(Path(where), tuple(channels)), stem, reading)
         return
-    for file in list_tables(path, list_recordings):
-        recording = read_recording(file)
-        if recording is None:
-            yield from _records_of_table(read_table(file), reading)
-        else:
-            yield from _records_of_channels(recording, file.stem, reading)
+    recording = read_recording(source)
+    if recording is None:
+        yield from _records_of_table(read_table(source), reading)
+    else:
+        yield from _records_of_channels(recording, source.stem, reading)
 
 
 def _records_of_table(table: Table, reading: Reading) -> Iterator[Record]:
     """Yield the records of one table."""
     specimens = find_specimens(table)
     picked = find_values(table, reading)
-    units = [unit_of_values(table, column, quantity, reading.unit) for column, quantity in picked]
-    notes = table.notes
-    stamps, time_column, rate = None, None, reading.rate
-    if rate is not None:
-        notes += (f"time was counted at the given {rate:g} samples per second",)
-    else:
-        time_column = find_time(table, reading.time)
-        if time_column is not None:
-            time_unit = unit_of_time(table, time_column)
-            notes += () if time_unit.factor == 1.0 else (f"time was converted from {time_unit.written} to s",)
-            stamps = scaled(table.numbers(time_column), time_unit.factor)
-        elif table.rate is not None:
-            rate, line = table.rate
-            notes += (f"time was counted at {rate:g} samples per second, by the line {shorten(printable(line))!r}",)
-        else:
-            fail_without_time(table)
+    force = _force_of(table, reading, [column for column, _ in picked])
+    units = [unit_of_values(table, column, quantity, reading) for column, quantity in picked]
+    for specimen, rows in specimens.items():
+        if len(rows) < MINIMUM_SAMPLES:
+            whose = f" of specimen {shorten(specimen)!r}" if len(specimens) > 1 else ""
+            table.fail(f"a record needs at least {MINIMUM_SAMPLES} samples, got {len(rows)}{whose}; record longer.")
+    specimens, twice = _without_repeats(table, reading, specimens)
+    times, time_notes = _times_of_table(table, reading, specimens)
+    notes = table.notes + twice + time_notes + _choice(table, reading, [column for column, _ in picked], force)
     for (column, quantity), (unit, unit_notes) in zip(picked, units, strict=True):
         values = scaled(table.numbers(column), unit.factor)
         for specimen, rows in specimens.items():
-            if len(rows) < MINIMUM_SAMPLES:
-                whose = f" of specimen {shorten(specimen)!r}" if len(specimens) > 1 else ""
-                table.fail(f"a record needs at least {MINIMUM_SAMPLES} samples, got {len(rows)}{whose}; record longer.")
-            time = np.arange(len(rows)) / rate if rate is not None else checked_time(table, time_column, stamps, rows)
+            time = times[specimen]
             _check_finite(table, column, time, values[rows])
             source = table.name if len(specimens) == 1 else f"{table.name} (specimen {shorten(printable(specimen))})"
             whole = specimen if len(picked) == 1 else f"{specimen} {_label(column)}"
             record = Record(whole, time, values[rows], quantity, unit.si, source, notes + unit_notes)
-            force = _force_of(table, [column for column, _ in picked])
-            yield from [record] if force is None else _after_hits(record, table.numbers(force)[rows], force)
+            yield from [record] if force is None else _after_hits(record, table.numbers(force.column)[rows], force)
+
+
+def _without_repeats(
+    table: Table, reading: Reading, specimens: Mapping[str, np.ndarray]
+) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
+    """Return the rows of each specimen without lines that repeat the one before, time and all, and a note on them.
+
+    Where most lines do, it is no mistake of the logger but times of too few digits, which are refused later.
+    """
+    kept: dict[str, np.ndarray] = {}
+    lines: list[int] = []
+    has_time = reading.rate is None and _time_column(table, reading) is not None
+    for name, rows in specimens.items():
+        cells = [[column[row] for row in rows] for column in table.cells] if has_time else []
+        same = np.array([here == before for before, here in pairwise(zip(*cells, strict=True))], dtype=bool)
+        if 0 < np.count_nonzero(same) <= _MOST_TWICE * len(rows):
+            lines += [table.lines[row] for row in rows[1:][same]]
+            rows = rows[np.concatenate([[True], ~same])]
+        kept[name] = rows
+    if not lines:
+        return kept, ()
+    places = ", ".join(map(str, lines[:_MOST_NAMED])) + (" ..." if len(lines) > _MOST_NAMED else "")
+    what = "1 line repeats" if len(lines) == 1 else f"{len(lines)} lines repeat"
+    return kept, (f"{what} the one before (line {places}) and {'was' if len(lines) == 1 else 'were'} dropped",)
+
+
+def _times_of_table(
+    table: Table, reading: Reading, specimens: Mapping[str, np.ndarray]
+) -> tuple[dict[str, FloatArray], tuple[str, ...]]:
+    """Return the sampling instants [s] of each specimen of a table, and notes."""
+    rate = reading.rate
+    notes: tuple[str, ...] = ()
+    if rate is not None:
+        notes = (f"time was counted at the given {rate:g} samples per second",)
+    elif (column := _time_column(table, reading)) is not None:
+        if is_clock(table.cells[column.index][0]):
+            return _clock_times(table, column, specimens)
+        unit = unit_of_time(table, column)
+        notes = () if unit.factor == 1.0 else (f"time was converted from {unit.written} to s",)
+        stamps = scaled(table.numbers(column), unit.factor)
+        return {name: checked_time(table, column, stamps[rows], rows) for name, rows in specimens.items()}, notes
+    elif table.rate is not None:
+        rate, line = table.rate
+        notes = (f"time was counted at {rate:g} samples per second, by the line {shorten(printable(line))!r}",)
+    else:
+        fail_without_time(table)
+    return {name: np.arange(len(rows)) / rate for name, rows in specimens.items()}, notes
+
+
+def _time_column(table: Table, reading: Reading) -> Column | None:
+    """Return the time column by its name or, where none has such a name, by the times of a clock that it holds."""
+    column = find_time(table, reading.time)
+    if column is not None:
+        return column
+    clocks = [column for column in table.columns if is_clock(table.cells[column.index][0])]
+    return clocks[0] if len(clocks) == 1 else None
+
+
+def _clock_times(
+    table: Table, column: Column, specimens: Mapping[str, np.ndarray]
+) -> tuple[dict[str, FloatArray], tuple[str, ...]]:
+    """Return the sampling instants [s] from a column of clock times, and notes."""
+    times, notes = {}, []
+    cells = table.cells[column.index]
+    for name, rows in specimens.items():
+        try:
+            stamps, said = seconds_of([cells[row] for row in rows])
+        except ClockError as error:
+            row = rows[error.index]
+            table.fail(
+                f"{shorten(cells[row].strip())!r} {error}; write times as {shorten(cells[rows[0]].strip())!r}.",
+                table.lines[row],
+                column,
+            )
+        times[name] = checked_time(table, column, stamps, rows)
+        notes += [note for note in said if note not in notes]
+    return times, tuple(notes)
 
 
 def _records_of_channels(recording: Recording, stem: str, reading: Reading) -> Iterator[Record]:
     """Yield the records of the channels of a file; one record is named by ``stem``, several by their channels too."""
     picked = find_values(recording, reading)
+    columns = [column for column, _ in picked]
+    force = _force_of(recording, reading, columns)
     for column, quantity in picked:
         channel = recording.channels[column.index]
         if channel.refusal:
             recording.refuse(channel)
-        unit, notes = unit_of_values(recording, column, quantity, reading.unit)
+        unit, notes = unit_of_values(recording, column, quantity, reading)
         notes = recording.notes + notes
         time_notes: tuple[str, ...] = ()
         if reading.rate is not None:
@@ -266,9 +409,9 @@ def _records_of_channels(recording: Recording, stem: str, reading: Reading) -> I
             _check_finite(recording, column, values)
         source = recording.name if len(picked) == 1 else f"{recording.name} ({shorten(column.header)})"
         whole = stem if stem and len(picked) == 1 else f"{stem} {_label(column)}".strip()
-        record = Record(whole, time, values, quantity, unit.si, source, notes + time_notes)
-        force = _force_of(recording, [column for column, _ in picked])
-        shown = None if force is None else recording.channels[force.index]
+        chosen = _choice(recording, reading, columns, force)
+        record = Record(whole, time, values, quantity, unit.si, source, notes + time_notes + chosen)
+        shown = None if force is None else recording.channels[force.column.index]
         is_beside = shown is not None and not shown.refusal and shown.values.size == values.size
         if shown is None or force is None or not is_beside or not np.isfinite(shown.values).all():
             yield record
@@ -276,17 +419,59 @@ def _records_of_channels(recording: Recording, stem: str, reading: Reading) -> I
             yield from _after_hits(record, shown.values, force)
 
 
-def _force_of(source: Source, picked: Sequence[Column]) -> Column | None:
+@dataclass(frozen=True)
+class _Force:
+    """The channel of a hammer's force, and what turns its samples into ``unit``."""
+
+    column: Column
+    factor: float
+    unit: str
+
+
+def _force_of(source: Source, reading: Reading, picked: Sequence[Column]) -> _Force | None:
     """Return the one channel of force beside those that are read, or None."""
     used = {column.index for column in picked}
-    forces = [column for column in source.columns if is_force(column) and column.index not in used]
-    return forces[0] if len(forces) == 1 else None
+    others = [column for column in source.columns if column.index not in used]
+    named = [item for item in reading.sensitivities if item.quantity == FORCE]
+    forces = []
+    for column in others:
+        sensor = reading.sensitivity_of(source, column, is_force=True)
+        is_sensor = sensor is not None and (sensor.channel is not None or names_force(column))
+        if is_force(column) or is_sensor or (names_force(column) and is_voltage(column.unit)):
+            forces.append((column, sensor))
+    if named and not forces:
+        source.fail(
+            f"has no channel of force for the `sensitivity` of {printable(named[0].written)}, found {source.found}; "
+            f"name the channel as in 'NAME={printable(named[0].written)}', or drop it.",
+            source.header_line,
+        )
+    if len(forces) != 1:
+        return None
+    ((column, sensor),) = forces
+    if sensor is None:
+        return _Force(column, 1.0, column.unit or "")
+    unit, _ = unit_of_sensor(source, column, FORCE, sensor, None)
+    return _Force(column, unit.factor, unit.si)
 
 
-def _after_hits(record: Record, force: FloatArray, column: Column) -> Iterator[Record]:
+def _choice(source: Source, reading: Reading, picked: Sequence[Column], force: _Force | None) -> tuple[str, ...]:
+    """Return a sentence that says which channels were taken, where there are others."""
+    used = {column.index for column in picked} | ({force.column.index} if force is not None else set())
+    rest = [column for column in source.columns if column.index not in used and not is_no_signal(column, reading.time)]
+    if not rest:
+        return ()
+    taken, left = (", ".join(repr(shorten(c.header)) for c in several[:_MOST_NAMED]) for several in (picked, rest))
+    taken += f" and {len(picked) - _MOST_NAMED} more" if len(picked) > _MOST_NAMED else ""
+    left += f" and {len(rest) - _MOST_NAMED} more" if len(rest) > _MOST_NAMED else ""
+    many = "channels" if len(picked) > 1 else "channel"
+    return (f"{many} {taken} {'were' if len(picked) > 1 else 'was'} taken, {left} not",)
+
+
+def _after_hits(record: Record, force: FloatArray, channel: _Force) -> Iterator[Record]:
     """Yield the free decays after the hits of a hammer, or the whole record where its force shows none."""
-    label, unit = shorten(column.header), column.unit or ""
-    for decay in decays_of(record.time, force, label, unit, MINIMUM_SAMPLES, printable(record.source)):
+    label = shorten(channel.column.header)
+    name = printable(record.source)
+    for decay in decays_of(record.time, force * channel.factor, label, channel.unit, MINIMUM_SAMPLES, name):
         yield replace(
             record,
             specimen=f"{record.specimen} hit {decay.number}" if decay.number else record.specimen,

@@ -41,6 +41,8 @@ class Column:
     unit: str | None
     quantity: str | None = None
     """What it holds, where the file says so apart from name and unit."""
+    cell: str = ""
+    """Name of the cell array whose items are records of their own, this one among them; empty for any other column."""
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,7 @@ UNITS: dict[str, dict[str, tuple[float, str]]] = {
         "mg": (1e-3 * _STANDARD_GRAVITY, "m/s^2"),
     },
     "frequency": {"Hz": (1.0, "Hz"), "kHz": (1e3, "Hz"), "rad/s": (1.0 / _TWO_PI, "Hz")},
+    "voltage": {"V": (1.0, "V"), "mV": (1e-3, "V"), "uV": (1e-6, "V"), "kV": (1e3, "V")},
     "ratio": {"1": (1.0, "1"), "-": (1.0, "1"), "%": (1e-2, "1")},
 }
 
@@ -41,7 +42,8 @@ _SPELLINGS = {
     "minutes": "min", "minute": "min", "meter": "m", "metre": "m", "meters": "m", "metres": "m",
     "micron": "um", "microns": "um", "inch": "in", "inches": "in", "feet": "ft",
     "radian": "rad", "radians": "rad", "degree": "deg", "degrees": "deg", 
-    "gn": "g", "hz": "Hz", "khz": "kHz", "percent": "%", "": "1",
+    "gn": "g", "hz": "Hz", "khz": "kHz", "volt": "V", "volts": "V", "millivolt": "mV", "millivolts": "mV",
+    "percent": "%", "": "1",
 }  # fmt: skip
 
 _SYMBOLS = str.maketrans({"µ": "u", "μ": "u", "²": "^2", "⁻": "-", "¹": "1", "·": "*", "°": "deg"})
@@ -93,6 +95,11 @@ def require_unit(text: str, dimension: str, where: str) -> Unit:
         f"{where}: {text.strip()!r} is not a known unit of {dimension}, expected one of {', '.join(known)}; "
         f"convert the column or correct its header.{hint}"
     )
+
+
+def is_voltage(text: str | None) -> bool:
+    """Return whether a unit is one of voltage, in which sensors speak before their sensitivity is known."""
+    return text is not None and parse_unit(text, "voltage") is not None
 
 
 def dimension_of(text: str) -> str | None:

@@ -22,6 +22,8 @@ MAXIMUM_CHANNELS = 10_000
 LARGEST_COMPRESSION = 1100
 """Deflate makes nothing smaller than by a factor of 1032: a header that promises more lies."""
 NO_MOTION = "other"
+ITEM = "#"
+"""Stands in a group before the number of an item of a cell array."""
 _WITHOUT_MEANING = {"data", "values", "value", "signal", "samples", "y", "x"}
 
 
@@ -47,6 +49,8 @@ class Channel:
         Sampling instants [s].
     refusal : str
         Why it cannot be used, as the end of a sentence.
+    cell : str
+        Name of the cell array it is an item of, where each item is a record of its own.
     """
 
     name: str
@@ -58,6 +62,7 @@ class Channel:
     begin: float = 0.0
     stamps: FloatArray | None = None
     refusal: str = ""
+    cell: str = ""
 
     @property
     def has_time(self) -> bool:
@@ -70,7 +75,7 @@ class Channel:
         parts = [part.partition(":")[0].rstrip("0123456789()") for part in name.split(".")]
         while len(parts) > 1 and parts[-1].lower() in _WITHOUT_MEANING:
             parts.pop()
-        return Column(index, printable(self.name), parts[-1], self.unit or unit, self.quantity)
+        return Column(index, printable(self.name), parts[-1], self.unit or unit, self.quantity, self.cell)
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +160,7 @@ class Recording:
     def _time_column(self, channel: Channel) -> Column | None:
         """Return the time channel of the group of a channel, or that of the whole file."""
         columns = self.columns
-        for group in dict.fromkeys((channel.group, "")):
+        for group in dict.fromkeys((channel.group, channel.group.partition(ITEM)[0], "")):
             near = [column for column in columns if self.channels[column.index].group == group]
             found = find_time(_Part(self, tuple(near)))
             if found is not None:

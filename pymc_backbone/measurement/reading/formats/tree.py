@@ -13,7 +13,7 @@ from ...._common.checks import FloatArray
 from ...._common.text import printable, shorten
 from ..headers import RATE_WORDS, STEP_WORDS, is_time, key_of, mentions_time, words_of
 from ..units import parse_unit, split_header
-from .channel import Channel, channel_of, text_of
+from .channel import ITEM, Channel, channel_of, text_of
 
 MOST_COLUMNS = 1000
 _UNIT_KEYS = ("unit", "units", "unit_str", "Unit", "Units", "yunit", "YUnit")
@@ -86,10 +86,24 @@ class _Walker:
             for i, item in enumerate(value, start=1):
                 if isinstance(item, Mapping):
                     self.walk(item, f"{path}({i})", step)
-                elif isinstance(item, np.ndarray | Refused):
+                elif isinstance(item, np.ndarray):
+                    self._item(node, name, i, np.squeeze(item), prefix, step)
+                elif isinstance(item, Refused):
                     self._take(node, f"{name}:{i}", item, prefix, step)
         elif isinstance(value, np.ndarray):
             self._array(node, name, np.squeeze(value), path, prefix, step)
+
+    def _item(
+        self, node: Mapping[str, Any], name: str, number: int, value: NDArray[Any], prefix: str, step: Any
+    ) -> None:
+        """Collect an item of a cell array: a record of its own, timed by the item of the same number beside it."""
+        path = f"{prefix}.{name}" if prefix else name
+        begin, group = len(self.channels), f"{prefix}{ITEM}{number}"
+        self._array(node, name, value, f"{path}:{number}", prefix, step)
+        for k in range(begin, len(self.channels)):
+            self.channels[k] = replace(self.channels[k], group=group, cell=path)
+        if value.ndim == 2:
+            self._find_time_in_matrix(begin, group, step)
 
     def _array(
         self, node: Mapping[str, Any], name: str, value: NDArray[Any], path: str, prefix: str, step: Any
@@ -107,7 +121,10 @@ class _Walker:
         fields = {"group": prefix, "step": None if step is None else step.value}
         if value.ndim == 1:
             unit = text_of(node, f"{name}_unit", f"{name}_units", f"{name}Unit")
-            if unit is None and not is_time(split_header(name)[0]):
+            listed = _listed_units(node)
+            if unit is None and listed:
+                unit = listed.get(name)
+            elif unit is None and not is_time(split_header(name)[0]):
                 unit = text_of(node, *_UNIT_KEYS)
             self.channels.append(_timeless(channel_of(path, value, unit=unit, **fields)))
             return
@@ -191,6 +208,32 @@ def _texts(node: Mapping[str, Any], keys: set[str], count: int) -> list[str] | N
             if all(isinstance(item, str) for item in value):
                 return [str(item).strip() for item in value]
     return None
+
+
+def _listed_units(node: Mapping[str, Any]) -> dict[str, str]:
+    """Return the units of the vectors of a struct by name, where a cell or a text with commas lists several.
+
+    They are as many as the vectors, in their order; or one of time and one of all else.
+    """
+    found: list[str] = []
+    for name, value in node.items():
+        if name not in _UNIT_KEYS:
+            continue
+        if isinstance(value, list) and all(isinstance(item, str) for item in value):
+            found = [str(item).strip() for item in value]
+        elif isinstance(value, str):
+            found = [item.strip() for item in value.split(",")]
+    vectors = [name for name, value in node.items() if isinstance(value, np.ndarray) and np.squeeze(value).ndim == 1]
+    vectors = [name for name in vectors if name not in _UNIT_KEYS and "".join(words_of(name)) not in _NAME_KEYS]
+    if len(found) < 2:
+        return {}
+    if len(found) == len(vectors):
+        return dict(zip(vectors, found, strict=True))
+    times = [item for item in found if parse_unit(item, "time")]
+    others = [item for item in found if item not in times]
+    if len(times) != 1 or len(others) != 1:
+        return {}
+    return {name: times[0] if _is_time_channel(name) else others[0] for name in vectors}
 
 
 def _response(node: Mapping[str, Any], prefix: str) -> Channel | None:
