@@ -231,7 +231,7 @@ class Oscillator:
 
         forces, definitions = self._terms("text")
         lines = [_sum_of(["m x''", *map(shorten, forces)]), *(f"  {shorten(text)}" for text in definitions)]
-        lines.append(f"  m: mass = {self.mass:g}")
+        lines.append(f"  m: mass = {self.mass:g} [kg; kg m^2 for a rotation]")
         lines += [f"  {symbols[parameter.name]}: {parameter.name} [{parameter.unit}]" for parameter in self.parameters]
         return "\n".join(lines)
 

@@ -225,7 +225,7 @@ def test_equation_of_motion_in_words():
     assert oscillator.equation.splitlines() == [
         "m x'' + c x' + k x + k3 x^3 + (1 - alpha) kz z = 0",
         "  z' = A x' - beta |x'| |z|^(n - 1) z - gamma x' |z|^n",
-        "  m: mass = 2.5",
+        "  m: mass = 2.5 [kg; kg m^2 for a rotation]",
         "  k: linear_stiffness [N/m]",
         "  c: viscous_damping [N s/m]",
         "  k3: cubic_stiffness [N/m^3]",

@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 
-LINE_EVERY = 9.0
+LINE_EVERY = 8.0
 """Seconds between lines of one stage, of which no two are to be more than ten apart."""
 FIRST_AFTER = 1.5
 """Seconds until the first line at the latest."""

@@ -167,7 +167,7 @@ def find_time(source: Source, wanted: str | None = None) -> Column | None:
         if len(found) > 1:
             names = ", ".join(repr(shorten(column.header)) for column in found[:9])
             source.fail(
-                f"expected one column 'time', found {names}; rename or remove the others, or give columns "
+                f"expected one column 'time', found {names}; rename or remove the others, or give `columns` "
                 f"'{TIME_KEY}NAME'.",
                 source.header_line,
             )
@@ -177,7 +177,7 @@ def find_time(source: Source, wanted: str | None = None) -> Column | None:
 def fail_without_time(source: Source) -> NoReturn:
     """Raise that there is no time column, with the remedies."""
     source.fail(
-        f"expected a column 'time', found {source.found}; name it in the header or with columns '{TIME_KEY}NAME', or "
+        f"expected a column 'time', found {source.found}; name it in the header or with `columns` '{TIME_KEY}NAME', or "
         "give `sampling_rate`.",
         source.header_line,
     )

@@ -149,7 +149,7 @@ class Recording:
         if stamps.values.size != channel.values.size:
             self.fail(
                 f"holds {channel.values.size} samples but channel {shorten(column.header)!r} {stamps.values.size} "
-                f"times; correct the file, or name its time with columns 'time=NAME'.",
+                f"times; correct the file, or name its time with `columns` 'time=NAME'.",
                 None,
                 self.columns[index],
             )
