@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from .._common.checks import FloatArray
+from .._common.threads import in_threads
 from .data_term import DataTerm
 from .layout import Layout
 
@@ -114,6 +116,7 @@ def fit(
     has_scatter: bool = True,
     tolerance: float = _CONVERGED,
     rival: float | None = None,
+    goal: float = 0.0,
 ) -> Fit | None:
     """Minimise the sum of squares from ``state``; None where the start cannot be simulated.
 
@@ -135,6 +138,8 @@ def fit(
         A decrease of the cost below this ends the fit.
     rival : float, optional
         A cost that another model reached: what is far above it and hardly falls is given up.
+    goal : float
+        A cost that is low enough for what comes after: the fit ends below it, not at rest.
     """
     q = layout.free.size
     scatter = SCATTER if has_scatter and len(terms) > 1 else 0.0
@@ -147,7 +152,7 @@ def fit(
         return None
     damping, converged, quiet = _FIRST_DAMPING, False, 0
     past, evaluations = [system.cost], 1
-    for _ in range(iterations):
+    for _ in range(iterations if system.cost > goal else 0):
         step = _step(layout, system, state, active, damping)
         accepted = None
         if step is not None:
@@ -167,6 +172,8 @@ def fit(
             quiet = quiet + 1 if gain < limit else 0
             if gain < 0.1 * limit or quiet >= 2:
                 converged = True
+                break
+            if system.cost < goal:
                 break
             past.append(system.cost)
             if rival is not None and len(past) > _RACE:
@@ -234,8 +241,8 @@ def linearise(layout: Layout, terms: Sequence[DataTerm], state: State, scatter: 
     mixed, own = np.zeros((count, q, size)), np.zeros((count, size, size))
     own_gradient, chi_square = np.zeros((count, size)), np.zeros(count)
     priors = np.flatnonzero(active & (np.arange(size) >= DRIFTS[0]))  # those with a standard normal prior
-    for r, term in enumerate(terms):
-        gram = _gram(layout, term, state.eta, state.own[r], scatter, active)
+    jobs = [partial(_gram, layout, term, state.eta, state.own[r], scatter, active) for r, term in enumerate(terms)]
+    for r, gram in enumerate(in_threads(jobs)):
         if gram is None:
             return None
         chi_square[r] = gram[-1, -1]

@@ -34,6 +34,7 @@ _SETTLED = 4
 _LOST = 6.0  # reduced chi-square of the backbones, over what was promised, from which a fit ended elsewhere
 _POSSIBLE_BACKBONE = 3.0  # reduced chi-square up to which a set could explain the backbones
 _EXPLAINED = 1.1  # reduced chi-square up to which a set may be complete
+_REFUTED = 100.0  # chi-square above one that explains, beyond which relatives are not asked
 _CLOSE = 30.0  # chi-square within which a smaller set rivals the best
 _NOISE = 0.01  # p-value of the residuals from which they are taken for noise
 _NOTED = 1.0  # chi-square above that of the smaller set up to which one step is enough to note a set
@@ -69,6 +70,7 @@ class Search:
     budget: float = BUDGET
     is_cut: bool = False
     own: Mapping[str, Effect] = field(default_factory=dict)
+    asked: dict[tuple[Set, int], State] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.descent = Descent(self.batch)
@@ -191,11 +193,14 @@ class Search:
 
     def _look_back(self) -> None:
         """Fit the subsets of the best sets again, from where these ended: a larger set may have found a better way."""
+        lowest = min(item.cost for item in self.fits.values())
         for names in self.ranked()[:_LOOKED_BACK]:
             larger = self.fits[names]
+            if lowest < _EXPLAINED * self.count and larger.cost > lowest + _REFUTED:
+                continue
             for smaller in combinations(names, max(len(names) - 1, 0)):
                 known = self.fits.get(smaller)
-                if not names or known is None or known.cost < larger.cost + _CLOSE:
+                if not names or known is None or known.cost < larger.cost + _CLOSE or self._was_asked(smaller, larger):
                     continue
                 layout = self.layout(smaller)
                 places = [larger.layout.names.index(name) for name in layout.names]
@@ -206,13 +211,20 @@ class Search:
                 if found is not None and found.cost < known.cost - 0.01:
                     self.fits[smaller] = found
 
+    def _was_asked(self, names: Set, other: Fit) -> bool:
+        """Return whether a set was started from this fit of another before, and note that it now is."""
+        asked = (names, id(other.state))
+        is_known = asked in self.asked
+        self.asked[asked] = other.state  # kept, so that its identity stays its own
+        return is_known
+
     def _look_forward(self) -> None:
         """Fit sets again that hold a smaller one and explain less than it does: from where that ended."""
         for names in [*self.fits]:
             for smaller in combinations(names, max(len(names) - 1, 0)):
                 known = self.fits.get(smaller)
                 is_behind = known is not None and known.cost < min(self.fits[names].cost, _EXPLAINED * self.count)
-                if names and known is not None and is_behind:
+                if names and known is not None and is_behind and not self._was_asked(names, known):
                     found = self._extended(names, self.layout(names), known, None)
                     self.fits[names] = min([self.fits[names], *found], key=lambda item: item.cost)
 
@@ -339,6 +351,7 @@ class Search:
             found = self._proposed(names, rival)
         if is_near or not found:
             for parent in parents[:2] if len(names) > 1 else parents[:1]:
+                self._was_asked(names, parent)
                 found += self._extended(names, layout, parent, rival)
         return found
 
@@ -365,9 +378,10 @@ class Search:
             return []
         layout = self.layout(names)
         found: list[Fit] = []
+        ways: list[float] = []
         for promised, eta, own in proposal.starts:
             state = self.descent.released(layout, eta, own)
-            reached = self.descent.from_afar(layout, state, rival)
+            reached = self.descent.from_afar(layout, state, rival, ways)
             found += [] if reached is None else [reached]
             if reached is not None and not self._is_lost(reached, promised):
                 break
