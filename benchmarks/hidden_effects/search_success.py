@@ -34,11 +34,13 @@ _USUAL = (*HARD_TIERS, *QUANTITY_TIERS, "one_effect", "two_effects", "three_effe
 
 def judge(task: tuple[str, int, int]) -> dict[str, Any]:
     """Return what the search made of one batch."""
-    from pymc_backbone import InputError, Oscillator, read_records
-    from pymc_backbone.discrepancy.question import batch_of, possible_effects
-    from pymc_backbone.discrepancy.search import BUDGET, Search
-    from pymc_backbone.measurement.options import Measuring
     from quantities import fit_from_truth
+
+    from pymc_backbone import InputError, Oscillator, read_records
+    from pymc_backbone.discrepancy.fitted_sets import BUDGET
+    from pymc_backbone.discrepancy.question import batch_of, possible_effects
+    from pymc_backbone.discrepancy.search import Search
+    from pymc_backbone.measurement.options import Measuring
 
     tier, seed, index = task
     made = make_batch(seed, index, tier)

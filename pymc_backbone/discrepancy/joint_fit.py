@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -18,9 +18,8 @@ from .._common.checks import FloatArray
 from .._common.threads import in_threads
 from .data_term import DataTerm
 from .layout import Layout
+from .scatter import NO_SCATTER, SCATTER, Scatter, infer_scatter
 
-SCATTER = 0.1
-"""Scatter of an effect's parameters between specimens, relative to their value."""
 NUISANCES = 7  # stiffness, damping, release amplitude, release instant, offset, drift of frequency, of damping
 DRIFTS = (5, 6)
 _FIRST_DAMPING = 1e-3
@@ -91,6 +90,13 @@ class Fit:
     def cost(self) -> float:
         """Return the sum of squares that was minimised."""
         return float(self.chi_square.sum() + self.penalty)
+
+    @cached_property
+    def scatter(self) -> Scatter:
+        """What the specimens say about the scatter of the effects, by Laplace's method around this fit."""
+        if not self.active[NUISANCES:].any():
+            return NO_SCATTER
+        return infer_scatter(lambda width: _log_likelihood(self, width / SCATTER))
 
     def parameters(self, specimen: int) -> FloatArray:
         """Return the full parameter vector of one specimen."""
@@ -377,6 +383,37 @@ def information(layout: Layout, system: System, state: State, active: Any, noise
     chosen = prior_width(layout, state.eta, spread)
     eigenvalues = np.linalg.eigvalsh(_symmetric(shared) * np.outer(chosen, chosen))
     return own + float(np.log1p(np.maximum(eigenvalues, 0.0)).sum()), covariance
+
+
+def _log_likelihood(found: Fit, width: float) -> float:
+    """Return the logarithm of the likelihood with a scatter ``width`` times that of the fit, all else integrated out.
+
+    The fit is not repeated: a Newton step says where it would end, and its decrease is that of the sum of squares.
+    """
+    system, state, layout, active = found.system, found.state, found.layout, found.active
+    free = active & (np.arange(active.size) >= NUISANCES)
+    precision = width**-2.0 - 1.0  # more than the fit had
+    delta = np.where(free, state.own, 0.0)
+    own = system.own + precision * np.diag(free.astype(np.float64))
+    moved = replace(
+        system, own=own, own_gradient=system.own_gradient - precision * delta,
+        penalty=system.penalty + precision * float((delta**2).sum()),
+    )  # fmt: skip
+    held = np.zeros(state.own.shape, dtype=bool)
+    held[:, 1] = state.own[:, 1] <= 0.0
+    eliminated = eliminate(moved, active, 0.0, held)
+    if eliminated is None:
+        return -np.inf
+    shared, gradient, solved = eliminated
+    inside = (state.eta > layout.low) & (state.eta < layout.high)
+    widths = prior_width(layout, state.eta, np.sqrt(np.maximum(np.diag(found.covariance), 0.0)))[inside]
+    scaled = np.eye(widths.size) + _symmetric(shared[np.ix_(inside, inside)]) * np.outer(widths, widths)
+    pull = gradient[inside] * widths
+    cost = moved.cost - float(pull @ np.linalg.solve(scaled, pull))
+    for r, (index, scale, reduced, _) in enumerate(solved):
+        cost -= float((moved.own_gradient[r, index] * scale) @ reduced[:, -1])
+    determinant = sum(item[3] for item in solved) + np.linalg.slogdet(scaled)[1]
+    return float(-0.5 * (cost + determinant) - np.count_nonzero(free) * state.own.shape[0] * np.log(width))
 
 
 def _symmetric(matrix: FloatArray) -> FloatArray:

@@ -139,9 +139,7 @@ def _equations(
             block[:, 1] = 0.0
             block[1, 1] = 1.0
             right[1, :] = 0.0
-        scale = np.zeros(size)
-        for j in range(size):
-            scale[j] = 1.0 / math.sqrt(max(block[j, j], 1e-300))
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(block), 1e-300))
         for i in range(size):
             for j in range(size):
                 block[i, j] *= scale[i] * scale[j]
@@ -149,10 +147,7 @@ def _equations(
             for j in range(q + 1):
                 right[i, j] *= scale[i]
         reduced = np.linalg.solve(block, right)
-        for i in range(residual.size):
-            cost += residual[i] * residual[i]
-        for i in range(size):
-            cost -= right[i, q] * reduced[i, q]
+        cost += (residual * residual).sum() - (right[:, q] * reduced[:, q]).sum()
         shared += mixed.T @ mixed - np.ascontiguousarray(right[:, :q].T) @ np.ascontiguousarray(reduced[:, :q])
         gradient += mixed.T @ residual - np.ascontiguousarray(right[:, :q].T) @ np.ascontiguousarray(reduced[:, q])
         for j in range(q + 1):

@@ -17,11 +17,11 @@ from ..effects import BASE_EFFECTS, LIBRARY, Effect
 from ..oscillator import Oscillator
 from . import evidence
 from .batch import Batch
-from .joint_fit import SCATTER
 from .layout import Layout, make_layout
 from .look_kernels import N_LOOK
 from .looks import ROUNDS, Atoms, LevelData, atoms_of, level_data
 from .refine_kernels import observe, refine
+from .scatter import SCATTER
 from .starts import positions
 
 Set = tuple[str, ...]
