@@ -7,8 +7,9 @@ import pytest
 from scipy.integrate import quad
 
 from pymc_backbone._common.checks import OBSERVABLES
+from pymc_backbone.discrepancy import joint_fit
 from pymc_backbone.discrepancy.batch import Batch, batch_of_backbones
-from pymc_backbone.discrepancy.joint_fit import NUISANCES, Fit, fit, start_state
+from pymc_backbone.discrepancy.joint_fit import Fit, fit, start_state
 from pymc_backbone.discrepancy.layout import make_layout
 from pymc_backbone.discrepancy.scatter import NARROWEST, SCATTER, WIDEST, infer_scatter
 from pymc_backbone.oscillator import Oscillator
@@ -62,7 +63,7 @@ def test_posterior_and_evidence_are_those_of_normal_values_that_are_known_with_a
     whole = quad(weight, low, high)[0]
     assert found.log_evidence == pytest.approx(np.log(whole / (high - low)), abs=0.02)
     for value, share in ((found.low, 0.05), (found.value, 0.5), (found.high, 0.95)):
-        assert quad(weight, low, np.log(value))[0] / whole == pytest.approx(share, abs=0.03)
+        assert quad(weight, low, np.log(value))[0] / whole == pytest.approx(share, abs=0.01)
 
 
 @pytest.mark.parametrize("scatter", [0.03, 0.1, 0.3])
@@ -71,7 +72,8 @@ def test_scatter_of_simulated_specimens_is_found(scatter):
     assert found.scatter.low < scatter < found.scatter.high
     # ten specimens tell a standard deviation to some 24 %
     assert found.scatter.value == pytest.approx(scatter, rel=0.5)
-    assert found.scatter.high < 2.5 * found.scatter.low
+    # of nine degrees of freedom chi-square's 5 % and 95 % are 3.3 and 16.9; errors of the values widen that at 3 %
+    assert found.scatter.high < (2.35 if scatter > 0.05 else 2.7) * found.scatter.low
 
 
 def test_specimens_that_are_alike_are_more_probable_with_little_scatter():
@@ -81,19 +83,16 @@ def test_specimens_that_are_alike_are_more_probable_with_little_scatter():
     assert unlike.low > 0.15
 
 
-def test_a_newton_step_stands_for_the_fit_with_another_scatter():
-    """The evidence at two scatters, from one fit by a Newton step, against whole fits with these penalties."""
-    from pymc_backbone.discrepancy import joint_fit
-
-    found = fitted(backbones(factors_of(0.2, 6)))
+def test_a_newton_step_stands_for_the_fit_with_another_scatter(monkeypatch):
+    """The evidence at twice the scatter, by a Newton step from one fit, against that of a fit made with it."""
+    batch = backbones(factors_of(0.2, 6))
+    found = fitted(batch)
     predicted = joint_fit._log_likelihood(found, 2.0) - joint_fit._log_likelihood(found, 1.0)
-    # the same model written with twice the scatter: delta is half as large, eta scatters as much
-    state = found.state.own[:, NUISANCES:]
-    eased = 0.5 * (1.0 - 0.25) * float((state**2).sum())
-    assert eased > 0.0
-    count = state.size
-    # information on each delta far above its prior: the determinant does not change, the penalty falls to a quarter
-    assert predicted == pytest.approx(eased - count * np.log(2.0), rel=0.05, abs=0.2)
+    monkeypatch.setattr(joint_fit, "SCATTER", 2.0 * SCATTER)
+    again = fitted(batch)
+    assert again.penalty < 0.5 * found.penalty  # negative control: it is another fit
+    whole = joint_fit._log_likelihood(again, 1.0) - joint_fit._log_likelihood(found, 1.0)
+    assert predicted == pytest.approx(whole, abs=0.1)
 
 
 def test_no_scatter_is_inferred_from_one_specimen_or_without_effects():

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 from scipy.special import logsumexp
 
 SCATTER = 0.1
@@ -13,6 +14,7 @@ SCATTER = 0.1
 NARROWEST, WIDEST = 0.01, 0.5
 """Bounds of the log-uniform prior of the scatter."""
 _GRID = np.geomspace(NARROWEST, WIDEST, 18)
+_FINE, _FEWEST = 400, 4
 _TAIL = 0.05
 
 
@@ -47,17 +49,17 @@ def infer_scatter(log_likelihood: Callable[[float], float]) -> Scatter:
     """
     each = np.array([log_likelihood(float(width)) for width in _GRID])
     reference = log_likelihood(SCATTER)
-    each = np.where(np.isfinite(each), each, -np.inf)
-    if not np.isfinite(reference) or not np.isfinite(each).any():
+    held = np.isfinite(each)
+    if not np.isfinite(reference) or held.sum() < _FEWEST:
         return NO_SCATTER
-    # the trapezoidal rule over the logarithm, in which the prior is uniform
-    weight = np.ones(each.size)
-    weight[[0, -1]] = 0.5
-    share = np.exp(each - each.max()) * weight
+    # smooth between the points; the prior is uniform in the logarithm
+    fine = np.linspace(np.log(NARROWEST), np.log(WIDEST), _FINE)
+    smooth = np.maximum(PchipInterpolator(np.log(_GRID[held]), each[held])(fine), each[held].min())
+    share = np.exp(smooth - smooth.max())
     below = (np.cumsum(share) - 0.5 * share) / share.sum()
-    low, middle, high = np.exp(np.interp([_TAIL, 0.5, 1.0 - _TAIL], below, np.log(_GRID)))
-    evidence = float(logsumexp(each, b=weight / weight.sum())) - reference
-    return Scatter(float(middle), float(low), float(high), evidence)
+    low, middle, high = np.exp(np.interp([_TAIL, 0.5, 1.0 - _TAIL], below, fine))
+    evidence = float(logsumexp(smooth)) - np.log(_FINE) - reference
+    return Scatter(float(middle), float(low), float(high), float(evidence))
 
 
 __all__ = ["NARROWEST", "NO_SCATTER", "SCATTER", "WIDEST", "Scatter", "infer_scatter"]

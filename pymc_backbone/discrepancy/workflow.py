@@ -148,8 +148,8 @@ def find_missing_effect(
     Notes
     -----
     Every set is fitted to all specimens at once: each has its own stiffness, damping, release and sensor offset; the
-    effects are shared up to a scatter, which is inferred. The waveforms decide, by way of the backbones and the turning points;
-    evidence is Laplace's, with the level of the noise left free. See ``docs/naming.md``.
+    effects are shared up to a scatter, which is inferred. The waveforms decide, by way of the backbones and the turning
+    points; evidence is Laplace's, with the level of the noise left free. See ``docs/naming.md``.
     """
     begun = time.perf_counter()
     say = progress or (lambda _stage, _share: None)
