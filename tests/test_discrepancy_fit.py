@@ -13,9 +13,10 @@ from scipy.stats import chi2
 
 from pymc_backbone.discrepancy import joint_fit, starts, whitening
 from pymc_backbone.discrepancy.data_term import level_term
-from pymc_backbone.discrepancy.joint_fit import NUISANCES, SCATTER, State, _recentred, fit, parameters_of, start_state
+from pymc_backbone.discrepancy.joint_fit import NUISANCES, State, _recentred, fit, parameters_of, start_state
 from pymc_backbone.discrepancy.layout import make_layout
 from pymc_backbone.discrepancy.record_term import first_turning_point
+from pymc_backbone.discrepancy.scatter import SCATTER
 from pymc_backbone.effects import BASE_EFFECTS, LIBRARY, Effect, Parameter
 from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.measurement.cycles import extract_cycles

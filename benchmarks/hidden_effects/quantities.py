@@ -29,9 +29,10 @@ from tiers import QUANTITY_TIERS
 from pymc_backbone import InputError, Oscillator, read_records
 from pymc_backbone.discrepancy import evidence
 from pymc_backbone.discrepancy.batch import Batch, batch_of_records
-from pymc_backbone.discrepancy.joint_fit import SCATTER, Fit, State, fit, start_state
+from pymc_backbone.discrepancy.joint_fit import Fit, State, fit, start_state
 from pymc_backbone.discrepancy.layout import Layout
 from pymc_backbone.discrepancy.question import possible_effects
+from pymc_backbone.discrepancy.scatter import SCATTER
 from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.discrepancy.workflow import find_missing_effect
 from pymc_backbone.measurement.conditioning.condition import condition

@@ -11,7 +11,8 @@ from .._common.checks import OBSERVABLES, FloatArray
 from . import joint_fit
 from .batch import Batch
 from .data_term import LevelTerm
-from .joint_fit import NUISANCES, SCATTER, Fit, State, fit, linearise, parameters_of
+from .joint_fit import NUISANCES, Fit, State, fit, linearise, parameters_of
+from .scatter import SCATTER
 
 NO_NUISANCES = np.zeros(5)  # levels see none of them
 

@@ -6,7 +6,7 @@ Each data term turns a simulated decay into standardised residuals and their der
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -137,7 +137,8 @@ class TurningTerm:
 
     def first(self, count: int) -> TurningTerm:
         """Return the term of the first ``count`` turning points."""
-        return TurningTerm(self.times[:count], self.values[:count], self.time_errors[:count], self.value_errors[:count])
+        names = ("times", "values", "time_errors", "value_errors")
+        return replace(self, **{name: getattr(self, name)[:count] for name in names})
 
     @property
     def size(self) -> int:

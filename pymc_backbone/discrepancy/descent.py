@@ -23,6 +23,8 @@ GLANCE = 10
 _RELEASE = (2, 3, 4)  # the specimen's own values that say how it was released and measured
 _ENOUGH = 1.0  # decrease of the cost below which a fit that is not the last one ends
 _TURNING, _ON_THE_WAY = 20, 6  # iterations over all turning points, and over the first of them
+_NEAR_NOISE = 1.3  # of the turning points' reduced chi-square, from which the samples take over
+_SAME_WAY = 0.005  # relative difference of two costs that were reached on the same way
 _FIRST_WINDOW = 12  # turning points
 _WINDOW_GROWTH = 3.0
 _PATIENT, _SHORT = 300, 80
@@ -64,28 +66,49 @@ class Descent:
         )
         return state if found is None else found.state
 
-    def from_afar(self, layout: Layout, state: State, rival: float | None = None) -> Fit | None:
-        """Return the minimum that a start from the backbones leads to; None where it cannot be simulated."""
+    def from_afar(
+        self, layout: Layout, state: State, rival: float | None = None, ways: list[float] | None = None
+    ) -> Fit | None:
+        """Return the minimum that a start from the backbones leads to.
+
+        None where it cannot be simulated, or comes the same way as an earlier start: ``ways`` holds the costs of the
+        turning points that led these to the samples, and gets that of this one.
+        """
         batch = self.batch
         if batch.has_records:
-            state = self._over_turning_points(layout, state)
-        return self.fit(
+            state, cost = self._over_turning_points(layout, state)
+            if ways is not None:
+                if any(abs(cost - known) < _SAME_WAY * known for known in ways):
+                    return None
+                ways.append(cost)
+        found = self.fit(
             layout, batch.deciding, state, iterations=_SHORT, tolerance=0.03, rival=rival, nuisances=batch.nuisances
         )
+        if found is None or found.is_converged or found.cost > _NEAR_NOISE * sum(term.size for term in batch.deciding):
+            return found
+        # near the noise, and still on its way: kinks and hysteresis make slow valleys
+        further = self.fit(
+            layout, batch.deciding, found.state, iterations=_PATIENT, tolerance=0.03, nuisances=batch.nuisances
+        )
+        return found if further is None else further
 
-    def _over_turning_points(self, layout: Layout, state: State) -> State:
-        """Return the state after a window over the turning points that grows from the first to all of them."""
+    def _over_turning_points(self, layout: Layout, state: State) -> tuple[State, float]:
+        """Return the state after a window over the turning points that grows from the first to all of them.
+
+        And the cost of these there; infinite where they cannot be simulated.
+        """
         most = max(term.times.size for term in self.batch.turning)
         window = _FIRST_WINDOW
         while True:
             terms = [term.first(window) for term in self.batch.turning]
             is_last = window >= most
             iterations = _TURNING if is_last else _ON_THE_WAY
-            found = self.fit(layout, terms, state, iterations=iterations, tolerance=_ENOUGH)
+            goal = _NEAR_NOISE * sum(term.size for term in terms)
+            found = self.fit(layout, terms, state, iterations=iterations, tolerance=_ENOUGH, goal=goal)
             if found is not None:
                 state = found.state
             if is_last:
-                return state
+                return state, np.inf if found is None else found.cost
             window = int(window * _WINDOW_GROWTH)
 
     def from_near(self, layout: Layout, states: Sequence[State], *, rival: float | None = None) -> Fit | None:
@@ -119,11 +142,12 @@ class Descent:
         nuisances: Sequence[int] = (0, 1, 2, 3, 4),
         has_scatter: bool = True,
         rival: float | None = None,
+        goal: float = 0.0,
     ) -> Fit | None:
         """Fit as `joint_fit.fit` does, and count the effort in simulated values."""
         found = fit(
             layout, terms, state, iterations=iterations, tolerance=tolerance, nuisances=nuisances,
-            has_scatter=has_scatter, rival=rival,
+            has_scatter=has_scatter, rival=rival, goal=goal,
         )  # fmt: skip
         if found is not None:
             weight = 1.0 + 4.0 * is_heavy(layout)

@@ -62,7 +62,7 @@ def probabilities(
         if not batch.has_records:
             likelihood = -0.5 * found.cost
         determinant = information(found.layout, found.system, found.state, found.active, noise)[0]
-        logs[names] = likelihood - 0.5 * determinant + (bonus or {}).get(names, 0.0)
+        logs[names] = likelihood - 0.5 * determinant + found.scatter.log_evidence + (bonus or {}).get(names, 0.0)
     base = logs.get((), 0.0)
     for names in logs:
         if len(names) == 1 and names not in (bonus or {}):

@@ -9,16 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 
 from .._common.checks import FloatArray
+from .._common.threads import in_threads
 from .data_term import DataTerm
 from .layout import Layout
+from .scatter import NO_SCATTER, SCATTER, Scatter, infer_scatter
 
-SCATTER = 0.1
-"""Scatter of an effect's parameters between specimens, relative to their value."""
 NUISANCES = 7  # stiffness, damping, release amplitude, release instant, offset, drift of frequency, of damping
 DRIFTS = (5, 6)
 _FIRST_DAMPING = 1e-3
@@ -90,6 +91,13 @@ class Fit:
         """Return the sum of squares that was minimised."""
         return float(self.chi_square.sum() + self.penalty)
 
+    @cached_property
+    def scatter(self) -> Scatter:
+        """What the specimens say about the scatter of the effects, by Laplace's method around this fit."""
+        if not self.active[NUISANCES:].any():
+            return NO_SCATTER
+        return infer_scatter(lambda width: _log_likelihood(self, width / SCATTER))
+
     def parameters(self, specimen: int) -> FloatArray:
         """Return the full parameter vector of one specimen."""
         return parameters_of(self.layout, self.state, specimen)
@@ -114,6 +122,7 @@ def fit(
     has_scatter: bool = True,
     tolerance: float = _CONVERGED,
     rival: float | None = None,
+    goal: float = 0.0,
 ) -> Fit | None:
     """Minimise the sum of squares from ``state``; None where the start cannot be simulated.
 
@@ -135,10 +144,11 @@ def fit(
         A decrease of the cost below this ends the fit.
     rival : float, optional
         A cost that another model reached: what is far above it and hardly falls is given up.
+    goal : float
+        A cost that is low enough for what comes after: the fit ends below it, not at rest.
     """
-    q = layout.free.size
     scatter = SCATTER if has_scatter and len(terms) > 1 else 0.0
-    active = np.zeros(NUISANCES + q, dtype=bool)
+    active = np.zeros(NUISANCES + layout.free.size, dtype=bool)
     active[list(nuisances)] = True
     active[NUISANCES:] = scatter > 0.0
     state = State(np.clip(state.eta, layout.low, layout.high), state.own.copy())
@@ -147,19 +157,11 @@ def fit(
         return None
     damping, converged, quiet = _FIRST_DAMPING, False, 0
     past, evaluations = [system.cost], 1
-    for _ in range(iterations):
-        step = _step(layout, system, state, active, damping)
-        accepted = None
-        if step is not None:
-            proposal = State(np.clip(state.eta + step[0], layout.low, layout.high), state.own + step[1])
-            proposal.own[:, 1] = np.maximum(proposal.own[:, 1], 0.0)
-            np.clip(proposal.own[:, DRIFTS[0] :], -_MOST_SCATTER, _MOST_SCATTER, out=proposal.own[:, DRIFTS[0] :])
-            if scatter > 0.0:
-                proposal = _recentred(layout, proposal, scatter)
-            if np.isfinite(proposal.own).all() and _is_trusted(state, proposal):
-                accepted = linearise(layout, terms, proposal, scatter, active)
-                evaluations += 1
-        if accepted is not None and accepted.cost < system.cost + 1e-9:
+    for _ in range(iterations if system.cost > goal else 0):
+        proposal, damping = _proposal(layout, system, state, active, damping, scatter)
+        accepted = None if proposal is None else linearise(layout, terms, proposal, scatter, active)
+        evaluations += proposal is not None
+        if proposal is not None and accepted is not None and accepted.cost < system.cost + 1e-9:
             gain = system.cost - accepted.cost
             state, system = proposal, accepted
             damping = max(damping / 8.0, 1e-9)
@@ -167,6 +169,8 @@ def fit(
             quiet = quiet + 1 if gain < limit else 0
             if gain < 0.1 * limit or quiet >= 2:
                 converged = True
+                break
+            if system.cost < goal:
                 break
             past.append(system.cost)
             if rival is not None and len(past) > _RACE:
@@ -180,6 +184,24 @@ def fit(
                 converged = True
                 break
     return replace(_finish(layout, system, state, active, converged), evaluations=evaluations)
+
+
+def _proposal(
+    layout: Layout, system: System, state: State, active: Any, damping: float, scatter: float
+) -> tuple[State | None, float]:
+    """Return where the next step leads, and with which damping it is trusted; None where none is."""
+    while damping <= _LARGEST_DAMPING:
+        step = _step(layout, system, state, active, damping)
+        if step is not None:
+            proposal = State(np.clip(state.eta + step[0], layout.low, layout.high), state.own + step[1])
+            proposal.own[:, 1] = np.maximum(proposal.own[:, 1], 0.0)
+            np.clip(proposal.own[:, DRIFTS[0] :], -_MOST_SCATTER, _MOST_SCATTER, out=proposal.own[:, DRIFTS[0] :])
+            if scatter > 0.0:
+                proposal = _recentred(layout, proposal, scatter)
+            if np.isfinite(proposal.own).all() and _is_trusted(state, proposal):
+                return proposal, damping
+        damping *= 6.0
+    return None, damping
 
 
 def _is_trusted(state: State, proposal: State) -> bool:
@@ -234,8 +256,8 @@ def linearise(layout: Layout, terms: Sequence[DataTerm], state: State, scatter: 
     mixed, own = np.zeros((count, q, size)), np.zeros((count, size, size))
     own_gradient, chi_square = np.zeros((count, size)), np.zeros(count)
     priors = np.flatnonzero(active & (np.arange(size) >= DRIFTS[0]))  # those with a standard normal prior
-    for r, term in enumerate(terms):
-        gram = _gram(layout, term, state.eta, state.own[r], scatter, active)
+    jobs = [partial(_gram, layout, term, state.eta, state.own[r], scatter, active) for r, term in enumerate(terms)]
+    for r, gram in enumerate(in_threads(jobs)):
         if gram is None:
             return None
         chi_square[r] = gram[-1, -1]
@@ -370,6 +392,37 @@ def information(layout: Layout, system: System, state: State, active: Any, noise
     chosen = prior_width(layout, state.eta, spread)
     eigenvalues = np.linalg.eigvalsh(_symmetric(shared) * np.outer(chosen, chosen))
     return own + float(np.log1p(np.maximum(eigenvalues, 0.0)).sum()), covariance
+
+
+def _log_likelihood(found: Fit, width: float) -> float:
+    """Return the logarithm of the likelihood with a scatter ``width`` times that of the fit, all else integrated out.
+
+    The fit is not repeated: a Newton step says where it would end, and its decrease is that of the sum of squares.
+    """
+    system, state, layout, active = found.system, found.state, found.layout, found.active
+    free = active & (np.arange(active.size) >= NUISANCES)
+    precision = width**-2.0 - 1.0  # more than the fit had
+    delta = np.where(free, state.own, 0.0)
+    own = system.own + precision * np.diag(free.astype(np.float64))
+    moved = replace(
+        system, own=own, own_gradient=system.own_gradient - precision * delta,
+        penalty=system.penalty + precision * float((delta**2).sum()),
+    )  # fmt: skip
+    held = np.zeros(state.own.shape, dtype=bool)
+    held[:, 1] = state.own[:, 1] <= 0.0
+    eliminated = eliminate(moved, active, 0.0, held)
+    if eliminated is None:
+        return -np.inf
+    shared, gradient, solved = eliminated
+    inside = (state.eta > layout.low) & (state.eta < layout.high)
+    widths = prior_width(layout, state.eta, np.sqrt(np.maximum(np.diag(found.covariance), 0.0)))[inside]
+    scaled = np.eye(widths.size) + _symmetric(shared[np.ix_(inside, inside)]) * np.outer(widths, widths)
+    pull = gradient[inside] * widths
+    cost = moved.cost - float(pull @ np.linalg.solve(scaled, pull))
+    for r, (index, scale, reduced, _) in enumerate(solved):
+        cost -= float((moved.own_gradient[r, index] * scale) @ reduced[:, -1])
+    determinant = sum(item[3] for item in solved) + np.linalg.slogdet(scaled)[1]
+    return float(-0.5 * (cost + determinant) - np.count_nonzero(free) * state.own.shape[0] * np.log(width))
 
 
 def _symmetric(matrix: FloatArray) -> FloatArray:

@@ -43,7 +43,7 @@ def _physical(
         vector[free[i]] = values[i]
 
 
-@compiled
+@cached
 def observe(look: FloatArray, level: int, mass: float, stiffer: float, damper: float, out: FloatArray) -> bool:
     """Write frequency, damping, mid-line, and how the first two change with stiffness, damping, force at the turn.
 
@@ -139,9 +139,7 @@ def _equations(
             block[:, 1] = 0.0
             block[1, 1] = 1.0
             right[1, :] = 0.0
-        scale = np.zeros(size)
-        for j in range(size):
-            scale[j] = 1.0 / math.sqrt(max(block[j, j], 1e-300))
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(block), 1e-300))
         for i in range(size):
             for j in range(size):
                 block[i, j] *= scale[i] * scale[j]
@@ -149,10 +147,7 @@ def _equations(
             for j in range(q + 1):
                 right[i, j] *= scale[i]
         reduced = np.linalg.solve(block, right)
-        for i in range(residual.size):
-            cost += residual[i] * residual[i]
-        for i in range(size):
-            cost -= right[i, q] * reduced[i, q]
+        cost += (residual * residual).sum() - (right[:, q] * reduced[:, q]).sum()
         shared += mixed.T @ mixed - np.ascontiguousarray(right[:, :q].T) @ np.ascontiguousarray(reduced[:, :q])
         gradient += mixed.T @ residual - np.ascontiguousarray(right[:, :q].T) @ np.ascontiguousarray(reduced[:, q])
         for j in range(q + 1):
@@ -172,6 +167,31 @@ def _effect_look(
 
 
 @compiled
+def _look_at_all(
+    alone: IntArray, numbers: FloatArray, vector: FloatArray, levels: FloatArray, omegas: FloatArray,
+    is_asymmetric: BoolArray, rounds: int, points: IntArray, strengths: IntArray, eta: FloatArray, centre: FloatArray,
+    known_eta: FloatArray, known: FloatArray, looks: FloatArray, look: FloatArray,
+) -> None:  # fmt: skip
+    """Write the looks (e, l, 4) of all effects, and that of everything together: the mean specimen and all effects.
+
+    ``strengths`` (e,) are the coordinates that effects are in proportion to, -1 where they are not: these are taken
+    from the looks ``known`` at ``known_eta``.
+    """
+    for level in range(look.shape[0]):
+        look[level, STIFFNESS] = centre[0]
+        look[level, DAMPING] = centre[1]
+        look[level, AT_TURN] = centre[0]
+        look[level, MIDDLE] = 0.0
+    for e in range(looks.shape[0]):
+        j = strengths[e]
+        if j >= 0 and known_eta[j] != 0.0:
+            looks[e] = known[e] * (eta[j] / known_eta[j])
+        else:
+            _effect_look(alone, numbers, e, vector, levels, omegas, is_asymmetric, rounds, points, looks[e])
+        look += looks[e]
+
+
+@compiled
 def _each_alone(integers: IntArray) -> IntArray:
     """Return the description of each effect without the others."""
     count = integers[N_EFFECTS]
@@ -183,36 +203,24 @@ def _each_alone(integers: IntArray) -> IntArray:
     return alone
 
 
-@compiled
-def _sum_up(looks: FloatArray, centre: FloatArray, look: FloatArray) -> None:
-    """Write the look of everything together: stiffness and damping of the mean specimen and all effects."""
-    for level in range(look.shape[0]):
-        look[level, STIFFNESS] = centre[0]
-        look[level, DAMPING] = centre[1]
-        look[level, AT_TURN] = centre[0]
-        look[level, MIDDLE] = 0.0
-        for e in range(looks.shape[0]):
-            for k in range(N_LOOK):
-                look[level, k] += looks[e, level, k]
-
-
 @cached
 def refine(
     integers: IntArray, numbers: FloatArray, template: FloatArray, free: IntArray, powers: IntArray,
     slips: IntArray, opposed: IntArray, low: FloatArray, high: FloatArray, is_log: BoolArray, widths: FloatArray,
-    amplitude: float, owners: IntArray, is_strength: BoolArray, is_asymmetric: BoolArray, levels: FloatArray,
-    omegas: FloatArray, rounds: int, points: IntArray, count: IntArray, rows: IntArray, values: FloatArray,
-    whitening: FloatArray, defect: FloatArray, tilt: FloatArray, origin: FloatArray, scatter: float,
-    iterations: int, tolerance: float, eta: FloatArray, own: FloatArray, look: FloatArray, shared: FloatArray,
-    slopes: FloatArray,
+    amplitude: float, owners: IntArray, is_strength: BoolArray, is_asymmetric: BoolArray, is_proportional: BoolArray,
+    levels: FloatArray, omegas: FloatArray, rounds: int, points: IntArray, count: IntArray, rows: IntArray,
+    values: FloatArray, whitening: FloatArray, defect: FloatArray, tilt: FloatArray, origin: FloatArray,
+    scatter: float, iterations: int, tolerance: float, eta: FloatArray, own: FloatArray, look: FloatArray,
+    shared: FloatArray, slopes: FloatArray,
 ) -> tuple[float, float]:  # fmt: skip
     """Fit shared coordinates and own stiffness and damping to the level values by looks and a given defect.
 
     ``defect`` (r, 3, l) is what looks lack where the coordinates are ``origin`` (q,), ``tilt`` (q, 3, l) are its
-    derivatives. ``owners`` (q,) are the rows of the table that coordinates belong to; ``is_asymmetric``, ``points``
-    (e,) say how each effect is looked at. ``eta`` (q,) and ``own`` (r, 2) are moved in place; ``look`` (l, 4) is that
-    of the mean specimen at the end, ``slopes`` (q, l, 4) its derivatives, ``shared`` (q, q) the information on the
-    coordinates. Returns the cost and the logarithm of the determinant of the information on the specimens' own values.
+    derivatives. ``owners`` (q,) are the rows of the table that coordinates belong to; ``is_asymmetric``,
+    ``is_proportional`` (to its only coordinate) and ``points`` (e,) say how each effect is looked at. ``eta`` (q,) and
+    ``own`` (r, 2) are moved in place; ``look`` (l, 4) is that of the mean specimen at the end, ``slopes`` (q, l, 4)
+    its derivatives, ``shared`` (q, q) the information on the coordinates. Returns the cost and the logarithm of the
+    determinant of the information on the specimens' own values.
     """
     q, effects = eta.size, integers[N_EFFECTS]
     stiffness, damping, mass = integers[STIFFNESS_PLACE], integers[DAMPING_PLACE], numbers[MASS]
@@ -227,12 +235,14 @@ def refine(
     centre[0], centre[1] = own[:, 0].mean(), own[:, 1].mean()
     _physical(template, free, powers, slips, opposed, amplitude, low, high, eta, vector)
     vector[stiffness], vector[damping] = 0.0, 0.0
-    for e in range(effects):
-        _effect_look(
-            alone, numbers, e, vector, levels, omegas, is_asymmetric,
-            rounds, points, looks[e],
-        )  # fmt: skip
-    _sum_up(looks, centre, look)
+    strengths = np.full(effects, -1)
+    for j in range(q):
+        if is_proportional[owners[j]]:
+            strengths[owners[j]] = j
+    _look_at_all(
+        alone, numbers, vector, levels, omegas, is_asymmetric, rounds, points, strengths, eta, centre, np.zeros(q),
+        trials, looks, look,
+    )  # fmt: skip
     marquardt = 1e-3
     cost, log_determinant = np.inf, 0.0
     quiet = 0
@@ -255,10 +265,7 @@ def refine(
                 eta[j] = kept + width
                 _physical(template, free, powers, slips, opposed, amplitude, low, high, eta, vector)
                 vector[stiffness], vector[damping] = 0.0, 0.0
-                _effect_look(
-                    alone, numbers, e, vector, levels, omegas,
-                    is_asymmetric, rounds, points, trial,
-                )  # fmt: skip
+                _effect_look(alone, numbers, e, vector, levels, omegas, is_asymmetric, rounds, points, trial)
                 eta[j] = kept
                 slopes[j] = (trial - looks[e]) / width
             cost, log_determinant = _equations(
@@ -307,12 +314,10 @@ def refine(
         moved_centre[0], moved_centre[1] = moved_own[:, 0].mean(), moved_own[:, 1].mean()
         _physical(template, free, powers, slips, opposed, amplitude, low, high, moved, vector)
         vector[stiffness], vector[damping] = 0.0, 0.0
-        for e in range(effects):
-            _effect_look(
-                alone, numbers, e, vector, levels, omegas, is_asymmetric,
-                rounds, points, trials[e],
-            )  # fmt: skip
-        _sum_up(trials, moved_centre, trial)
+        _look_at_all(
+            alone, numbers, vector, levels, omegas, is_asymmetric, rounds, points, strengths, moved, moved_centre, eta,
+            looks, trials, trial,
+        )  # fmt: skip
         spare_shared, spare_gradient, spare = np.zeros((q, q)), np.zeros(q), np.zeros(solutions.shape)
         proposed = np.inf
         if np.isfinite(trial).all():

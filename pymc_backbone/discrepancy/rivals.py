@@ -10,7 +10,8 @@ from . import evidence
 from .batch import Batch
 from .curves import measured
 from .data_term import DRIFT, WaveformTerm
-from .joint_fit import DRIFTS, NUISANCES, SCATTER, Fit, fit
+from .joint_fit import DRIFTS, NUISANCES, Fit, fit
+from .scatter import SCATTER
 from .study import Check
 
 DRIFT_KEY = ("drift with time",)

@@ -11,8 +11,9 @@ from .._common.checks import FloatArray
 from ..effects import BASE_EFFECTS
 from . import joint_fit
 from .batch import Batch
-from .joint_fit import SCATTER, Fit, State
+from .joint_fit import Fit, State
 from .layout import Layout
+from .scatter import SCATTER
 
 _STRENGTHS = (0.02, 0.3)
 _TINY = 1e-4

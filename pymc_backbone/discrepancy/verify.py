@@ -11,7 +11,8 @@ from .._common.checks import OBSERVABLES, FloatArray
 from .batch import Batch
 from .curves import curve, level_chi_square, measured, on_levels, one_on_levels, prediction_errors
 from .data_term import level_term
-from .joint_fit import NUISANCES, SCATTER, Fit, State, fit, parameters_of
+from .joint_fit import NUISANCES, Fit, State, fit, parameters_of
+from .scatter import SCATTER
 from .study import HeldOut
 
 MOST_HELD_OUT = 6

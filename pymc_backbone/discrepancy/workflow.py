@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
+from threadpoolctl import threadpool_limits
 
 from .._common.checks import InputError
 from ..effects import Effect
@@ -22,11 +23,12 @@ from .curves import simulate
 from .decide import Decision, decide, mind_second_mode
 from .design import Contender, Plan, contender, present_design
 from .extend import Inference, Sampling, infer
+from .fitted_sets import BUDGET, Progress
 from .joint_fit import Fit
 from .locate import where_different
 from .plan import plan_tests
 from .question import Question, ask
-from .search import BUDGET, Progress, Search
+from .search import Search
 from .study import Check, Study
 from .verdict import Verdict
 from .verify import MOST_HELD_OUT, Verification, verify
@@ -146,8 +148,8 @@ def find_missing_effect(
     Notes
     -----
     Every set is fitted to all specimens at once: each has its own stiffness, damping, release and sensor offset; the
-    effects are shared up to a scatter of a tenth. The waveforms decide, by way of the backbones and the turning points;
-    evidence is Laplace's, with the level of the noise left free. See ``docs/naming.md``.
+    effects are shared up to a scatter, which is inferred. The waveforms decide, by way of the backbones and the turning
+    points; evidence is Laplace's, with the level of the noise left free. See ``docs/naming.md``.
     """
     begun = time.perf_counter()
     say = progress or (lambda _stage, _share: None)
@@ -155,18 +157,20 @@ def find_missing_effect(
     say("reading backbones", 0.0)
     given_levels = None if levels is None else np.asarray(levels).tolist()
     measuring = Measuring(band, start, stop, given_levels, strict=strict, floor=floor)
-    question = ask(
-        oscillator, data, candidates=candidates, max_effects=max_effects, tolerance=tolerance, measuring=measuring
-    )
-    search = _searched(question, quick, say)
-    say("deciding", 0.0)
-    outcome = _decided(question, search)
-    most = MOST_HELD_OUT if held_out is None else int(held_out)
-    verification = verify(question.batch, outcome.base, outcome.extended, most, seed, say)
-    sampling = None if quick else Sampling(draws, tune, chains, step, seed)
-    if sampling is not None:
-        say("sampling", 0.0)
-    inference = infer(question.batch, outcome.model, sampling, progress)
+    # The matrices are small: several threads of linear algebra would wait for each other, and round differently.
+    with threadpool_limits(1):
+        question = ask(
+            oscillator, data, candidates=candidates, max_effects=max_effects, tolerance=tolerance, measuring=measuring
+        )
+        search = _searched(question, quick, say)
+        say("deciding", 0.0)
+        outcome = _decided(question, search)
+        most = MOST_HELD_OUT if held_out is None else int(held_out)
+        verification = verify(question.batch, outcome.base, outcome.extended, most, seed, say)
+        sampling = None if quick else Sampling(draws, tune, chains, step, seed)
+        if sampling is not None:
+            say("sampling", 0.0)
+        inference = infer(question.batch, outcome.model, sampling, progress)
     asked = {
         "candidates": list(question.candidates), "max_effects": question.max_effects,
         "tolerance": dict(question.tolerance), "held_out": most, "quick": quick, "step": step, "draws": draws,

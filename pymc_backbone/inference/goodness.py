@@ -28,7 +28,8 @@ from ..oscillator import Oscillator
 from ..simulation.response import Response, make_response
 from .fit_verdict import P_LIMIT, ExcludedBy, GoodnessOfFit, SpecimenFit
 from .level_values import LevelValues, compare_values, find_displaced
-from .model import LIKELIHOODS, likelihood_of, select_observables
+from .model import likelihood_of, select_observables
+from .options import LIKELIHOODS
 from .refit import Refit, refit
 
 DRAWS = 400  # simulated in all

@@ -19,12 +19,12 @@ from ..likelihood.op import BackboneLogLikelihood, BackboneOp
 from ..likelihood.specimen_likelihood import observe_specimens
 from ..oscillator import Oscillator
 from ..simulation.response import Response, make_response
+from .options import LIKELIHOODS
 from .targets import note_density
 
 Source = Oscillator | Callable[[dict[str, float], FloatArray], ArrayLike]
 NOMINAL = "nominal_"
 """Before the name of a parameter as if the mass were that of the oscillator, where it is uncertain."""
-LIKELIHOODS = ("auto", "population", "specimen", "pooled")
 POPULATION_SIZE = 8  # from this many complete specimens on, "auto" fits a density over them
 
 

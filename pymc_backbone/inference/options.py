@@ -6,6 +6,9 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+LIKELIHOODS = ("auto", "population", "specimen", "pooled")
+STEPS = ("metropolis", "elementwise", "demetropolisz", "slice", "nuts", "nutpie")
+
 
 @dataclass(frozen=True)
 class Modelling:

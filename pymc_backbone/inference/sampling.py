@@ -19,13 +19,13 @@ import xarray as xr
 from .._common.checks import InputError, check_choice
 from .._common.progress import Progress
 from ..simulation.counts import read_counts
+from .options import STEPS
 from .proposal import make_metropolis
 from .remembering import make_remembering
 from .starts import StartFinder
 from .store.run_folder import DrawStore
 from .targets import is_differentiable
 
-STEPS = ("metropolis", "elementwise", "demetropolisz", "slice", "nuts", "nutpie")
 logger = logging.getLogger("pymc_backbone")
 
 

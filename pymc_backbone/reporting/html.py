@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import base64
 import html
-import io
 from collections.abc import Iterable, Sequence
 from urllib.parse import quote
 
 import numpy as np
 from matplotlib.figure import Figure
 
-DPI = 170
+from .pictures import png
 
 STYLE = """\
 :root{--page:#f3f5f7;--card:#fff;--ink:#1a2330;--soft:#5a6675;--line:#dde3ea;--tone:#0b5cad;--wash:#e8f1fb;--mark:#f7f9fb}
@@ -197,9 +196,7 @@ def image(figure: Figure | None, text: str, *, is_wide: bool = False, caption: s
     """Return a figure inside the page, or nothing if there is none."""
     if figure is None:
         return ""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=DPI)
-    data = base64.b64encode(buffer.getvalue()).decode("ascii")
+    data = base64.b64encode(png(figure)).decode("ascii")
     below = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
     return (
         f'<figure{_kind("wide" if is_wide else "")}><img alt="{escape(text)}" src="data:image/png;base64,{data}">'

@@ -20,8 +20,7 @@ from .._common.checks import OBSERVABLES
 from .._common.text import printable
 from ..discrepancy.study import Study
 from ..effects import LIBRARY
-from ..inference.model import LIKELIHOODS
-from ..inference.sampling import STEPS
+from ..inference.options import LIKELIHOODS, STEPS
 from ..oscillator import Oscillator
 from .output_folder import BACKBONES, MEAN_BACKBONE
 

@@ -224,7 +224,7 @@ def write_results(
         tree = xr.DataTree.from_dict({node.path: _portable(node.to_dataset()) for node in posterior.subtree})
         writers[POSTERIOR] = lambda path: tree.to_netcdf(path, engine="h5netcdf")
     for name, figure in (figures or {}).items():
-        writers[f"figures/{name}.png"] = partial(figure.savefig, dpi=150, format="png")
+        writers[f"figures/{name}.png"] = partial(_write_png, figure)
     for name, content in (texts or {}).items():
         writers[name] = partial(_write_text, content)
     files = [*writers, RESULT]
@@ -336,6 +336,12 @@ def package_version() -> str:
     from .. import __version__
 
     return str(__version__)
+
+
+def _write_png(figure: Figure, path: Path) -> None:
+    from .pictures import png
+
+    path.write_bytes(png(figure))
 
 
 def _write_text(text: str, path: Path) -> None:

@@ -7,7 +7,7 @@ notebook display it.
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -16,7 +16,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from .._common.checks import FloatArray
-from ..inference.diagnostics import Bounds
 from .style import (
     MEASURED,
     QUIET,
@@ -28,6 +27,9 @@ from .style import (
     parameter_axis,
     smooth,
 )
+
+if TYPE_CHECKING:  # what is behind it takes long to import
+    from ..inference.diagnostics import Bounds
 
 MOST_PARAMETERS = 12
 _FEWEST_TO_THIN = 100.0  # effective draws

@@ -1,0 +1,122 @@
+"""Whether the search finds the minimum of what is hidden: its cost against that of a fit that starts at the truth.
+
+    python benchmarks/hidden_effects/search_success.py --batches 20 --seed 31 [--tier NAME ...] [--workers 2]
+
+Batches are generated as `generate.py` does and searched as `find_missing_effect` does with ``quick``, up to the
+decision. A search succeeds where its cost of the hidden set is at most `WITHIN` above that of the fit from the truth.
+A set that the search left aside, because it had explained the records already or not, is fitted by it afterwards, and
+counted as *left aside*. Prints a table in Markdown; each batch goes to the standard error, failures with what happened.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+import time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from batches import make_batch
+from generate import write_batch
+from tiers import HARD_TIERS, QUANTITY_TIERS, TIERS
+
+WITHIN = 1.0
+"""Cost above that of the fit from the truth up to which the search found the minimum."""
+_NOT_NAMED = ("outside_library", "drift", "second_mode", "nothing_missing", "base_absent")
+_EVERY = tuple(tier for tier in (*TIERS, *HARD_TIERS) if tier not in _NOT_NAMED)
+_USUAL = (*HARD_TIERS, *QUANTITY_TIERS, "one_effect", "two_effects", "three_effects")
+
+
+def judge(task: tuple[str, int, int]) -> dict[str, Any]:
+    """Return what the search made of one batch."""
+    from quantities import fit_from_truth
+
+    from pymc_backbone import InputError, Oscillator, read_records
+    from pymc_backbone.discrepancy.fitted_sets import BUDGET
+    from pymc_backbone.discrepancy.question import batch_of, possible_effects
+    from pymc_backbone.discrepancy.search import Search
+    from pymc_backbone.measurement.options import Measuring
+
+    tier, seed, index = task
+    made = make_batch(seed, index, tier)
+    hidden = tuple(sorted(made.truth["hidden"]))
+    said: dict[str, Any] = {"tier": tier, "seed": seed, "index": index, "hidden": hidden}
+    if not hidden:
+        return said | {"skipped": "nothing is hidden"}
+    base = Oscillator(made.truth["mass"], made.truth["base"])
+    band = tuple(made.truth["band"]) if made.truth["band"] else None
+    with tempfile.TemporaryDirectory() as name:
+        write_batch(made, Path(name))
+        try:
+            batch, _ = batch_of(base, read_records(Path(name) / "records"), Measuring(band))
+        except InputError as error:
+            return said | {"skipped": str(error)}
+    said["kept"] = f"{len(batch.specimens)} of {len(made.records)}"
+    begin, used = time.perf_counter(), time.process_time()
+    search = Search(batch, base, possible_effects(base, None, batch), 3, budget=0.5 * BUDGET)
+    search.run()
+    said |= {"seconds": time.perf_counter() - begin, "used": time.process_time() - used}
+    said["is_tried"] = hidden in search.fits
+    said["best"] = search.best() if search.fits else None
+    said["n_fits"] = len(search.fits)
+    found = search.fit_set(hidden)
+    true = fit_from_truth(search.layout(hidden), batch, made.truth)
+    if true is None:
+        return said | {"skipped": "the truth cannot be simulated over the records"}
+    cost = np.inf if found is None else found.cost
+    said |= {
+        "cost": cost, "true": true.cost, "excess": cost - true.cost, "size": sum(term.size for term in batch.deciding),
+        "is_converged": found is not None and found.is_converged, "is_found": bool(cost <= true.cost + WITHIN),
+        "lowest": min((fit.cost for fit in search.fits.values()), default=np.inf),
+        "place": list(search.proposals).index(hidden) + 1 if search.has_proposals else None,
+    }  # fmt: skip
+    return said
+
+
+def line(tier: str, rows: list[dict[str, Any]]) -> str:
+    """Return a row of the table."""
+    judged = [row for row in rows if "excess" in row]
+    found = sum(row["is_found"] for row in judged)
+    left = sum(not row["is_tried"] for row in judged)
+    first = sum(row["best"] == row["hidden"] for row in judged)
+    used = [row["used"] for row in judged] or [np.nan]
+    return (
+        f"| `{tier}` | {len(judged)} | {found} ({found / max(len(judged), 1):.1%}) | {left} | {first} | "
+        f"{len(rows) - len(judged)} | {np.median(used):.1f} | {np.percentile(used, 95):.1f} |"
+    )
+
+
+def main() -> None:
+    """Search many batches and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--batches", type=int, default=20, help="of each tier")
+    parser.add_argument("--first", type=int, default=0, help="number of the first")
+    parser.add_argument("--seed", type=int, required=True)
+    parser.add_argument("--tier", nargs="*", choices=_EVERY, default=_USUAL)
+    parser.add_argument("--workers", type=int, default=1)
+    options = parser.parse_args()
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+    print("| tier | batches | found | left aside | most probable | skipped | processor s | 95 % |")
+    print("|---|---|---|---|---|---|---|---|", flush=True)
+    every: list[dict[str, Any]] = []
+    with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as pool:
+        for tier in options.tier:
+            tasks = [(tier, options.seed, options.first + k) for k in range(options.batches)]
+            rows = []
+            for said in pool.map(judge, tasks):
+                rows.append(said)
+                word = "skipped" if "excess" not in said else "found" if said["is_found"] else "MISSED"
+                print(word, said, file=sys.stderr, flush=True)
+            print(line(tier, rows), flush=True)
+            every += rows
+    print(line("all", every))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,202 @@
+"""Sets of effects fitted to the records: from the sets that they extend where these are near, else from backbones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import combinations
+
+import numpy as np
+
+from ..effects import Effect
+from ..oscillator import Oscillator
+from . import starts
+from .batch import Batch
+from .curves import level_chi_square
+from .descent import Descent
+from .joint_fit import Fit, State
+from .layout import Layout, make_layout
+from .propose import Proposal, propose
+from .set_fits import Set
+
+Progress = Callable[[str, float], None]
+
+BUDGET = 3e7
+"""Simulated values after which the search ends; only what nothing explains takes as many."""
+EXPLAINED = 1.1
+"""Reduced chi-square up to which a set may be complete."""
+_POOR = 1.5  # reduced chi-square above which a fit may have lost its way
+_LOST = 6.0  # reduced chi-square of the backbones, over what was promised, from which a fit ended elsewhere
+_ALIKE = 6.0  # chi-square within which backbones cannot tell two minima of a set apart
+_NOTED = 1.0  # chi-square above that of the smaller set up to which one step is enough to note a set
+_WORTH = 5.0  # fall of chi-square by which one more effect begins to earn its place
+
+
+@dataclass
+class FittedSets:
+    """Fits of sets of effects beyond the base, each set once, and what is needed to fit one more.
+
+    Attributes
+    ----------
+    batch : Batch
+        The data.
+    base : Oscillator
+        Mass and base effects.
+    candidates : tuple of str
+        Effects that may be missing.
+    max_effects : int
+        Largest set.
+    own : mapping of str to Effect
+        Candidates that the library does not hold, by name.
+    """
+
+    batch: Batch
+    base: Oscillator
+    candidates: tuple[str, ...]
+    max_effects: int = 3
+    progress: Progress = lambda _stage, _share: None
+    fits: dict[Set, Fit] = field(default_factory=dict)
+    failed: dict[Set, str] = field(default_factory=dict)
+    layouts: dict[Set, Layout] = field(default_factory=dict)
+    budget: float = BUDGET
+    is_cut: bool = False
+    own: Mapping[str, Effect] = field(default_factory=dict)
+    asked: dict[tuple[Set, int], State] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.descent = Descent(self.batch)
+        spans = [w.levels[-1] / w.levels[0] if w.levels.size else 0.0 for w in self.batch.levels]
+        self.reference = int(np.argmax(spans))
+        self.count = sum(term.size for term in self.batch.deciding)
+
+    @cached_property
+    def proposals(self) -> dict[Set, Proposal]:
+        """How every set looks in the backbones, the likeliest first."""
+        self.progress("all sets, by their backbones", 0.0)
+        found = propose(self.batch, self.base, self.candidates, self.max_effects, self.own)
+        return {item.names: item for item in found}
+
+    @property
+    def has_proposals(self) -> bool:
+        """Whether the backbones were asked for proposals."""
+        return "proposals" in self.__dict__
+
+    def _is_explained(self) -> bool:
+        """Return whether a set leaves hardly more than noise."""
+        return min(item.cost for item in self.fits.values()) < EXPLAINED * self.count
+
+    @property
+    def _is_spent(self) -> bool:
+        return self.descent.effort > self.budget
+
+    def layout(self, names: Set) -> Layout:
+        """Return the layout of the base with these effects."""
+        if names not in self.layouts:
+            extended = self.base + [self.own.get(name, name) for name in names]
+            self.layouts[names] = make_layout(extended, self.batch.amplitude, self.batch.angular_frequency)
+        return self.layouts[names]
+
+    def _was_asked(self, names: Set, other: Fit) -> bool:
+        """Return whether a set was started from this fit of another before, and note that it now is."""
+        asked = (names, id(other.state))
+        is_known = asked in self.asked
+        self.asked[asked] = other.state  # kept, so that its identity stays its own
+        return is_known
+
+    def fit_set(self, names: Set) -> Fit | None:
+        """Return the best fit of a set, from several starts; kept for the next time.
+
+        Where a smaller set explains the records already, and a linear step says that one more effect would gain
+        nothing worth its place, the set is noted with that gain and not fitted further.
+        """
+        if names in self.fits or names in self.failed:
+            return self.fits.get(names)
+        found = self._base_fits() if not names else self._set_fits(names)
+        if not found:
+            self.failed[names] = "no start could be simulated over the whole record"
+            return None
+        self.fits[names] = min(found, key=lambda item: item.cost)
+        return self.fits[names]
+
+    def _base_fits(self) -> list[Fit]:
+        """Return fits of the model as it is; effects that it holds may turn out to be absent."""
+        layout = self.layout(())
+        eta = starts.typical(layout)
+        scales = (0.0, 0.05, 1.0, 20.0) if eta.size else (1.0,)
+        states = [
+            self.descent.released(layout, np.where(layout.is_strength, eta * scale, eta), self.batch.own[:, :2])
+            for scale in scales
+        ]
+        found = [fit for fit in (self.descent.from_afar(layout, state) for state in states) if fit is not None]
+        if eta.size and (not found or min(item.cost for item in found) > EXPLAINED * self.count):
+            found += self._proposed((), None)
+        return found
+
+    def _set_fits(self, names: Set) -> list[Fit]:
+        """Return fits of a set: from the sets it extends where these are near, else from the backbones."""
+        layout = self.layout(names)
+        parents = [self.fits[rest] for rest in combinations(names, len(names) - 1) if rest in self.fits]
+        parents.sort(key=lambda parent: parent.cost)
+        rival = min((item.cost for item in self.fits.values()), default=None)
+        is_near = bool(parents) and parents[0].cost < EXPLAINED * self.count
+        found: list[Fit] = []
+        if not is_near:
+            found = self._proposed(names, rival)
+        if is_near or not found:
+            for parent in parents[:2] if len(names) > 1 else parents[:1]:
+                self._was_asked(names, parent)
+                found += self._extended(names, layout, parent, rival)
+        return found
+
+    def _extended(self, names: Set, layout: Layout, parent: Fit, rival: float | None) -> list[Fit]:
+        """Return the fit of a set from that of a smaller one, to which the score says what the new effect adds."""
+        new = next(name for name in names if name not in self._names(parent))
+        promised = starts.by_score(layout, new, parent, self.batch)
+        is_explained = parent.cost < EXPLAINED * self.count
+        promised = promised[:1] if is_explained else promised
+        if is_explained and promised and promised[0][0] < _WORTH:
+            near = self.descent.fit(
+                layout, self.batch.deciding, promised[0][1], iterations=1, nuisances=self.batch.nuisances
+            )
+            if near is None or near.cost < parent.cost + _NOTED:
+                return [] if near is None else [near]
+            promised = [(promised[0][0], near.state)]  # one step did not turn the effect off again
+        near = self.descent.from_near(layout, [state for _, state in promised], rival=rival)
+        return [] if near is None else [near]
+
+    def _proposed(self, names: Set, rival: float | None) -> list[Fit]:
+        """Return fits from what the backbones propose for a set, until one keeps what they promise.
+
+        Where that explains the records, from those as well that the backbones cannot tell from it: the samples may.
+        """
+        proposal = self.proposals.get(names)
+        if proposal is None:
+            return []
+        layout = self.layout(names)
+        found: list[Fit] = []
+        ways: list[float] = []
+        kept = np.inf
+        for promised, eta, own in proposal.starts:
+            if promised > kept + _ALIKE:
+                break
+            state = self.descent.released(layout, eta, own)
+            reached = self.descent.from_afar(layout, state, rival, ways)
+            found += [] if reached is None else [reached]
+            if reached is not None and not self._is_lost(reached, promised):
+                if reached.cost > EXPLAINED * self.count:
+                    break
+                kept = min(kept, promised)
+        return found
+
+    def _is_lost(self, found: Fit, promised: float) -> bool:
+        """Return whether a fit ended far above what the backbones promise: then another start may do better."""
+        if found.cost < _POOR * self.count:
+            return False
+        reduced = level_chi_square(self.batch, found)
+        values = sum(term.size for term in self.batch.levels)
+        return not reduced < _LOST * max(promised / values, 1.0)
+
+    def _names(self, found: Fit) -> Set:
+        held = {effect.name for effect in self.base.effects}
+        return tuple(effect.name for effect in found.layout.oscillator.effects if effect.name not in held)

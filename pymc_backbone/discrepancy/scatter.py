@@ -1,0 +1,65 @@
+"""How much an effect's parameters differ between specimens: inferred with a bounded prior, and marginalised."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+from scipy.special import logsumexp
+
+SCATTER = 0.1
+"""Scatter of an effect's parameters between specimens, relative to their value, that a fit is made with."""
+NARROWEST, WIDEST = 0.01, 0.5
+"""Bounds of the log-uniform prior of the scatter."""
+_GRID = np.geomspace(NARROWEST, WIDEST, 18)
+_FINE, _FEWEST = 400, 4
+_TAIL = 0.05
+
+
+class Scatter(NamedTuple):
+    """What is known of the scatter of the effects of a fit.
+
+    Attributes
+    ----------
+    value, low, high : float
+        Relative standard deviation over specimens: median, 5 % and 95 % of the posterior. NaN where there is none.
+    log_evidence : float
+        What the freedom of the scatter adds to the logarithm of the evidence at a scatter of `SCATTER`.
+    """
+
+    value: float
+    low: float
+    high: float
+    log_evidence: float
+
+
+NO_SCATTER = Scatter(float("nan"), float("nan"), float("nan"), 0.0)
+"""Of fits without effects, or of one specimen."""
+
+
+def infer_scatter(log_likelihood: Callable[[float], float]) -> Scatter:
+    """Return the posterior of the scatter, and the evidence with it integrated out.
+
+    Parameters
+    ----------
+    log_likelihood : callable
+        Logarithm of the likelihood of a scatter, everything else integrated out.
+    """
+    each = np.array([log_likelihood(float(width)) for width in _GRID])
+    reference = log_likelihood(SCATTER)
+    held = np.isfinite(each)
+    if not np.isfinite(reference) or held.sum() < _FEWEST:
+        return NO_SCATTER
+    # smooth between the points; the prior is uniform in the logarithm
+    fine = np.linspace(np.log(NARROWEST), np.log(WIDEST), _FINE)
+    smooth = np.maximum(PchipInterpolator(np.log(_GRID[held]), each[held])(fine), each[held].min())
+    share = np.exp(smooth - smooth.max())
+    below = (np.cumsum(share) - 0.5 * share) / share.sum()
+    low, middle, high = np.exp(np.interp([_TAIL, 0.5, 1.0 - _TAIL], below, fine))
+    evidence = float(logsumexp(smooth)) - np.log(_FINE) - reference
+    return Scatter(float(middle), float(low), float(high), float(evidence))
+
+
+__all__ = ["NARROWEST", "NO_SCATTER", "SCATTER", "WIDEST", "Scatter", "infer_scatter"]

@@ -1,0 +1,101 @@
+"""The scatter of the effects over specimens: against a closed form, and from simulated backbones of known scatter."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from pymc_backbone._common.checks import OBSERVABLES
+from pymc_backbone.discrepancy import joint_fit
+from pymc_backbone.discrepancy.batch import Batch, batch_of_backbones
+from pymc_backbone.discrepancy.joint_fit import Fit, fit, start_state
+from pymc_backbone.discrepancy.layout import make_layout
+from pymc_backbone.discrepancy.scatter import NARROWEST, SCATTER, WIDEST, infer_scatter
+from pymc_backbone.oscillator import Oscillator
+from pymc_backbone.simulation.backbones import simulate_population
+
+MASS, OMEGA, AMPLITUDE = 2.0, 30.0, 0.01
+SPRING, DAMPER = MASS * OMEGA**2, 2.0 * 0.008 * MASS * OMEGA
+CUBIC = 0.2 * SPRING / AMPLITUDE**2
+
+
+def backbones(factors: np.ndarray) -> Batch:
+    """Return backbones of specimens whose cubic springs differ by these factors, with errors of 1e-4 of frequency."""
+    truth = Oscillator(MASS, ["cubic_stiffness"])
+    rows = np.array([[SPRING, DAMPER, CUBIC * factor] for factor in factors])
+    data = simulate_population(truth, rows, np.geomspace(0.12, 0.9, 8) * AMPLITUDE, OBSERVABLES)
+    data = data.drop_vars("covariance")
+    typical = np.abs(data["value"].values)
+    error = np.stack([1e-4 * typical[:, 0], 5e-3 * typical[:, 1], np.full_like(typical[:, 0], 1e-3)], axis=1)
+    noisy = data["value"].values + error * np.random.default_rng(5).standard_normal(error.shape)
+    dims = data["value"].dims
+    return batch_of_backbones(MASS, data.assign(value=(dims, noisy), standard_error=(dims, error)))
+
+
+def fitted(batch: Batch) -> Fit:
+    layout = make_layout(Oscillator(MASS, ["cubic_stiffness"]), batch.amplitude, batch.angular_frequency)
+    found = fit(layout, batch.levels, start_state(layout, np.array([CUBIC]), batch.own), nuisances=(0, 1))
+    assert found is not None
+    return found
+
+
+def factors_of(scatter: float, count: int = 10) -> np.ndarray:
+    """Return factors whose mean is 1 and whose standard deviation is ``scatter``."""
+    drawn = np.random.default_rng(3).standard_normal(count)
+    return 1.0 + scatter * (drawn - drawn.mean()) / drawn.std()
+
+
+def test_posterior_and_evidence_are_those_of_normal_values_that_are_known_with_an_error():
+    """Of n values with error s the likelihood of a scatter is closed; quadrature integrates it over the prior."""
+    values, error = factors_of(0.12, 7), 0.03
+
+    def log_likelihood(scatter: float) -> float:
+        variance = scatter**2 + error**2
+        return float(-0.5 * ((values - 1.0) ** 2).sum() / variance - 0.5 * values.size * np.log(variance))
+
+    found = infer_scatter(log_likelihood)
+    low, high = np.log(NARROWEST), np.log(WIDEST)
+
+    def weight(u: float) -> float:
+        return float(np.exp(log_likelihood(float(np.exp(u))) - log_likelihood(SCATTER)))
+
+    whole = quad(weight, low, high)[0]
+    assert found.log_evidence == pytest.approx(np.log(whole / (high - low)), abs=0.02)
+    for value, share in ((found.low, 0.05), (found.value, 0.5), (found.high, 0.95)):
+        assert quad(weight, low, np.log(value))[0] / whole == pytest.approx(share, abs=0.01)
+
+
+@pytest.mark.parametrize("scatter", [0.03, 0.1, 0.3])
+def test_scatter_of_simulated_specimens_is_found(scatter):
+    found = fitted(backbones(factors_of(scatter)))
+    assert found.scatter.low < scatter < found.scatter.high
+    # ten specimens tell a standard deviation to some 24 %
+    assert found.scatter.value == pytest.approx(scatter, rel=0.5)
+    # of nine degrees of freedom chi-square's 5 % and 95 % are 3.3 and 16.9; errors of the values widen that at 3 %
+    assert found.scatter.high < (2.35 if scatter > 0.05 else 2.7) * found.scatter.low
+
+
+def test_specimens_that_are_alike_are_more_probable_with_little_scatter():
+    alike, unlike = fitted(backbones(np.ones(10))).scatter, fitted(backbones(factors_of(0.3))).scatter
+    assert alike.high < 0.04
+    assert alike.log_evidence > 3.0  # of a tenth, ten of them would not agree so well
+    assert unlike.low > 0.15
+
+
+def test_a_newton_step_stands_for_the_fit_with_another_scatter(monkeypatch):
+    """The evidence at twice the scatter, by a Newton step from one fit, against that of a fit made with it."""
+    batch = backbones(factors_of(0.2, 6))
+    found = fitted(batch)
+    predicted = joint_fit._log_likelihood(found, 2.0) - joint_fit._log_likelihood(found, 1.0)
+    monkeypatch.setattr(joint_fit, "SCATTER", 2.0 * SCATTER)
+    again = fitted(batch)
+    assert again.penalty < 0.5 * found.penalty  # negative control: it is another fit
+    whole = joint_fit._log_likelihood(again, 1.0) - joint_fit._log_likelihood(found, 1.0)
+    assert predicted == pytest.approx(whole, abs=0.1)
+
+
+def test_no_scatter_is_inferred_from_one_specimen_or_without_effects():
+    single = fitted(backbones(np.ones(1)))
+    assert np.isnan(single.scatter.value)
+    assert single.scatter.log_evidence == 0.0
