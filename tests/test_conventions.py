@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import arviz as az
+import numba
 import numpy as np
 import pymc as pm
 import pytensor
@@ -15,6 +18,7 @@ from scipy.stats import multivariate_normal
 
 import pymc_backbone as pb
 from pymc_backbone import InputError, Oscillator
+from pymc_backbone.discrepancy.question import check_vanishes, possible_effects
 from pymc_backbone.inference import sampling
 from pymc_backbone.inference.targets import targets_of
 from pymc_backbone.likelihood.curvature import second_derivatives
@@ -224,7 +228,7 @@ def check_hessian(found: np.ndarray, expected: np.ndarray) -> None:
 CENTRE = {name: 1.001 * value for name, value in TRUTH.items()}
 
 
-@pytest.mark.parametrize("kind", ["population", "pooled", "specimen"])
+@pytest.mark.parametrize("kind", ["population", "pooled", pytest.param("specimen", marks=pytest.mark.slow)])
 def test_second_derivatives_are_those_of_the_log_density(kind, rng):
     model = made(kind, batch(rng, 20) if kind == "population" else noisy(rng, 2))
     point = unconstrained(model, CENTRE)
@@ -348,3 +352,44 @@ def test_what_a_function_raises_is_said_once_and_complex_numbers_are_refused(cap
 def test_what_a_likelihood_of_specimens_would_ignore_is_refused(options, rng):
     with pytest.raises(InputError, match=r"those of a population, and the likelihood is 'specimen'"):
         pb.build_model(DUFFING, noisy(rng, 3), BOUNDS, **options)
+
+
+@pytest.mark.parametrize("name", sorted(pb.LIBRARY))
+def test_every_effect_of_the_library_vanishes_at_zero_strength(name):
+    check_vanishes(pb.LIBRARY[name], (1.2, 0.01, 80.0))
+
+
+@numba.njit
+def with_preload(x, v, direction, z, p):
+    return p[0] * x**3 + 2.0
+
+
+@numba.njit
+def known(x, v, direction, z, p):
+    return 9.81 + 0.0 * x
+
+
+@numba.njit
+def stiff_beyond(x, v, direction, z, p):
+    return p[0] * max(abs(x) - p[1], 0.0) * (1.0 if x > 0.0 else -1.0)
+
+
+@pytest.mark.parametrize(
+    ("force", "parameters", "message"),
+    [
+        (with_preload, ("own_stiffness",), r"force of 2 where its strength `own_stiffness` is zero; multiply"),
+        (known, (), "whatever its parameters are"),
+        (stiff_beyond, ("own_stiffness", "own_gap"), None),
+    ],
+)
+def test_a_candidate_of_ones_own_vanishes_at_zero_strength(force, parameters, message):
+    given = tuple(pb.Parameter(q, "1", q, q, bounds=lambda m, a, w: (0.0, 0.5 * a)) for q in parameters)
+    effect = pb.Effect("own", "own", "own", "own", given, force)
+    if message is None:
+        check_vanishes(effect, (1.0, 0.01, 80.0))
+        return
+    with pytest.raises(InputError, match=message):
+        check_vanishes(effect, (1.0, 0.01, 80.0))
+    batch = SimpleNamespace(amplitude=0.01, angular_frequency=80.0, backbones=xr.Dataset())
+    with pytest.raises(InputError, match=message):
+        possible_effects(LINEAR, [effect], batch)

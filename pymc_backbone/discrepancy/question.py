@@ -119,7 +119,7 @@ def own_effects(candidates: Sequence[str | Effect] | None) -> dict[str, Effect]:
     return own
 
 
-def _check_vanishes(effect: Effect, scale: tuple[float, float, float]) -> None:
+def check_vanishes(effect: Effect, scale: tuple[float, float, float]) -> None:
     """Raise where a candidate's force is still there when its strength is zero: no data could say that it is absent."""
     middle = np.array([sum(parameter.bounds(*scale)) / 2.0 for parameter in effect.parameters])
     absent = np.where([parameter.role == "strength" for parameter in effect.parameters], 0.0, middle)
@@ -145,7 +145,7 @@ def possible_effects(
     """Return the names of the effects that may be missing, the costly ones last."""
     own = own_effects(candidates)
     for effect in own.values():
-        _check_vanishes(effect, (oscillator.mass, batch.amplitude, batch.angular_frequency))
+        check_vanishes(effect, (oscillator.mass, batch.amplitude, batch.angular_frequency))
     held = {effect.name for effect in oscillator.effects}
     unit = str(batch.backbones.attrs.get("amplitude_unit", "m"))
     if candidates is None:
