@@ -71,10 +71,11 @@ def plot_prior_posterior(
     """
     from arviz_stats import hdi
 
-    names = [name for name in bounds if name in posterior["posterior"]]
+    dataset = posterior["posterior"].to_dataset()
+    names = [name for name in bounds if name in dataset]
     figure, axes = panels(len(names), 2, width=4.0, height=2.2)
     for row, name in enumerate(names):
-        draws = _by_element(posterior["posterior"][name])
+        draws = _by_element(dataset[name])
         scale, axis_label = parameter_axis(name, draws, units)
         draws, low, high = draws * scale, bounds[name][0] * scale, bounds[name][1] * scale
         intervals = [np.asarray(hdi(own, prob=probability)) for own in draws]
