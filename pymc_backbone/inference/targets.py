@@ -102,7 +102,7 @@ def _specimens(variable: Variable, value: Variable) -> Target | None:
     observed = _constant(value)
     if len(responses) != 1 or observed is None:
         return None
-    theta, _, errors, _ = node.op.dist_params(node)
+    theta, _, _, errors, _ = node.op.dist_params(node)
     sizes = _constant(errors)
     return None if sizes is None else Target(variable.name, responses[0], theta, observed, sizes, None)
 

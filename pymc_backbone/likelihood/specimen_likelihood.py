@@ -58,9 +58,10 @@ def specimen_arrays(data: xr.Dataset) -> dict[str, FloatArray]:
 
     ``values`` and ``standard_errors`` (n, o, l), NaN where a specimen does not reach a level; ``whitening`` (n, d, d),
     which makes residuals in standard errors independent, and ``error_factor`` (n, d, d), which makes errors from
-    independent numbers, both with rows of zeros there.
+    independent numbers, both with rows of zeros there; ``log_constant`` (n,) is the log-density at
+    residuals of zero.
     """
-    _, whitening, _ = whiten_specimens(data)
+    _, whitening, constants = whiten_specimens(data)
     values = np.asarray(data["value"], dtype=np.float64)
     held = np.isfinite(values)
     errors = np.where(held, np.asarray(data["standard_error"], dtype=np.float64), np.nan)
@@ -70,6 +71,7 @@ def specimen_arrays(data: xr.Dataset) -> dict[str, FloatArray]:
         "values": np.where(held, values, np.nan),
         "standard_errors": errors,
         "whitening": correlation,
+        "log_constant": constants,
         "error_factor": np.swapaxes(scale, 1, 2) * np.linalg.pinv(correlation),
     }
 
@@ -80,7 +82,13 @@ def observe_specimens(name: str, response: Response, data: xr.Dataset, theta: Te
     dims = name_dims(name, data_coords(data))
     shape = arrays["values"].shape
     matrix = (dims[0], f"{name}_value", f"{name}_value_other")
-    which = {"values": dims, "standard_errors": dims, "whitening": matrix, "error_factor": matrix}
+    which = {
+        "values": dims,
+        "standard_errors": dims,
+        "whitening": matrix,
+        "error_factor": matrix,
+        "log_constant": dims[:1],
+    }
     shared = {ending: _add_data(f"{name}_{ending}", array, which[ending]) for ending, array in arrays.items()}
     keep_unit(shared["values"], data)
     op = BackboneOp(response)
@@ -92,19 +100,17 @@ def observe_specimens(name: str, response: Response, data: xr.Dataset, theta: Te
         """Return which values were measured: comparing numbers, as NaN is not safe from fast mathematics."""
         return pt.neq(pt.diagonal(whitener, axis1=-2, axis2=-1), 0.0).reshape(shape)
 
-    def log_probability(value: Tensor, point: Tensor, whitener: Tensor, error: Tensor, mixer: Tensor) -> Tensor:
+    def log_probability(
+        value: Tensor, point: Tensor, whitener: Tensor, constant: Tensor, error: Tensor, mixer: Tensor
+    ) -> Tensor:
         held = hold(whitener)
         error = pt.switch(held, error, 1.0)  # a NaN in the branch that is not taken would spoil the gradient
         residual = ((pt.switch(held, value, 0.0) - simulate(point)) / error).reshape((shape[0], 1, -1))
         standardised = (whitener * residual).sum(axis=-1)
-        scale = pt.log(error).sum(axis=(-2, -1))
-        diagonal = pt.diagonal(whitener, axis1=-2, axis2=-1)
-        volume = pt.log(pt.switch(pt.neq(diagonal, 0.0), diagonal, 1.0)).sum(axis=-1)
-        constant = -0.5 * held.sum(axis=(-2, -1)) * np.log(2.0 * np.pi) + volume - scale
         total = constant - 0.5 * (standardised**2).sum(axis=-1)
         return pt.switch(pt.isnan(total), -np.inf, total)
 
-    def draw(point: Tensor, whitener: Tensor, error: Tensor, mixer: Tensor, size: Tensor) -> Tensor:
+    def draw(point: Tensor, whitener: Tensor, constant: Tensor, error: Tensor, mixer: Tensor, size: Tensor) -> Tensor:
         noise = pm.Normal.dist(0.0, 1.0, size=(shape[0], 1, shape[1] * shape[2]))
         return simulate(point) + (mixer * noise).sum(axis=-1).reshape(shape)
 
@@ -112,11 +118,12 @@ def observe_specimens(name: str, response: Response, data: xr.Dataset, theta: Te
         name,
         theta,
         shared["whitening"],
+        shared["log_constant"],
         shared["standard_errors"],
         shared["error_factor"],
         dist=draw,
         logp=log_probability,
-        signature="(p),(d,e),(o,l),(d,e)->(o,l)",
+        signature="(p),(d,e),(),(o,l),(d,e)->(o,l)",
         observed=shared["values"],
         dims=dims,
     )
