@@ -248,6 +248,7 @@ def test_every_specimen_has_a_density_of_its_own(rng):
 def test_specimens_that_are_not_drawn_are_said(name, rng):
     draws = rng.normal(size=(2, 200, 6))
     variables = {label: (("chain", "draw", "specimen"), draws) for label in ("a", "b", "c", "d")}
-    posterior = xr.DataTree.from_dict({"posterior": xr.Dataset(variables)})
+    coords = {"chain": [0, 1], "draw": np.arange(200), "specimen": [f"s{i}" for i in range(6)]}
+    posterior = xr.DataTree.from_dict({"posterior": xr.Dataset(variables, coords=coords)})
     assert "the first 3 of 6 specimens" in getattr(plots, name)(posterior).get_suptitle()
     assert "first" not in getattr(plots, name)(posterior, ["a"]).get_suptitle()
