@@ -20,11 +20,13 @@ if TYPE_CHECKING:
     from .discrepancy.study import Study
     from .discrepancy.workflow import find_missing_effect
     from .effects import LIBRARY, Effect, Parameter, Signature, get_effect
+    from .inference.data import set_backbones
     from .inference.diagnostics import findings, summarise
     from .inference.fit_verdict import GoodnessOfFit
     from .inference.goodness import goodness_of_fit
     from .inference.hierarchical import build_hierarchical_model, unidentified_parameters
     from .inference.model import backbone_deterministic, backbone_likelihood, build_model
+    from .inference.predictions import add_log_likelihood, add_predictions
     from .inference.sampling import sample
     from .likelihood.data_consistent import fit_data_consistent
     from .likelihood.density import Density
@@ -85,6 +87,7 @@ _WHERE = {
     "likelihood.density": ("Density",),
     "likelihood.density_fit": ("fit_density",),
     "reporting.study_files": ("write_study",),
+    "inference.data": ("set_backbones",),
     "inference.diagnostics": ("findings", "summarise"),
     "inference.fit_verdict": ("GoodnessOfFit",),
     "inference.goodness": ("goodness_of_fit",),
@@ -100,6 +103,7 @@ _WHERE = {
     "oscillator": ("Oscillator",),
     "measurement.reading.records": ("Record", "read_records", "write_records"),
     "reporting.output_folder": ("write_backbones",),
+    "inference.predictions": ("add_log_likelihood", "add_predictions"),
     "inference.sampling": ("sample",),
     "survey.structure": ("Structure",),
     "survey.survey": ("Survey",),
@@ -145,6 +149,8 @@ __all__ = [
     "Study",
     "Survey",
     "WaveformResult",
+    "add_log_likelihood",
+    "add_predictions",
     "backbone_deterministic",
     "backbone_likelihood",
     "backbones_at_levels",
@@ -171,6 +177,7 @@ __all__ = [
     "read_backbones",
     "read_records",
     "sample",
+    "set_backbones",
     "simulate_backbone",
     "simulate_decay",
     "simulate_population",

@@ -225,3 +225,30 @@ def test_many_specimens_are_not_all_drawn(rng):
 )
 def test_prefix_of_the_amplitude(largest, unit, expected):
     assert _figures.engineering(largest, unit) == expected
+
+
+def test_every_specimen_has_a_density_of_its_own(rng):
+    centres = np.array([6000.0, 6400.0, 6800.0])
+    draws = rng.normal(centres, 10.0, size=(2, 500, 3))
+    posterior = xr.DataTree.from_dict({"posterior": xr.Dataset({"k": (("chain", "draw", "specimen"), draws)})})
+    figure = plots.plot_prior_posterior(posterior, {"k": (5000.0, 8000.0)})
+    curves = [line for line in figure.axes[0].lines if len(line.get_xdata()) > 4]
+    assert len(curves) == 3
+    for curve, centre in zip(curves, centres, strict=True):
+        x, density = curve.get_xdata(), curve.get_ydata()
+        mean = np.trapezoid(x * density, x)
+        assert mean == pytest.approx(centre, abs=3.0)
+        assert np.sqrt(np.trapezoid((x - mean) ** 2 * density, x)) == pytest.approx(10.0, rel=0.15)
+    texts = [text.get_text() for text in figure.axes[0].get_legend().get_texts()] if figure.axes[0].get_legend() else [
+        text.get_text() for legend in figure.legends for text in legend.get_texts()]  # fmt: skip
+    assert texts == ["posterior of each specimen", "prior", "95% HDI of each specimen"]
+
+
+@pytest.mark.parametrize("name", ["plot_trace", "plot_rank"])
+def test_specimens_that_are_not_drawn_are_said(name, rng):
+    draws = rng.normal(size=(2, 200, 6))
+    variables = {label: (("chain", "draw", "specimen"), draws) for label in ("a", "b", "c", "d")}
+    coords = {"chain": [0, 1], "draw": np.arange(200), "specimen": [f"s{i}" for i in range(6)]}
+    posterior = xr.DataTree.from_dict({"posterior": xr.Dataset(variables, coords=coords)})
+    assert "the first 3 of 6 specimens" in getattr(plots, name)(posterior).get_suptitle()
+    assert "first" not in getattr(plots, name)(posterior, ["a"]).get_suptitle()

@@ -20,6 +20,7 @@ from pymc_backbone.reporting.candidate_plots import plot_candidates
 from pymc_backbone.reporting.html import number, table, unit
 from pymc_backbone.reporting.output_folder import DIAGNOSIS_FIGURES, FIGURES, read_result
 from pymc_backbone.reporting.report import report_html
+from pymc_backbone.reporting.report_model import parameters
 from pymc_backbone.reporting.study_files import DIAGNOSIS_KEYS, write_study
 from pymc_backbone.reporting.study_plots import study_figures
 from pymc_backbone.reporting.words import percent
@@ -150,6 +151,18 @@ def test_page_is_whole_and_holds_everything_inside(studies, verdict):
     assert study.base.equation.splitlines()[0] in words
     if study.extended is not None:
         assert study.extended.equation.splitlines()[0] in words
+
+
+def test_two_uncertainties_of_one_number_have_names(studies):
+    study = studies["found"]
+    drawn = parameters(dataclasses.replace(study, posterior=xr.DataTree()), {})
+    assert "sd, posterior" in drawn and "sd, fit" in drawn
+    best = next(item for item in study.candidates if item.effects == ("coulomb_friction",))
+    row = next(line for line in drawn.split("</tr>") if "friction force" in line)
+    cells = [str(number(value, 2)) for value in (study.parameters["coulomb_friction"]["friction_force"].sd,
+                                                 best.parameters["friction_force"][1])]  # fmt: skip
+    assert cells[0] != cells[1] and row.index(f">{cells[0]}<") < row.index(f">{cells[1]}<")
+    assert "sd, posterior" not in parameters(dataclasses.replace(study, posterior=None), {})
 
 
 def test_names_from_files_cannot_become_markup():

@@ -38,7 +38,7 @@ GROUPS = {
     "Inference": (
         "build_model", "build_hierarchical_model", "backbone_likelihood", "backbone_deterministic",
         "BackboneLogLikelihood", "BackboneOp", "sample", "goodness_of_fit", "GoodnessOfFit", "findings",
-        "summarise", "unidentified_parameters",
+        "summarise", "unidentified_parameters", "add_log_likelihood", "add_predictions", "set_backbones",
     ),
     "The missing effect": ("find_missing_effect", "Study", "write_study"),
     "Many structures": ("diagnose_many", "Structure", "Survey"),

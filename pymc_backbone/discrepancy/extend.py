@@ -10,6 +10,7 @@ import xarray as xr
 
 from .._common.checks import OBSERVABLES, FloatArray
 from ..effects import BASE_EFFECTS
+from ..inference.options import Sampling
 from .batch import Batch
 from .curves import curve, measured, on_levels
 from .descent import is_heavy
@@ -98,22 +99,6 @@ def prior_bounds(batch: Batch, found: Fit, mean: FloatArray) -> tuple[dict[str, 
     return bounds, held
 
 
-@dataclass(frozen=True)
-class Sampling:
-    """How draws are taken: as in `sample`."""
-
-    draws: int
-    tune: int
-    chains: int
-    step: str
-    random_seed: int
-
-    def for_model(self, found: Fit) -> Sampling:
-        """Return the same with fewer draws where the model takes much longer."""
-        share = _HEAVY_SHARE if is_heavy(found.layout) else 1
-        return replace(self, draws=max(self.draws // share, 100), tune=max(self.tune // share, 100))
-
-
 @dataclass(frozen=True, eq=False)
 class Inference:
     """What is known of the parameters of a model.
@@ -145,6 +130,12 @@ class Inference:
     convergence: Mapping[str, float] = field(default_factory=dict)
 
 
+def _for_model(sampling: Sampling, found: Fit) -> Sampling:
+    """Return the same sampling with fewer draws where the model takes much longer."""
+    share = _HEAVY_SHARE if is_heavy(found.layout) else 1
+    return replace(sampling, draws=max(sampling.draws // share, 100), tune=max(sampling.tune // share, 100))
+
+
 def infer(
     batch: Batch, found: Fit, sampling: Sampling | None, progress: Callable[[str, float], None] | None = None
 ) -> Inference:
@@ -159,7 +150,7 @@ def infer(
     backbone, mean = mean_specimen(batch, found)
     bounds, held = prior_bounds(batch, found, mean)
     model = build_model(found.layout.oscillator, backbone, bounds=bounds, fixed=held, likelihood="pooled")
-    chosen = sampling.for_model(found)
+    chosen = _for_model(sampling, found)
     posterior = sample(model, progressbar=False, progress=progress, **asdict(chosen))
     table = summarise(posterior)
     return Inference(

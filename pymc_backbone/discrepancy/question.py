@@ -25,6 +25,7 @@ TOLERANCE: Mapping[str, float] = {"frequency": 0.001, "damping": 0.03}
 """Relative change of the backbones below which a missing effect does not matter, by default."""
 WAVEFORM_SHARE = 0.1
 """Part of the tolerance on damping, as a share of the motion, that waveforms may depart by unexplained."""
+_VANISHED = 1e-9  # of the force at a typical strength: rounding
 MOST_EFFECTS = 3
 """Effects that can be missing together."""
 
@@ -118,11 +119,33 @@ def own_effects(candidates: Sequence[str | Effect] | None) -> dict[str, Effect]:
     return own
 
 
+def check_vanishes(effect: Effect, scale: tuple[float, float, float]) -> None:
+    """Raise where a candidate's force is still there when its strength is zero: no data could say that it is absent."""
+    middle = np.array([sum(parameter.bounds(*scale)) / 2.0 for parameter in effect.parameters])
+    absent = np.where([parameter.role == "strength" for parameter in effect.parameters], 0.0, middle)
+    force = getattr(effect.force, "py_func", effect.force)
+    _, amplitude, angular_frequency = scale
+    for x, v in ((0.0, 1.0), (0.7, 0.5), (-0.7, 0.5), (1.0, -0.1), (0.0, -1.0)):
+        state = np.zeros(effect.n_states)
+        at = (x * amplitude, v * amplitude * angular_frequency, 1.0 if v > 0.0 else -1.0, state)
+        with np.errstate(all="ignore"):
+            left, present = float(force(*at, absent)), float(force(*at, middle))
+        if not abs(left) <= _VANISHED * abs(present):
+            strength = next((q.name for q in effect.parameters if q.role == "strength"), None)
+            when = "whatever its parameters are" if strength is None else f"where its strength `{strength}` is zero"
+            raise InputError(
+                f"candidate {effect.name!r} must vanish at zero strength, got a force of {left:.4g} {when}; "
+                "multiply the force by its strength, or put the effect into the model if it is known to be there."
+            )
+
+
 def possible_effects(
     oscillator: Oscillator, candidates: Sequence[str | Effect] | None, batch: Batch
 ) -> tuple[str, ...]:
     """Return the names of the effects that may be missing, the costly ones last."""
     own = own_effects(candidates)
+    for effect in own.values():
+        check_vanishes(effect, (oscillator.mass, batch.amplitude, batch.angular_frequency))
     held = {effect.name for effect in oscillator.effects}
     unit = str(batch.backbones.attrs.get("amplitude_unit", "m"))
     if candidates is None:

@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from .._common.checks import InputError
 from ..effects import Effect
+from ..inference.options import Sampling
 from ..measurement.conditioning.conditioned import ConditionedRecord
 from ..measurement.options import Measuring
 from ..measurement.reading.records import Record
@@ -22,7 +23,7 @@ from .candidate_table import candidates_of
 from .curves import simulate
 from .decide import Decision, decide, mind_second_mode
 from .design import Contender, Plan, contender, present_design
-from .extend import Inference, Sampling, infer
+from .extend import Inference, infer
 from .fitted_sets import BUDGET, Progress
 from .joint_fit import Fit
 from .locate import where_different

@@ -15,6 +15,7 @@ from .._common.checks import OBSERVABLES, FloatArray, InputError, check_choice, 
 from ..likelihood.data_consistent import fit_data_consistent
 from ..likelihood.density import Density
 from ..likelihood.density_fit import fit_density
+from ..likelihood.dims import backbone_coords, name_dims
 from ..likelihood.op import BackboneLogLikelihood, BackboneOp
 from ..likelihood.specimen_likelihood import observe_specimens
 from ..oscillator import Oscillator
@@ -117,9 +118,10 @@ def backbone_likelihood(
     theta = _stack(response, parameters, n_specimens, isinstance(data, Density))
     if isinstance(data, xr.Dataset):
         return observe_specimens(name, response, data, theta)
-    codes = pt.constant(data.codes)
+    codes = pm.Data(f"{name}_density_codes", data.codes)
     note_density(codes, data)
-    return pm.Potential(name, BackboneLogLikelihood(response)(theta, codes, data.table)[0])
+    table = pm.Data(f"{name}_density_table", data.table)
+    return pm.Potential(name, BackboneLogLikelihood(response)(theta, codes, table)[0])
 
 
 def backbone_deterministic(
@@ -135,20 +137,22 @@ def backbone_deterministic(
     Parameters
     ----------
     name : str
-        Name of the deterministic; its shape is (observable, level).
+        Name of the deterministic; its dimensions are ``observable`` and ``level``, ``specimen`` in front where
+        parameters differ between specimens. Where the model has such a dimension with other coordinates, the name of
+        the deterministic stands in front: ``NAME_level``.
     source : Oscillator or callable
         The model, as in `backbone_likelihood`.
     levels : array_like, shape (l,)
         Amplitudes [m or rad].
     parameters : mapping of str to tensor or float
-        Scalars, for every parameter.
+        A scalar, or a vector with one entry per specimen, for every parameter.
     observables : sequence of str
         Any of frequency, damping, offset.
 
     Returns
     -------
     TensorVariable
-        Values (o, l); NaN where a level cannot be simulated.
+        Values (o, l) or (n, o, l); NaN where a level cannot be simulated.
 
     See Also
     --------
@@ -156,9 +160,17 @@ def backbone_deterministic(
     simulate_population : numbers instead of tensors.
     """
     names = None if isinstance(source, Oscillator) else tuple(parameters)
+    model = pm.modelcontext(None)
     response = make_response(source, levels, observables, parameter_names=names)
-    theta = _stack(response, parameters, 1, True)
-    return pm.Deterministic(name, BackboneOp(response)(theta)[0])
+    coords = backbone_coords(response.observables, response.levels)
+    lengths = [n for value in parameters.values() for n in pt.as_tensor_variable(value).type.shape]
+    specimens = model.coords.get("specimen") or range(next((n for n in lengths if n is not None), 1))
+    theta = _stack(response, parameters, len(specimens), False)
+    op = BackboneOp(response)
+    if theta.ndim == 1:
+        return pm.Deterministic(name, op(theta)[0], dims=name_dims(name, coords))
+    simulated = pt.vectorize(lambda each: op(each)[0], "(p)->(o,l)")(theta)
+    return pm.Deterministic(name, simulated, dims=name_dims(name, {"specimen": list(specimens)} | coords))
 
 
 def build_model(
@@ -211,7 +223,8 @@ def build_model(
     Returns
     -------
     pymc.Model
-        Coordinates ``specimen`` (specimen likelihood) and ``parameter`` (blocked).
+        Coordinates ``specimen``, ``observable`` and ``level`` (likelihoods of specimens), ``parameter`` (blocked). What
+        was measured stands in it as data, which `set_backbones` replaces.
 
     Raises
     ------
@@ -227,6 +240,11 @@ def build_model(
     check_choice("likelihood", likelihood, LIKELIHOODS)
     fixed = dict(fixed or {})
     data, kind = _choose(data, likelihood, observables)
+    if kind != "population" and (density, marginal) != ("product", "best"):
+        raise InputError(
+            f"`density` and `marginal` are those of a population, and the likelihood is {kind!r} here; leave them out, "
+            "or set `likelihood` to 'population'."
+        )
     intervals = prior_intervals(source, data, dict(bounds or {}), fixed)
     if not intervals:
         raise InputError("every parameter is fixed; leave at least one to infer.")

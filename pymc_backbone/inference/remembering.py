@@ -13,6 +13,7 @@ from pytensor.compile.mode import Mode
 from .._common.checks import FloatArray
 from ..simulation.counts import REMEMBERED, count
 from ..simulation.response import MEMORY
+from .compiling import compile_once
 from .targets import targets_of
 
 _NEVER_RUN = Mode(linker="py", optimizer=None)  # what PyMC compiles for a step whose function is then replaced
@@ -29,8 +30,7 @@ class RememberingLogDensity:
 
     def __init__(self, model: pm.Model) -> None:
         point = model.initial_point()
-        [density], vector = join_nonshared_inputs(point, [model.logp()], model.value_vars, {})
-        self._function = model.compile_fn(density, inputs=[vector], point_fn=False)
+        self._function = compile_once(model, "joint log-density", lambda: self._compile(model, point))
         self._function.trust_input = True
         self._known: dict[bytes, float] = {}
         self._simulations = sum(target.vectors for target in targets_of(model))
@@ -40,6 +40,11 @@ class RememberingLogDensity:
             variable.name: slice(first, last)
             for variable, first, last in zip(model.value_vars, [0, *ends[:-1]], ends, strict=True)
         }
+
+    @staticmethod
+    def _compile(model: pm.Model, point: dict[str, FloatArray]) -> Any:
+        [density], vector = join_nonshared_inputs(point, [model.logp()], model.value_vars, {})
+        return model.compile_fn(density, inputs=[vector], point_fn=False)
 
     def __call__(self, vector: FloatArray) -> float:
         """Return the log-density; of the points asked for last, without evaluating it again."""

@@ -18,6 +18,7 @@ import xarray as xr
 
 from .._common.checks import InputError, check_choice
 from .._common.progress import Progress
+from ..likelihood.dims import label_units
 from ..simulation.counts import read_counts
 from .options import STEPS
 from .proposal import make_metropolis
@@ -26,6 +27,13 @@ from .starts import StartFinder
 from .store.run_folder import DrawStore
 from .targets import is_differentiable
 
+# What of PyMC's own arguments `sample` sets itself, and what to do instead.
+_OWN = {
+    "nuts_sampler": "`step` chooses the sampler, 'nuts' PyMC's own and 'nutpie' nutpie's; for 'numpyro' or 'blackjax' "
+    "call pymc.sample(nuts_sampler=...)",
+    "initvals": "starts are found from the data; call pymc.sample(initvals=...) for starts of your own",
+    "compute_convergence_checks": "`findings` says what they would",
+}
 logger = logging.getLogger("pymc_backbone")
 
 
@@ -36,7 +44,7 @@ def sample(
     tune: int = 1000,
     chains: int = 4,
     step: str | Any = "metropolis",
-    random_seed: int | None = None,
+    random_seed: int | np.random.Generator | None = None,
     cores: int = 1,
     progressbar: bool | None = None,
     store: str | os.PathLike[str] | None = None,
@@ -59,8 +67,8 @@ def sample(
         ``metropolis`` is PyMC's Metropolis with joint proposals in the shape of the posterior, d of them a draw for d
         parameters (PyMC's own where no shape is found); ``elementwise`` is `pymc.Metropolis` as it comes, one variable
         at a time; ``nuts`` and ``nutpie`` need the gradient that oscillators have and functions have not.
-    random_seed : int, optional
-        Seed of starts and draws.
+    random_seed : int or numpy.random.Generator, optional
+        Seed of starts and draws; of a Generator one is drawn.
     cores : int, default 1
         Processes. A cheap likelihood gains nothing from several; a slow function does.
     progressbar : bool, optional
@@ -97,6 +105,9 @@ def sample(
     summarise : a row for each parameter.
     """
     model = pm.modelcontext(model)
+    for name in _OWN.keys() & kwargs.keys():
+        raise InputError(f"`{name}` is no argument of `sample`: {_OWN[name]}.")
+    seed = _as_number(random_seed)
     if isinstance(step, str):
         check_choice("step", step, STEPS)
         if step in ("nuts", "nutpie") and not is_differentiable(model):
@@ -109,7 +120,7 @@ def sample(
         if resume:
             raise InputError("`resume` continues a run that was stored; name its folder with `store`.")
         with _exact(), _told(progress, progressbar) as tell:
-            return _run(random_seed, None, *arguments, tell)
+            return _run(seed, None, *arguments, tell)
     if step == "nutpie":
         raise InputError("step 'nutpie' keeps its state to itself and cannot be stored; use step 'nuts'.")
     if not isinstance(step, str):
@@ -117,7 +128,7 @@ def sample(
     if cores != 1:
         raise InputError(f"a run that is stored draws its chains one after another: `cores` must be 1, got {cores}.")
     with _exact(), DrawStore(store, resume) as kept, _told(progress, progressbar) as tell:
-        return _run(kept.seed(random_seed), kept, *arguments, tell)
+        return _run(kept.seed(seed), kept, *arguments, tell)
 
 
 def _told(
@@ -127,6 +138,19 @@ def _told(
     if progress is not None or progressbar is not None or sys.stderr.isatty():
         return nullcontext(progress)
     return Progress(lambda line: logger.info("%s", line.strip()))
+
+
+def _as_number(random_seed: int | np.random.Generator | None) -> int | None:
+    """Return the seed as a number, drawn where a Generator is given; None for none."""
+    if isinstance(random_seed, np.random.Generator):
+        return int(random_seed.integers(2**63))
+    if random_seed is None:
+        return None
+    if isinstance(random_seed, bool) or not isinstance(random_seed, int | np.integer) or random_seed < 0:
+        raise InputError(
+            f"`random_seed` must be a whole number of at least 0 or a numpy.random.Generator, got {random_seed!r}."
+        )
+    return int(random_seed)
 
 
 def _exact() -> AbstractContextManager[None]:
@@ -202,6 +226,7 @@ def _run(
         step=step if isinstance(step, str) else type(step).__name__,
         seconds=time.perf_counter() - begin + sum(chain.seconds for chain in earlier),
     )
+    label_units(model, result)
     if recorder is not None and recorder.is_stopping:
         sizes = result["posterior"].sizes
         result.attrs["interrupted"] = (

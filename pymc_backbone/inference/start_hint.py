@@ -16,7 +16,7 @@ from pytensor.tensor.rewriting.basic import register_canonicalize
 from pytensor.tensor.type import TensorType
 
 from .._common.checks import FloatArray
-from ..likelihood.op import Shape
+from ..likelihood.curvature import Shape
 from .targets import nodes_of
 
 

@@ -14,6 +14,7 @@ from scipy.optimize import least_squares
 from .._common.checks import OBSERVABLE_UNITS, FloatArray, InputError
 from ..simulation.decay import Status, simulate_backbone
 from ..simulation.response import OscillatorResponse
+from .compiling import compile_once
 from .start_hint import StartHint, start_hint_of
 from .targets import Target, targets_of
 
@@ -47,20 +48,28 @@ class StartFinder:
     def __init__(self, model: pm.Model, random_seed: int | np.random.Generator) -> None:
         self.model = model
         self.generator = np.random.default_rng(random_seed)
-        self.log_density = model.compile_logp()
+        self.log_density = compile_once(model, "log-density", model.compile_logp)
         self.targets = targets_of(model)
-        values = model.value_vars
-        free = model.replace_rvs_by_values(model.free_RVs)
-        self.to_natural = model.compile_fn(free, inputs=values, on_unused_input="ignore")
-        thetas = model.replace_rvs_by_values([target.theta for target in self.targets]) if self.targets else []
-        self.thetas = model.compile_fn(thetas, inputs=values, on_unused_input="ignore") if thetas else None
+        self.to_natural = compile_once(model, "natural values", lambda: self._compile(model.free_RVs))
+        thetas = [target.theta for target in self.targets]
+        self.thetas = compile_once(model, "parameters", lambda: self._compile(thetas)) if thetas else None
         self.bounded = {
             model.rvs_to_values[rv].name: isinstance(model.rvs_to_transforms[rv], Interval) for rv in model.free_RVs
         }
         self.best: dict[str, FloatArray] = {}
         self.shape: FloatArray | None = None
         self.prior_sd = np.ones(0)
-        self.draw_point = pm.initial_point.make_initial_point_fn(model=model, default_strategy="prior")
+        self.draw_point = compile_once(
+            model, "prior", lambda: pm.initial_point.make_initial_point_fn(model=model, default_strategy="prior")
+        )
+
+    def _compile(self, variables: list[Any]) -> Callable[..., Any]:
+        """Return these variables as a function of the unconstrained values."""
+        outputs = self.model.replace_rvs_by_values(variables)
+        function: Callable[..., Any] = self.model.compile_fn(
+            outputs, inputs=self.model.value_vars, on_unused_input="ignore"
+        )
+        return function
 
     def find(self, chains: int) -> list[dict[str, FloatArray]]:
         """Return one start per chain: values of the free variables, on their natural scale.

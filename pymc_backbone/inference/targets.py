@@ -13,9 +13,11 @@ from typing import Any
 import numpy as np
 import pymc as pm
 from numpy.typing import NDArray
+from pytensor.compile.sharedvalue import SharedVariable
 from pytensor.graph.basic import Apply, Variable
 from pytensor.graph.op import Op
 from pytensor.graph.traversal import applys_between
+from pytensor.scalar.basic import Cast
 from pytensor.tensor import TensorVariable as Tensor
 
 from .._common.checks import FloatArray
@@ -78,6 +80,7 @@ def note_density(codes: Variable, density: Density) -> None:
 def _population(name: str, node: Apply) -> Target | None:
     """Return what a node compares, or None where its data are no constants."""
     theta, *inputs = node.inputs
+    inputs = [_uncast(variable) for variable in inputs]
     codes, table = (_constant(variable) for variable in inputs)
     if codes is None or table is None:
         return None
@@ -99,14 +102,16 @@ def _specimens(variable: Variable, value: Variable) -> Target | None:
     observed = _constant(value)
     if len(responses) != 1 or observed is None:
         return None
-    theta, whitening, _, _, errors = node.op.dist_params(node)
-    weights, sizes = _constant(whitening), _constant(errors)
-    if weights is None or sizes is None:
-        return None
-    shape = (len(observed), len(responses[0].observables), len(responses[0].levels))
-    held = np.diagonal(weights, axis1=1, axis2=2) != 0.0
-    centre, spread = (np.where(held, array, np.nan).reshape(shape) for array in (observed, sizes))
-    return Target(variable.name, responses[0], theta, centre, spread, None)
+    theta, _, _, errors, _ = node.op.dist_params(node)
+    sizes = _constant(errors)
+    return None if sizes is None else Target(variable.name, responses[0], theta, observed, sizes, None)
+
+
+def _uncast(variable: Variable) -> Variable:
+    """Return what a variable was before it was brought to another type."""
+    node = variable.owner
+    is_cast = node is not None and isinstance(getattr(node.op, "scalar_op", None), Cast)
+    return node.inputs[0] if is_cast else variable
 
 
 def _core(op: Op) -> Op:
@@ -114,6 +119,6 @@ def _core(op: Op) -> Op:
 
 
 def _constant(variable: Variable) -> NDArray[Any] | None:
-    """Return the numbers of a variable, or None where it depends on anything."""
-    data = getattr(variable, "data", None)
+    """Return the numbers of a constant or of a model's data as they are now, or None of anything that is computed."""
+    data = variable.get_value() if isinstance(variable, SharedVariable) else getattr(variable, "data", None)
     return data if isinstance(data, np.ndarray) else None

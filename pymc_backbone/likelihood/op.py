@@ -2,35 +2,37 @@
 
 Both have two outputs, the value and its derivative with respect to the parameters, so that a gradient reuses the
 simulation that gave the value. Where nobody asks for the derivative, a rewrite puts the variant without it, which
-costs less. Both are pure: what they return depends on their inputs alone, and nothing is written in place.
+costs less. The derivative has a derivative in turn: an Op of its own for each, by differences of the exact first
+derivatives, so that Hessians are right, and a third derivative is refused. All are pure: what they return depends on
+their inputs alone, and nothing is written in place.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numba
 import numpy as np
 import pytensor.tensor as pt
-from pytensor.gradient import disconnected_type
+from pytensor.gradient import DisconnectedType, disconnected_type
 from pytensor.graph.basic import Apply, Variable
 from pytensor.graph.fg import FunctionGraph
 from pytensor.graph.op import Op
 from pytensor.graph.rewriting.basic import node_rewriter
-from pytensor.link.numba.dispatch.basic import generate_fallback_impl, register_funcify_and_cache_key
+from pytensor.link.numba.dispatch.basic import register_funcify_and_cache_key
 from pytensor.tensor.blockwise import Blockwise
 from pytensor.tensor.rewriting.basic import register_specialize
 
 from .._common.checks import FloatArray, IntArray
+from .._common.late_imports import after_import
 from ..simulation.memory import Description
 from ..simulation.response import OscillatorResponse, Response, simulator_of
 from . import native
+from .curvature import BackboneCurvature, Compiled, LogLikelihoodCurvature, Shape, run_in_python
 from .density_kernel import log_density
-
-Shape = tuple[Variable | int, ...]
-Compiled = Callable[..., tuple[FloatArray, FloatArray]]
+from .jax_bridge import JAX_DISPATCH, register
 
 
 class _SimulatingOp(Op):
@@ -56,6 +58,11 @@ class _SimulatingOp(Op):
             raise NotImplementedError(
                 "a backbone function has no gradient: sample with a step that needs none, for example pm.Metropolis()."
             )
+
+    @property
+    def value_shape(self) -> tuple[int, ...]:
+        """Shape of the first output."""
+        return len(self.response.observables), len(self.response.levels)
 
     def without_gradient(self) -> _SimulatingOp:
         """Return the variant that computes the value only."""
@@ -83,6 +90,7 @@ class BackboneLogLikelihood(_SimulatingOp):
     """
 
     gufunc_signature = "(p),(c),(t)->(),(g)"
+    value_shape = ()
 
     def make_node(self, theta: Any, codes: Any, table: Any, memory: Any = None) -> Apply:
         """Check the inputs and make the node; ``memory`` is no longer used."""
@@ -94,7 +102,7 @@ class BackboneLogLikelihood(_SimulatingOp):
             )
         inputs = [
             pt.as_tensor_variable(theta, dtype="float64"),
-            pt.as_tensor_variable(codes, dtype="int64"),
+            pt.cast(pt.as_tensor_variable(codes), "int64"),  # data of a model are of 32 bits
             pt.as_tensor_variable(table, dtype="float64"),
         ]
         for name, variable in zip(("theta", "codes", "table"), inputs, strict=True):
@@ -124,16 +132,24 @@ class BackboneLogLikelihood(_SimulatingOp):
         output_storage[1][0] = gradient
 
     def connection_pattern(self, node: Apply) -> list[list[bool]]:
-        """Only the parameters carry a derivative, and only to the value."""
-        return [[True, False], [False, False], [False, False]]
+        """Only the parameters carry a derivative."""
+        return [[True, True], [False, False], [False, False]]
 
     def pullback(
         self, inputs: Sequence[Variable], outputs: Sequence[Variable], cotangents: Sequence[Variable]
     ) -> list[Variable]:
-        """Return the cotangent of the parameters: the node's own second output, times that of the value."""
+        """Return the cotangent of the parameters: the node's own second output, times that of the value.
+
+        That of the gradient, where a second derivative is asked for, goes through the matrix of second derivatives.
+        """
         self.require_gradient()
-        gradient = outputs[1] if self.with_gradient else BackboneLogLikelihood(self.response)(*inputs)[1]
-        return [cotangents[0] * gradient, disconnected_type(), disconnected_type()]
+        total: Variable | float = 0.0
+        if not _is_disconnected(cotangents[0]):
+            gradient = outputs[1] if self.with_gradient else BackboneLogLikelihood(self.response)(*inputs)[1]
+            total = cotangents[0] * gradient
+        if not _is_disconnected(cotangents[1]):
+            total = total + pt.dot(LogLikelihoodCurvature(self.response)(*inputs), cotangents[1])
+        return [total, disconnected_type(), disconnected_type()]
 
 
 class BackboneOp(_SimulatingOp):
@@ -161,13 +177,12 @@ class BackboneOp(_SimulatingOp):
         theta = pt.as_tensor_variable(theta, dtype="float64")
         if theta.ndim != 1:
             raise TypeError(f"`theta` must be a vector, got {theta.ndim} dimensions.")
-        shape = (len(self.response.observables), len(self.response.levels))
-        return Apply(self, [theta], [pt.tensor("backbone", shape=shape, dtype="float64"), pt.dtensor3()])
+        values = pt.tensor("backbone", shape=self.value_shape, dtype="float64")
+        return Apply(self, [theta], [values, pt.dtensor3()])
 
     def infer_shape(self, node: Apply, input_shapes: list[Shape]) -> list[Shape]:
         """Return the shapes of values and derivatives."""
-        shape = (len(self.response.observables), len(self.response.levels))
-        return [shape, (*shape, input_shapes[0][0]) if self.with_gradient else (0, 0, 0)]
+        return [self.value_shape, (*self.value_shape, input_shapes[0][0]) if self.with_gradient else (0, 0, 0)]
 
     def perform(self, node: Apply, inputs: Sequence[Any], output_storage: list[list[FloatArray]]) -> None:
         """Evaluate in Python."""
@@ -177,16 +192,29 @@ class BackboneOp(_SimulatingOp):
         output_storage[1][0] = np.nan_to_num(jacobian, nan=0.0, posinf=0.0, neginf=0.0)
 
     def connection_pattern(self, node: Apply) -> list[list[bool]]:
-        """Only the values carry a derivative."""
-        return [[True, False]]
+        """Values and derivatives depend on the parameters."""
+        return [[True, True]]
 
     def pullback(
         self, inputs: Sequence[Variable], outputs: Sequence[Variable], cotangents: Sequence[Variable]
     ) -> list[Variable]:
-        """Return the cotangent of the parameters through the node's own second output."""
+        """Return the cotangent of the parameters through the node's own second output.
+
+        That of the derivatives, where a second derivative is asked for, goes through the second derivatives.
+        """
         self.require_gradient()
-        jacobian = outputs[1] if self.with_gradient else BackboneOp(self.response)(*inputs)[1]
-        return [pt.tensordot(cotangents[0], jacobian, axes=[[0, 1], [0, 1]])]
+        total: Variable | float = 0.0
+        if not _is_disconnected(cotangents[0]):
+            jacobian = outputs[1] if self.with_gradient else BackboneOp(self.response)(*inputs)[1]
+            total = pt.tensordot(cotangents[0], jacobian, axes=[[0, 1], [0, 1]])
+        if not _is_disconnected(cotangents[1]):
+            curvature = BackboneCurvature(self.response)(*inputs)
+            total = total + pt.tensordot(cotangents[1], curvature, axes=[[0, 1, 2], [0, 1, 2]])
+        return [total]
+
+
+def _is_disconnected(cotangent: Variable) -> bool:
+    return isinstance(cotangent.type, DisconnectedType)
 
 
 @register_specialize
@@ -208,7 +236,7 @@ def drop_unused_gradient(fgraph: FunctionGraph, node: Apply) -> dict[Variable, V
 @register_funcify_and_cache_key(BackboneLogLikelihood)
 def _funcify_log_likelihood(op: BackboneLogLikelihood, node: Apply, **kwargs: Any) -> tuple[Compiled, str | None]:
     if not isinstance(op.response, OscillatorResponse):
-        return _fallback(op, node), None
+        return run_in_python(op, node), None
     response = op.response
     integers, numbers = describe(response)
     call, wanted = native.call_log_likelihood, int(op.with_gradient)
@@ -231,7 +259,7 @@ def _funcify_log_likelihood(op: BackboneLogLikelihood, node: Apply, **kwargs: An
 @register_funcify_and_cache_key(BackboneOp)
 def _funcify_backbone(op: BackboneOp, node: Apply, **kwargs: Any) -> tuple[Compiled, str | None]:
     if not isinstance(op.response, OscillatorResponse):
-        return _fallback(op, node), None
+        return run_in_python(op, node), None
     response = op.response
     integers, numbers = describe(response)
     call, wanted = native.call_backbone, int(op.with_gradient)
@@ -275,8 +303,4 @@ def _cache_key(version: str, op: _SimulatingOp) -> str | None:
     return f"pymc_backbone-{version}-{op.with_gradient}-{op.response.key}"
 
 
-def _fallback(op: Op, node: Apply) -> Compiled:
-    """Return numba's object-mode call of ``perform``: what a Python function needs, so no warning is due."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Numba will use object mode", category=UserWarning)
-        return generate_fallback_impl(op, node)
+after_import(JAX_DISPATCH, lambda: register(BackboneLogLikelihood, BackboneOp))

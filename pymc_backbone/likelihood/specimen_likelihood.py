@@ -1,4 +1,7 @@
-"""The likelihood of specimens: Gaussian errors of their level values, correlated over the levels."""
+"""The likelihood of specimens: Gaussian errors of their level values, correlated over the levels.
+
+What was measured stands in the model as data (`pymc.Data`), so that a compiled model takes other numbers.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ from pytensor.tensor import TensorVariable as Tensor
 
 from .._common.checks import FloatArray, InputError
 from ..simulation.response import Response
+from .dims import data_coords, keep_unit, name_dims
 from .op import BackboneOp
 
 
@@ -49,40 +53,87 @@ def whiten_specimens(data: xr.Dataset) -> tuple[FloatArray, FloatArray, FloatArr
     return np.where(held, values, 0.0).reshape(n, size), whitening, constants
 
 
+def specimen_arrays(data: xr.Dataset) -> dict[str, FloatArray]:
+    """Return what a model holds of the specimens, by the ending of its name.
+
+    ``values`` and ``standard_errors`` (n, o, l), NaN where a specimen does not reach a level; ``whitening`` (n, d, d),
+    which makes residuals in standard errors independent, and ``error_factor`` (n, d, d), which makes errors from
+    independent numbers, both with rows of zeros there; ``log_constant`` (n,) is the log-density at
+    residuals of zero.
+    """
+    _, whitening, constants = whiten_specimens(data)
+    values = np.asarray(data["value"], dtype=np.float64)
+    held = np.isfinite(values)
+    errors = np.where(held, np.asarray(data["standard_error"], dtype=np.float64), np.nan)
+    scale = np.where(held, errors, 1.0).reshape(len(values), 1, -1)
+    correlation = whitening * scale
+    return {
+        "values": np.where(held, values, np.nan),
+        "standard_errors": errors,
+        "whitening": correlation,
+        "log_constant": constants,
+        "error_factor": np.swapaxes(scale, 1, 2) * np.linalg.pinv(correlation),
+    }
+
+
 def observe_specimens(name: str, response: Response, data: xr.Dataset, theta: Tensor) -> Tensor:
-    """Return the observed variable: one Gaussian vector of level values per specimen."""
-    values, whitening, constants = whiten_specimens(data)
-    held = np.diagonal(whitening, axis1=1, axis2=2) != 0.0
-    errors = np.where(held, np.asarray(data["standard_error"]).reshape(values.shape), 1.0)
-    correlation = whitening * errors[:, None, :]  # of residuals in standard errors
+    """Return the observed variable: one Gaussian backbone per specimen, with dimensions specimen, observable, level."""
+    arrays = specimen_arrays(data)
+    dims = name_dims(name, data_coords(data))
+    shape = arrays["values"].shape
+    matrix = (dims[0], f"{name}_value", f"{name}_value_other")
+    which = {
+        "values": dims,
+        "standard_errors": dims,
+        "whitening": matrix,
+        "error_factor": matrix,
+        "log_constant": dims[:1],
+    }
+    shared = {ending: _add_data(f"{name}_{ending}", array, which[ending]) for ending, array in arrays.items()}
+    keep_unit(shared["values"], data)
     op = BackboneOp(response)
-    size = values.shape[1]
 
     def simulate(point: Tensor) -> Tensor:
-        backbone = op(point)[0] if point.ndim == 1 else pt.vectorize(lambda t: op(t)[0], "(p)->(o,l)")(point)
-        return backbone.reshape((size,)) if point.ndim == 1 else backbone.reshape((backbone.shape[0], size))
+        return op(point)[0] if point.ndim == 1 else pt.vectorize(lambda t: op(t)[0], "(p)->(o,l)")(point)
+
+    def hold(whitener: Tensor) -> Tensor:
+        """Return which values were measured: comparing numbers, as NaN is not safe from fast mathematics."""
+        return pt.neq(pt.diagonal(whitener, axis1=-2, axis2=-1), 0.0).reshape(shape)
 
     def log_probability(
-        value: Tensor, point: Tensor, whitener: Tensor, constant: Tensor, factor: Tensor, error: Tensor
+        value: Tensor, point: Tensor, whitener: Tensor, constant: Tensor, error: Tensor, mixer: Tensor
     ) -> Tensor:
-        residual = (value - simulate(point)) / error
-        standardised = (whitener * residual[..., None, :]).sum(axis=-1)
+        held = hold(whitener)
+        error = pt.switch(held, error, 1.0)  # a NaN in the branch that is not taken would spoil the gradient
+        residual = ((pt.switch(held, value, 0.0) - simulate(point)) / error).reshape((shape[0], 1, -1))
+        standardised = (whitener * residual).sum(axis=-1)
         total = constant - 0.5 * (standardised**2).sum(axis=-1)
         return pt.switch(pt.isnan(total), -np.inf, total)
 
-    def draw(point: Tensor, whitener: Tensor, constant: Tensor, factor: Tensor, error: Tensor, size: Tensor) -> Tensor:
-        noise = pm.Normal.dist(0.0, 1.0, size=values.shape)
-        return simulate(point) + error * (factor * noise[:, None, :]).sum(axis=-1)
+    def draw(point: Tensor, whitener: Tensor, constant: Tensor, error: Tensor, mixer: Tensor, size: Tensor) -> Tensor:
+        noise = pm.Normal.dist(0.0, 1.0, size=(shape[0], 1, shape[1] * shape[2]))
+        return simulate(point) + (mixer * noise).sum(axis=-1).reshape(shape)
 
     return pm.CustomDist(
         name,
         theta,
-        correlation,
-        constants,
-        np.linalg.pinv(correlation),
-        errors,
+        shared["whitening"],
+        shared["log_constant"],
+        shared["standard_errors"],
+        shared["error_factor"],
         dist=draw,
         logp=log_probability,
-        signature="(p),(d,e),(),(d,e),(d)->(d)",
-        observed=values,
+        signature="(p),(d,e),(),(o,l),(d,e)->(o,l)",
+        observed=shared["values"],
+        dims=dims,
     )
+
+
+def _add_data(name: str, array: FloatArray, dims: tuple[str, ...]) -> Tensor:
+    """Add an array to the current model as data; NaN stands for what was not measured, not for what is to be imputed.
+
+    PyMC refuses NaN in the call itself.
+    """
+    data = pm.Data(name, np.nan_to_num(array), dims=dims, shape=array.shape)
+    data.set_value(array)
+    return data

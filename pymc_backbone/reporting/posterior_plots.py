@@ -61,7 +61,8 @@ def plot_prior_posterior(
     Returns
     -------
     matplotlib.figure.Figure
-        Two panels for each parameter: the whole prior, and the posterior close up.
+        Two panels for each parameter: the whole prior, and the posterior close up. Where each specimen has its own
+        value, each has a density of its own.
 
     See Also
     --------
@@ -70,25 +71,30 @@ def plot_prior_posterior(
     """
     from arviz_stats import hdi
 
-    names = [name for name in bounds if name in posterior["posterior"]]
+    dataset = posterior["posterior"].to_dataset()
+    names = [name for name in bounds if name in dataset]
     figure, axes = panels(len(names), 2, width=4.0, height=2.2)
     for row, name in enumerate(names):
-        draws = np.asarray(posterior["posterior"][name]).ravel()
+        draws = _by_element(dataset[name])
         scale, axis_label = parameter_axis(name, draws, units)
         draws, low, high = draws * scale, bounds[name][0] * scale, bounds[name][1] * scale
-        interval = np.asarray(hdi(draws, prob=probability))
-        x, density = smooth(draws, low, high)
+        intervals = [np.asarray(hdi(own, prob=probability)) for own in draws]
+        curves = [smooth(own, low, high) for own in draws]
+        top = max(float(density.max()) for _, density in curves)
+        of_each = " of each specimen" if len(draws) > 1 else ""
         for column, axis in enumerate(axes[row]):
-            axis.fill_between(x, density, color=MEASURED, alpha=0.3, linewidth=0)
-            axis.plot(x, density, color=MEASURED, linewidth=1.3, label="posterior")
+            for own, (x, density) in enumerate(curves):
+                axis.fill_between(x, density, color=MEASURED, alpha=0.3, linewidth=0)
+                label = "" if own else f"posterior{of_each}"
+                axis.plot(x, density, color=MEASURED, linewidth=1.3, label=label)
             axis.axhline(0.0, color="black", linewidth=0.6)
             axis.plot(
                 [low, low, high, high], [0, 1 / (high - low), 1 / (high - low), 0], color=QUIET, label="prior", zorder=3
             )
             # Interval and true values stand below the densities, where nothing covers them.
-            top = float(density.max())
-            label = f"{probability:.0%} HDI"
-            axis.plot(interval, [-0.05 * top] * 2, color="black", linewidth=3.0, solid_capstyle="butt", label=label)
+            for own, interval in enumerate(intervals):
+                label = "" if own else f"{probability:.0%} HDI{of_each}"
+                axis.plot(interval, [-0.05 * top] * 2, color="black", linewidth=3.0, solid_capstyle="butt", label=label)
             if true_values is not None and name in true_values:
                 rug = np.asarray(true_values[name]) * scale
                 below = np.full_like(rug, -0.12 * top)
@@ -100,8 +106,9 @@ def plot_prior_posterior(
             axis.spines[["left", "top", "right"]].set_visible(False)
             axis.set_xlabel(axis_label, fontsize=9)
             if column == 1:
-                margin = 0.15 * (x[-1] - x[0])
-                axis.set_xlim(x[0] - margin, x[-1] + margin)
+                ends = [x[[0, -1]] for x, _ in curves]
+                left, right = float(np.min(ends)), float(np.max(ends))
+                axis.set_xlim(left - 0.15 * (right - left), right + 0.15 * (right - left))
     axes[0, 0].set_title("over the whole prior", fontsize=9)
     axes[0, 1].set_title("close up", fontsize=9)
     legend_below(axes[0, 0], 4)
@@ -143,7 +150,7 @@ def plot_trace(
         visuals={"trace": {"width": 0.4, "alpha": 0.7}, "dist": {"width": 1.0}},
         **arguments,
     )
-    figure = _finished(collection, "Densities and traces of the chains")
+    figure = _finished(collection, f"Densities and traces of the chains{_left_out(posterior, names)}")
     _stand_on_zero((axis for axis in figure.axes if axis.get_xlabel() != "Draw"), 5)
     for axis in figure.axes:  # the label of a specimen's parameter has two lines, longer than a row is high
         axis.yaxis.label.set_fontsize(7)
@@ -188,7 +195,8 @@ def plot_rank(
     meaning = "p below \N{GREEK SMALL LETTER ALPHA}: they disagree"
     if not is_thinned:
         meaning = f"all draws, of which only {effective:.0f} are effective: too few to tell"
-    return _finished(collection, f"Ranks of the draws by chain (difference from uniform); {meaning}")
+    cut = _left_out(posterior, names)
+    return _finished(collection, f"Ranks of the draws by chain{cut} (difference from uniform); {meaning}")
 
 
 def plot_pair(
@@ -225,7 +233,7 @@ def plot_pair(
         visuals={"scatter": {"alpha": 0.25, "size": 8, "width": 0}},
         **arguments,
     )
-    figure = _finished(collection, "Pairs of parameters")
+    figure = _finished(collection, f"Pairs of parameters{_left_out(posterior, names)}")
     _stand_on_zero((axis for axis in figure.axes if not axis.collections), 3)
     for axis in figure.axes:
         axis.xaxis.set_major_locator(MaxNLocator(3))
@@ -258,6 +266,25 @@ def _for_arviz(
         dataset[name] = variable * scale
     arguments = {"labeller": MapLabeller(var_name_map=labels), "backend": "matplotlib"}
     return xr.DataTree.from_dict({"posterior": dataset}), arguments
+
+
+def _by_element(variable: xr.DataArray) -> FloatArray:
+    """Return the draws (n, draws) of each of the elements of a variable; one of a scalar."""
+    values = np.asarray(variable.transpose("chain", "draw", ...), dtype=float)
+    return np.ascontiguousarray(values.reshape(values.shape[0] * values.shape[1], -1).T)
+
+
+def _left_out(posterior: xr.DataTree, names: Sequence[str] | None) -> str:
+    """Say which elements of the variables are drawn where not all are; empty where all are."""
+    dataset = posterior["posterior"].to_dataset()
+    dataset = dataset if names is None else dataset[list(names)]
+    drawn = _first_scalars(dataset)
+    cut = [
+        f"the first {drawn.sizes[dim]} of {size} {dim}s"
+        for dim, size in dataset.sizes.items()
+        if drawn.sizes[dim] < size and dim not in ("chain", "draw")
+    ]
+    return f" ({', '.join(cut)})" if cut else ""
 
 
 def _first_scalars(dataset: xr.Dataset) -> xr.Dataset:

@@ -36,7 +36,12 @@ def candidates(study: Study, figures: Mapping[str, Figure]) -> str:
     count = len(rows) - FIRST_CANDIDATES
     rest = details(f"{count} more sets, those that failed included", table(columns, rows[FIRST_CANDIDATES:]))
     picture = image(figures.get("candidates"), "probability of the candidate sets")
-    note = paragraph("Log evidence is relative to the base model; every set that was tried is listed.", "soft")
+    note = paragraph(
+        "Log evidence is relative to the base model; every set that was tried is listed. After "
+        "\N{PLUS-MINUS SIGN} stands the standard error of the fit to all specimens, between which an effect may "
+        "differ by a tenth.",
+        "soft",
+    )
     return section("Candidates", first, rest, note, details("The same as a figure", picture)) if rows else ""
 
 
@@ -70,6 +75,8 @@ def parameters(study: Study, figures: Mapping[str, Figure]) -> str:
     added = set(added_effects(study))
     rows: list[tuple[object, ...]] = []
     strong: list[int] = []
+    is_sampled = study.posterior is not None
+    fitted = next((item.parameters for item in study.candidates if set(item.effects) == added), {})
     for effect, group in study.parameters.items():
         for name, estimate in group.items():
             if effect in added:
@@ -80,14 +87,21 @@ def parameters(study: Study, figures: Mapping[str, Figure]) -> str:
                     name.replace("_", " "),
                     number(estimate.mean, digits),
                     number(estimate.sd, 2),
+                    *([number(fitted.get(name, (np.nan, np.nan))[1], 2)] if is_sampled else []),
                     Raw(f"{number(estimate.hdi_low, digits)} to {number(estimate.hdi_high, digits)}"),
                     unit(estimate.unit),
                     effect.replace("_", " "),
                 )
             )
-    columns = (("parameter", "head"), ("mean", "n"), ("sd", "n"), ("95 % HDI", ""), ("unit", ""), ("effect", ""))
+    sds = (("sd, posterior", "n"), ("sd, fit", "n")) if is_sampled else (("sd, fit", "n"),)
+    columns = (("parameter", "head"), ("mean", "n"), *sds, ("95 % HDI", ""), ("unit", ""), ("effect", ""))
     note = "Over the batch. Added effects are stressed." if added else "Over the batch."
-    if study.posterior is None:
+    if is_sampled:
+        note += (
+            " The posterior is that of the mean specimen, given its backbone; the fit to all specimens lets effects "
+            "differ between them, and its sd holds that scatter."
+        )
+    else:
         note += " Nothing was sampled: intervals are those of the fit."
     title = "Parameters of the extended model" if added else "Parameters of the base model"
     if study.verdict == Verdict.UNEXPLAINED and added:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from hashlib import sha256
@@ -17,6 +18,7 @@ from ..oscillator import Oscillator
 from .counts import FAILURES, GRADIENTS, REMEMBERED, SIMULATIONS, count
 from .decay import Simulator
 
+logger = logging.getLogger("pymc_backbone")
 # Parameter vectors that are remembered. A walk asks for the next point and the present one: of three, the one not asked
 # for longest is neither; of two, a second rejection in a row would drop the present one.
 MEMORY = 3
@@ -97,8 +99,9 @@ class CallableResponse:
     ----------
     function : callable
         ``function(parameters, levels) -> values``: a dict from parameter name to float, the levels (l,) and the
-        values (o, l) with one row per observable; NaN, or any exception, counts as a failed simulation. Must be
-        importable (defined at the top of a module) where several processes sample.
+        values (o, l) with one row per observable. NaN counts as a failed simulation, and so does an arithmetic error, a
+        ValueError or a RuntimeError, of which the first of each kind is logged as a warning. Must be importable
+        (defined at the top of a module) where several processes sample.
     parameter_names : tuple of str
         Names of the parameters, in order.
     levels : tuple of float
@@ -117,6 +120,7 @@ class CallableResponse:
     levels: tuple[float, ...]
     observables: tuple[str, ...]
     _known: dict[bytes, FloatArray] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _said: set[str] = field(default_factory=set, init=False, repr=False, compare=False)
 
     has_gradient = False
 
@@ -138,12 +142,19 @@ class CallableResponse:
     def _call(self, theta: FloatArray) -> FloatArray:
         """Return what the function says, NaN where it fails."""
         shape = (len(self.observables), len(self.levels))
+        parameters = dict(zip(self.parameter_names, theta.tolist(), strict=True))
         try:
-            values = np.asarray(
-                self.function(dict(zip(self.parameter_names, theta.tolist(), strict=True)), np.array(self.levels)),
-                dtype=np.float64,
-            )
-        except (ArithmeticError, ValueError, RuntimeError, np.linalg.LinAlgError):
+            given = np.asarray(self.function(dict(parameters), np.array(self.levels)))
+            if np.iscomplexobj(given):
+                raise InputError(
+                    "the backbone function must return real numbers, got complex ones; return what is measured, for "
+                    "example the absolute value of an eigenvalue over 2 pi."
+                )
+            values = given.astype(np.float64)
+        except InputError:
+            raise
+        except (ArithmeticError, ValueError, RuntimeError, np.linalg.LinAlgError) as error:
+            self._say(error, parameters)
             return np.full(shape, np.nan)
         if values.shape != shape:
             raise InputError(
@@ -151,6 +162,17 @@ class CallableResponse:
                 f"got {values.shape}."
             )
         return values
+
+    def _say(self, error: Exception, parameters: dict[str, float]) -> None:
+        """Warn of the first error of each kind; the points where it fails are counted as failures."""
+        kind = type(error).__name__
+        if kind not in self._said:
+            self._said.add(kind)
+            where = ", ".join(f"{name} = {value:.6g}" for name, value in parameters.items())
+            logger.warning(
+                "the backbone function raised %s (%s) at %s; such points have no likelihood and count as failures",
+                kind, error, where,
+            )  # fmt: skip
 
 
 Response = OscillatorResponse | CallableResponse
