@@ -150,8 +150,8 @@ def read_structures(path: Path, names: Sequence[str]) -> dict[str, dict[str, Any
         With the line and the column at fault.
     """
     if not path.is_file():
-        raise InputError(f"{path}: is no file; check the path.")
-    text, _ = read_text(path, str(path))
+        raise InputError(f"{path}: cannot be read (there is no such file); check the path.")
+    text = read_text(path, str(path))[0] if path.stat().st_size else ""
     first = text.partition("\n")[0]
     separator = next((sign for sign in ";\t" if sign in first), ",")
     try:

@@ -71,7 +71,7 @@ def mass(text: str) -> tuple[float, float]:
     number, error = _float(value), _float(rest) if sign else 0.0
     if number is None or error is None or error < 0.0 or (sign and error == 0.0):
         raise argparse.ArgumentTypeError(f"expected a mass such as 2.3, or 2.3±0.05 with its deviation, got {text!r}")
-    if error > number:
+    if sign and error > number:
         raise argparse.ArgumentTypeError(f"expected a deviation below the mass itself, got {text!r}")
     return number, error
 

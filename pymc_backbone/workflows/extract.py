@@ -78,6 +78,8 @@ def _extract_into(
     }
     from .. import plots
 
+    if progress is not None:
+        progress("drawing the figures", float("nan"))
     figures = {"backbones": plots.plot_backbones(measured.backbones)}
     if measured.records:
         figures["records"] = plots.plot_records(measured.records)
