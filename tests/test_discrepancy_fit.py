@@ -12,7 +12,7 @@ from scipy.signal import butter, lfilter
 from scipy.stats import chi2
 
 from pymc_backbone.discrepancy import joint_fit, starts, whitening
-from pymc_backbone.discrepancy.data_term import level_term
+from pymc_backbone.discrepancy.data_term import TurningTerm, level_term
 from pymc_backbone.discrepancy.joint_fit import NUISANCES, State, _recentred, fit, parameters_of, start_state
 from pymc_backbone.discrepancy.layout import make_layout
 from pymc_backbone.discrepancy.record_term import first_turning_point
@@ -21,7 +21,7 @@ from pymc_backbone.effects import BASE_EFFECTS, LIBRARY, Effect, Parameter
 from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.measurement.cycles import extract_cycles
 from pymc_backbone.oscillator import Oscillator
-from pymc_backbone.simulation.decay import simulate_waveform
+from pymc_backbone.simulation.decay import Simulator, simulate_waveform
 
 from .discrepancy_cases import (
     AMPLITUDE,
@@ -530,3 +530,23 @@ def test_scatter_of_one_sign_moves_into_the_shared_value():
         moved.eta * (1.0 + SCATTER * moved.own[:, -1]), eta * (1.0 + SCATTER * own[:, -1]), rtol=1e-12
     )  # the specimens keep their values
     np.testing.assert_allclose(moved.own[:, -1].mean(), 0.0, atol=1e-12)
+
+
+def test_first_turning_points_are_compared_with_their_own_where_a_filter_took_the_beginning():
+    """A window over the turning points of a record behind a band-pass counts from the first that is left."""
+    simulator = Simulator(Oscillator(2.0))
+    parameters = np.array([1800.0, 0.9])
+    turns = simulator.make_turns(24, True)
+    simulator.decay(parameters, 0.01, turns)
+    errors = np.full(20, 1e-7)
+    nuisances = np.array([0.01, 0.0, 0.0, 0.0, 0.0])
+    whole = TurningTerm(turns.times[4:], turns.values[4:], errors, errors, skipped=3)
+    for term in (whole, whole.first(6)):
+        compared = term.compare(simulator, parameters, nuisances)
+        assert compared is not None
+        assert compared[0].shape == (2 * term.times.size,)
+        assert np.abs(compared[0]).max() < 1.0
+    # negative control: counted from the release they are elsewhere
+    lost = replace(whole, skipped=0).first(6).compare(simulator, parameters, nuisances)
+    assert lost is not None
+    assert np.abs(lost[0]).max() > 1e4
