@@ -21,7 +21,7 @@ import numpy as np
 from pymc_backbone._common.checks import InputError
 from pymc_backbone.effects import LIBRARY
 from pymc_backbone.measurement.conditioning.condition import condition
-from pymc_backbone.measurement.reading.records import QUANTITIES, Record
+from pymc_backbone.measurement.reading.record import QUANTITIES, Record
 from pymc_backbone.oscillator import Oscillator
 from pymc_backbone.simulation.decay import simulate_waveform
 

@@ -36,7 +36,9 @@ if TYPE_CHECKING:
     from .measurement.cycles import Cycles, extract_cycles
     from .measurement.levels import backbones_at_levels
     from .measurement.reading.measured_backbones import read_backbones
-    from .measurement.reading.records import Record, read_records, write_records
+    from .measurement.reading.record import Record
+    from .measurement.reading.records import read_records
+    from .measurement.reading.writing import write_records
     from .oscillator import Oscillator
     from .reporting.output_folder import write_backbones
     from .reporting.study_files import write_study
@@ -101,7 +103,9 @@ _WHERE = {
     "inference.model": ("backbone_likelihood", "build_model", "backbone_deterministic"),
     "likelihood.op": ("BackboneLogLikelihood", "BackboneOp"),
     "oscillator": ("Oscillator",),
-    "measurement.reading.records": ("Record", "read_records", "write_records"),
+    "measurement.reading.record": ("Record",),
+    "measurement.reading.records": ("read_records",),
+    "measurement.reading.writing": ("write_records",),
     "reporting.output_folder": ("write_backbones",),
     "inference.predictions": ("add_log_likelihood", "add_predictions"),
     "inference.sampling": ("sample",),

@@ -16,7 +16,7 @@ from pymc_backbone.discrepancy.batch import Batch, batch_of_records
 from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.measurement.cycles import extract_cycles
 from pymc_backbone.measurement.levels import backbones_at_levels, default_levels
-from pymc_backbone.measurement.reading.records import Record
+from pymc_backbone.measurement.reading.record import Record
 
 MASS, FREQUENCY, AMPLITUDE, RATIO = 1.3, 5.0, 0.01, 0.006
 OMEGA = 2.0 * np.pi * FREQUENCY

@@ -15,7 +15,8 @@ from scipy.interpolate import make_interp_spline
 from pymc_backbone._common.checks import InputError
 from pymc_backbone.measurement.conditioning.condition import ConditionedRecord, condition
 from pymc_backbone.measurement.cycles import extract_cycles
-from pymc_backbone.measurement.reading.records import Record, read_records
+from pymc_backbone.measurement.reading.record import Record
+from pymc_backbone.measurement.reading.records import read_records
 
 Array = NDArray[np.float64]
 FREQUENCY = 10.0

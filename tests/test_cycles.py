@@ -13,7 +13,7 @@ from pymc_backbone._common.checks import InputError
 from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.measurement.cycles import QUANTITIES, extract_cycles, extract_cycles_from_arrays
 from pymc_backbone.measurement.levels import backbones_at_levels
-from pymc_backbone.measurement.reading.records import Record
+from pymc_backbone.measurement.reading.record import Record
 
 FREQUENCY, RATIO = 2.0, 0.01
 

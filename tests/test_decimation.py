@@ -14,7 +14,7 @@ from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.measurement.conditioning.decimation import design_decimation
 from pymc_backbone.measurement.cycles import extract_cycles
 from pymc_backbone.measurement.levels import backbones_at_levels
-from pymc_backbone.measurement.reading.records import Record
+from pymc_backbone.measurement.reading.record import Record
 
 from .test_conditioning import FREQUENCY, simulated
 

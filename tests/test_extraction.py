@@ -10,7 +10,8 @@ from pymc_backbone.discrepancy.workflow import find_missing_effect
 from pymc_backbone.measurement.extraction import LEFT_OUT, extract_all, levels_for, measure_batch
 from pymc_backbone.measurement.levels import default_levels
 from pymc_backbone.measurement.options import Measuring
-from pymc_backbone.measurement.reading.records import Record, write_records
+from pymc_backbone.measurement.reading.record import Record
+from pymc_backbone.measurement.reading.writing import write_records
 from pymc_backbone.oscillator import Oscillator
 from pymc_backbone.workflows.extract import extract
 from pymc_backbone.workflows.measure import measure

@@ -20,7 +20,8 @@ from hypothesis import strategies as st
 from pymc_backbone._common.checks import InputError
 from pymc_backbone.measurement.reading.dialect import AmbiguousNumbersError, Dialect, decide
 from pymc_backbone.measurement.reading.formats.mat5 import read_mat5
-from pymc_backbone.measurement.reading.records import Record, read_records
+from pymc_backbone.measurement.reading.record import Record
+from pymc_backbone.measurement.reading.records import read_records
 
 from . import format_files as files
 from .format_files import RATE, TIME, VALUES

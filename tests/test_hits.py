@@ -12,7 +12,8 @@ from pymc_backbone._common.checks import FloatArray, InputError
 from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.measurement.cycles import extract_cycles
 from pymc_backbone.measurement.reading.hits import find_hits
-from pymc_backbone.measurement.reading.records import MINIMUM_SAMPLES, read_records
+from pymc_backbone.measurement.reading.record import MINIMUM_SAMPLES
+from pymc_backbone.measurement.reading.records import read_records
 
 RATE, FREQUENCY, RATIO = 5000.0, 40.0, 0.01
 OMEGA = 2.0 * np.pi * FREQUENCY

@@ -19,7 +19,9 @@ from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.measurement.cycles import extract_cycles
 from pymc_backbone.measurement.extraction import LEFT_OUT
 from pymc_backbone.measurement.options import Measuring
-from pymc_backbone.measurement.reading.records import Record, read_record_files, read_records, write_records
+from pymc_backbone.measurement.reading.record import Record
+from pymc_backbone.measurement.reading.records import read_record_files, read_records
+from pymc_backbone.measurement.reading.writing import write_records
 from pymc_backbone.reporting.output_folder import claimed_output
 from pymc_backbone.workflows.measure import measure
 

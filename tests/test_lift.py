@@ -11,7 +11,7 @@ from pymc_backbone._common.checks import FloatArray
 from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.measurement.conditioning.lift import end_of_lift
 from pymc_backbone.measurement.cycles import extract_cycles
-from pymc_backbone.measurement.reading.records import Record
+from pymc_backbone.measurement.reading.record import Record
 
 from .test_conditioning import FORCES, FREQUENCY, friction, simulated
 

@@ -11,7 +11,8 @@ from pymc_backbone._common.checks import FloatArray, InputError
 from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.measurement.conditioning.lost_samples import Jump, find_jump, mended, repeats
 from pymc_backbone.measurement.cycles import extract_cycles
-from pymc_backbone.measurement.reading.records import Record, read_records
+from pymc_backbone.measurement.reading.record import Record
+from pymc_backbone.measurement.reading.records import read_records
 
 from .test_conditioning import FORCES, simulated
 

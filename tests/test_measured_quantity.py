@@ -16,7 +16,7 @@ from pymc_backbone.discrepancy.passed import passed_values
 from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.measurement.conditioning.filters import design_band_pass
 from pymc_backbone.measurement.conditioning.noise import white_level
-from pymc_backbone.measurement.reading.records import Record
+from pymc_backbone.measurement.reading.record import Record
 from pymc_backbone.oscillator import Oscillator
 
 from .discrepancy_cases import AMPLITUDE, FREQUENCY, MASS, OMEGA, RELEASE_TIME, TIME, truth_of

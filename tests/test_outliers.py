@@ -15,7 +15,8 @@ from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.measurement.conditioning.spikes import without_spikes
 from pymc_backbone.measurement.cycles import Cycles, extract_cycles
 from pymc_backbone.measurement.outliers import find_outliers
-from pymc_backbone.measurement.reading.records import Record, write_records
+from pymc_backbone.measurement.reading.record import Record
+from pymc_backbone.measurement.reading.writing import write_records
 
 from .test_cli import run_cli
 from .test_conditioning import FREQUENCY, friction, simulated, warnings_of

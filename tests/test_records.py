@@ -13,8 +13,10 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from pymc_backbone._common.checks import InputError
-from pymc_backbone.measurement.reading.records import Record, read_backbones, read_records, write_records
+from pymc_backbone.measurement.reading.record import Record
+from pymc_backbone.measurement.reading.records import read_backbones, read_records
 from pymc_backbone.measurement.reading.units import parse_unit, split_header
+from pymc_backbone.measurement.reading.writing import write_records
 
 TIME = np.arange(60) / 100.0
 VALUES = np.exp(-TIME) * np.cos(30.0 * TIME)

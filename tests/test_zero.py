@@ -11,7 +11,7 @@ from pymc_backbone._common.checks import FloatArray
 from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.measurement.cycles import extract_cycles, extract_cycles_from_arrays
 from pymc_backbone.measurement.levels import backbones_at_levels
-from pymc_backbone.measurement.reading.records import Record
+from pymc_backbone.measurement.reading.record import Record
 
 from .test_conditioning import simulated
 

@@ -7,7 +7,7 @@ import xarray as xr
 from scipy.stats import truncnorm
 
 from pymc_backbone import backbones_at_levels, condition, extract_cycles, simulate_population, simulate_waveform
-from pymc_backbone.measurement.reading.records import Record
+from pymc_backbone.measurement.reading.record import Record
 from pymc_backbone.paper.cases import get_case
 
 CASE = get_case("1")

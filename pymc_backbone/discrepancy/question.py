@@ -13,7 +13,7 @@ from ..effects import BASE_EFFECTS, LIBRARY, Effect
 from ..measurement.conditioning.conditioned import ConditionedRecord
 from ..measurement.extraction import measure_batch
 from ..measurement.options import Measuring
-from ..measurement.reading.records import Record
+from ..measurement.reading.record import Record
 from ..oscillator import Oscillator
 from .batch import Batch, batch_of_backbones, batch_of_records
 from .descent import is_heavy

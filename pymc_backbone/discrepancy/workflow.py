@@ -16,7 +16,7 @@ from ..effects import Effect
 from ..inference.options import Sampling
 from ..measurement.conditioning.conditioned import ConditionedRecord
 from ..measurement.options import Measuring
-from ..measurement.reading.records import Record
+from ..measurement.reading.record import Record
 from ..oscillator import Oscillator
 from . import plan_words, rivals, words
 from .candidate_table import candidates_of

@@ -20,7 +20,7 @@ from .cycles import Cycles, extract_cycles
 from .levels import backbones_at_levels, default_levels
 from .options import Measuring
 from .outliers import Finding, find_outliers
-from .reading.records import Record
+from .reading.record import Record
 
 DEFAULT_OBSERVABLES = ("frequency", "damping")
 LEFT_OUT = "left out: "

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from ..discrepancy.study import Estimate, Study
-    from ..measurement.reading.records import Record
+    from ..measurement.reading.record import Record
 
     Data = str | os.PathLike[str] | Sequence[Record] | xr.Dataset
 

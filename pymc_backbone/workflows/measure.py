@@ -17,7 +17,7 @@ from ..measurement.reading.options import Reading
 from ..reporting.terminal import describe_reading
 
 if TYPE_CHECKING:
-    from ..measurement.reading.records import Record
+    from ..measurement.reading.record import Record
 
 Say = Callable[[str], None]
 Progress = Callable[[str, float], None]

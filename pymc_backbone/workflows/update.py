@@ -6,7 +6,7 @@ import os
 import time
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,44 +19,16 @@ from .._common.options import settings_of
 from ..inference.options import Comparing, Keeping, Modelling, Sampling
 from ..measurement.options import Measuring
 from ..measurement.reading.options import Reading
-from ..reporting.output_folder import REPORT, claimed_output, package_version, read_result, write_results
-from ..reporting.terminal import compare, describe_batch, describe_result
+from ..reporting.output_folder import REPORT, claimed_output, read_result, write_results
+from ..reporting.terminal import describe_batch, describe_result
 from .measure import Measured, Progress, Say, measure, say_reading, say_warnings
+from .updated import MASS, Updated, figures_of, report_of, result_of
 
 if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.figure import Figure
-
     from ..inference.fit_verdict import GoodnessOfFit
-    from ..likelihood.density import Density
     from ..oscillator import Oscillator
 
-MOST_PAIRED = 6  # parameters against each other in one figure; ArviZ draws no more than 40 panels
-MASS = "mass"
 FEWEST_DRAWS = 20  # of a run that was ended early; nothing can be said from fewer
-
-
-@dataclass(frozen=True)
-class Updated:
-    """A model, the backbones it was updated with, and the draws of its parameters."""
-
-    oscillator: Oscillator
-    measured: Measured
-    bounds: Mapping[str, tuple[float, float]]
-    fixed: Mapping[str, float]
-    likelihood: str
-    density: Density | None
-    posterior: xr.DataTree
-    fit: GoodnessOfFit
-    predictive: xr.Dataset
-    table: pd.DataFrame
-    """What `summarise` says of each parameter."""
-    mass_error: float = 0.0
-
-    @property
-    def names(self) -> list[str]:
-        """Of the parameters that were inferred."""
-        return [name for name in self.bounds if name in self.posterior["posterior"]]
 
 
 def update(
@@ -147,13 +119,13 @@ def _update_into(
         "output": folder,
         "overwrite": overwrite,
     }
-    result = _result(updated, command, settings)
+    result = result_of(updated, command, settings)
     say("\n" + describe_result(result))
     if result["interrupted"]:
         say(f"\n{result['interrupted']}")
     tell("drawing the figures", float("nan"))
-    figures = {} if folder is None else _figures(updated, true_values)
-    texts = {} if folder is None else {REPORT: _report(result, updated, figures)}
+    figures = {} if folder is None else figures_of(updated, true_values)
+    texts = {} if folder is None else {REPORT: report_of(result, updated, figures)}
     result["seconds"] = {
         "reading": round(read - begin, 2),
         "sampling": round(sampled - read, 2),
@@ -249,35 +221,6 @@ def _at_nominal_mass(
     return xr.DataTree.from_dict({"posterior": kept.assign(goes_with_mass)}), fixed
 
 
-def _result(updated: Updated, command: str, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what ``result.json`` holds."""
-    from ..inference.diagnostics import findings, simulations_of
-
-    oscillator, posterior = updated.oscillator, updated.posterior
-    return {
-        "version": package_version(),
-        "command": command,
-        "settings": dict(settings),
-        "seed": settings["random_seed"],
-        "equation": oscillator.equation,
-        "mass": oscillator.mass,
-        "mass_error": updated.mass_error,
-        "effects": [effect.name for effect in oscillator.effects],
-        "density": None if updated.density is None else updated.density.description,
-        **updated.measured.entries(),
-        "parameters": _parameters(updated),
-        "fixed": dict(updated.fixed),
-        "comparison": compare(updated.measured.backbones, updated.predictive),
-        "interrupted": posterior.attrs.get("interrupted"),
-        "fit": updated.fit.as_dict(),
-        "findings": findings(
-            posterior, updated.bounds, units=oscillator.units, fit=updated.fit, remedy=_remedy(updated)
-        ),
-        "failures": posterior.attrs.get("failures"),
-        "simulations": simulations_of(posterior),
-    }
-
-
 def _output_of(
     path: str | os.PathLike[str], output: str | os.PathLike[str] | None, overwrite: bool, keeping: Keeping
 ) -> AbstractContextManager[Path | None]:
@@ -345,65 +288,3 @@ def _predictive(fit: GoodnessOfFit, backbones: xr.Dataset) -> xr.Dataset:
         fit.amplitude_unit,
         ["simulated"],
     )
-
-
-def _report(result: Mapping[str, Any], updated: Updated, figures: Mapping[str, Figure]) -> str:
-    from ..reporting.report_update import update_report_html
-
-    return update_report_html(result, updated.fit, figures)
-
-
-def _remedy(updated: Updated) -> str:
-    """Say what to do on the command line about a model that lacks something."""
-    from ..effects import BASE_EFFECTS
-
-    base = [effect.name for effect in updated.oscillator.effects if effect.name not in BASE_EFFECTS]
-    if not base:
-        return "run `pymc-backbone diagnose` with the same records to find what is missing"
-    return f"run `pymc-backbone diagnose --base {' '.join(base)}` with the same records to find what is missing"
-
-
-def _parameters(updated: Updated) -> dict[str, dict[str, Any]]:
-    entries = {}
-    mass = updated.oscillator.mass
-    is_rotation = updated.measured.amplitude_unit == "rad"
-    # of a prior that is no interval the central 95 % are given
-    bounds = {
-        **updated.bounds, MASS: (max(mass - 1.96 * updated.mass_error, 0.0), mass + 1.96 * updated.mass_error)
-    }  # fmt: skip
-    units = {**updated.oscillator.units, MASS: "kg m^2" if is_rotation else "kg"}
-    for label, row in updated.table.iterrows():
-        name = str(label).partition("[")[0]
-        low, high = bounds[name]
-        kept = ("mean", "sd", "hdi_low", "hdi_high", "r_hat", "ess_bulk", "ess_tail")
-        entries[str(label)] = {
-            **{key: float(row[key]) for key in kept},
-            "unit": units[name],
-            "prior_low": float(low),
-            "prior_high": float(high),
-        }
-    return entries
-
-
-def _figures(updated: Updated, true_values: Mapping[str, FloatArray] | None) -> dict[str, Figure]:
-    """Draw everything that can be drawn of it."""
-    from .. import plots
-
-    measured, posterior = updated.measured, updated.posterior
-    names, units = list(updated.bounds), updated.oscillator.units
-    figures = {
-        "backbones": plots.plot_backbones(measured.backbones),
-        "predictive": plots.plot_fit(measured.backbones, updated.fit),
-        "prior_posterior": plots.plot_prior_posterior(posterior, updated.bounds, units=units, true_values=true_values),
-        "trace": plots.plot_trace(posterior, names, units=units),
-    }
-    if posterior["posterior"].sizes["chain"] > 1:
-        figures["rank"] = plots.plot_rank(posterior, names, units=units)
-    if updated.density is not None:
-        figures["densities"] = plots.plot_densities(measured.backbones, updated.density, simulated=updated.predictive)
-    scalars = sum(posterior["posterior"][name].isel(chain=0, draw=0).size for name in names)
-    if 1 < scalars <= MOST_PAIRED:
-        figures["pair"] = plots.plot_pair(posterior, names, units=units)
-    if measured.records:
-        figures["records"] = plots.plot_records(measured.records)
-    return figures

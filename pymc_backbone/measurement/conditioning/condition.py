@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ..._common.checks import FloatArray, InputError, check_motion, check_positive
-from ..reading.records import MINIMUM_SAMPLES, Record
+from ..reading.record import MINIMUM_SAMPLES, Record
 from .asymmetry import SIGNIFICANT, MidLine, displacement_amplitude, restore_mid_line, second_harmonic
 from .baseline import Baseline, find_baseline
 from .conditioned import ConditionedRecord, MeasuredSamples

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..._common.checks import FloatArray, InputError, check_finite_array
 from ..._common.text import printable
-from ..reading.records import MINIMUM_SAMPLES, QUANTITIES, Record
+from ..reading.record import MINIMUM_SAMPLES, QUANTITIES, Record
 from ..turning import rough_noise
 from .decimation import Decimation, design_decimation
 from .filters import check_band

@@ -1,10 +1,9 @@
-"""Measured free-decay records: reading files of many formats into SI units, checking them, and writing them back."""
+"""Measured free-decay records: reading files of many formats into SI units, and checking them."""
 
 from __future__ import annotations
 
 import os
-import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -12,11 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from ..._common.checks import FloatArray, InputError, check_choice, check_finite_array
+from ..._common.checks import FloatArray, InputError
 from ..._common.text import natural_key, printable, shorten
 from .clock import ClockError, is_clock, seconds_of
 from .columns import (
-    SI_UNITS,
     Reading,
     Source,
     checked_time,
@@ -35,107 +33,18 @@ from .columns import (
 from .formats import list_recordings, read_recording
 from .formats.channel import Recording
 from .formats.sep005 import channels_of_sep005
-from .headers import QUANTITIES
 from .hits import decays_of, is_force
 from .measured_backbones import read_backbones
+from .record import MINIMUM_SAMPLES, Record
 from .sensitivity import FORCE
 from .tables import Column, Table, list_tables, read_table
 from .units import is_voltage, split_header
 
-__all__ = ["QUANTITIES", "Record", "read_backbones", "read_records", "write_records"]
+__all__ = ["read_backbones", "read_records"]
 
 _MOST_NAMED = 6
 _MOST_TWICE = 0.02
 """Share of the lines that may stand there twice."""
-MINIMUM_SAMPLES = 32
-"""Four cycles of eight samples: with less there is no decay to speak of."""
-
-
-@dataclass(frozen=True, eq=False)
-class Record:
-    """One measured free decay in SI units.
-
-    Parameters
-    ----------
-    specimen : str
-        Name of the specimen, kept as text.
-    time : (n,) array
-        Time stamps [s], strictly increasing.
-    values : (n,) array
-        Samples of ``quantity`` in ``unit``, finite.
-    quantity : {"displacement", "velocity", "acceleration"}
-        What was measured.
-    unit : str
-        SI unit of ``values``: ``"m"`` or ``"rad"``, the same over ``s`` or over ``s^2``.
-    source : str
-        Where it came from, for messages; by default the specimen's name.
-    notes : tuple of str
-        Sentences about what was assumed or converted.
-    starts_free : bool
-        Whether the record is known to begin in free decay, after the contact of a hammer: no release is searched for.
-
-    Raises
-    ------
-    InputError
-        When the lengths differ, a value is not finite, time does not increase, there are fewer than
-        32 samples, or the quantity or its unit is unknown.
-
-    See Also
-    --------
-    read_records : reads records from files.
-    condition : makes one ready for its cycles.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> time = np.arange(200) / 100.0
-    >>> record = Record("beam", time, 1e-3 * np.exp(-time) * np.cos(20.0 * time))
-    >>> record.quantity, record.unit, record.time.size
-    ('displacement', 'm', 200)
-    """
-
-    specimen: str
-    time: FloatArray
-    values: FloatArray
-    quantity: str = "displacement"
-    unit: str = ""
-    source: str = ""
-    notes: tuple[str, ...] = ()
-    starts_free: bool = False
-
-    def __post_init__(self) -> None:
-        specimen = str(self.specimen).strip().encode("utf-8", "backslashreplace").decode("utf-8")
-        if not specimen or re.search("[\x00-\x1f\x7f]", specimen):
-            raise InputError(f"`specimen` must be one line of text, got {shorten(ascii(self.specimen))}; rename it.")
-        quantity = check_choice("quantity", self.quantity, QUANTITIES)
-        units = SI_UNITS[quantity]
-        unit = check_choice("unit", self.unit or units[0], units)
-        source = self.source or specimen
-        name = printable(source)
-        try:
-            time = check_finite_array("time", self.time)
-            values = check_finite_array("values", self.values)
-        except InputError as error:
-            raise InputError(f"{name}: {error} Cut the record there or fill the gap.") from None
-        if time.size != values.size:
-            raise InputError(f"{name}: `values` must be as long as `time` ({time.size}), got {values.size}.")
-        if time.size < MINIMUM_SAMPLES:
-            raise InputError(
-                f"{name}: a record needs at least {MINIMUM_SAMPLES} samples, got {time.size}; record longer or faster."
-            )
-        drop = np.flatnonzero(np.diff(time) <= 0.0)
-        if drop.size:
-            at = int(drop[0]) + 1
-            raise InputError(
-                f"{name}: `time` must increase, got time[{at}] = {time[at]:.9g} after {time[at - 1]:.9g}; "
-                "sort the samples and drop repeats."
-            )
-        time.setflags(write=False)
-        values.setflags(write=False)
-        for field, value in (("time", time), ("values", values), ("unit", unit), ("source", source)):
-            object.__setattr__(self, field, value)
-        object.__setattr__(self, "specimen", specimen)
-        object.__setattr__(self, "notes", tuple(self.notes))
 
 
 def read_records(
@@ -490,90 +399,3 @@ def _check_finite(source: Source, column: Column, *arrays: FloatArray) -> None:
 def _label(column: Column) -> str:
     """Return the name of a channel as a part of a specimen's name."""
     return " ".join(printable(split_header(column.header)[0] or column.header).split())
-
-
-def write_records(records: Iterable[Record], path: str | os.PathLike[str], *, overwrite: bool = False) -> list[Path]:
-    """Write records as a folder of CSV files in SI units that `read_records` reads back.
-
-    Parameters
-    ----------
-    records : iterable of Record
-        One file is written for each.
-    path : str or path
-        Folder; created where it does not exist.
-    overwrite : bool, default False
-        Whether files of the same names may be replaced.
-
-    Returns
-    -------
-    list of Path
-        The files, in the order of ``records``.
-
-    Raises
-    ------
-    InputError
-        When the folder already holds other CSV files, a file exists and ``overwrite`` is False, two
-        specimens have the same name, or the folder cannot be written.
-
-    See Also
-    --------
-    read_records : reads them back.
-
-    Notes
-    -----
-    A specimen's name is never used as a path: characters that are unsafe in file names become ``_``,
-    and the file then carries the true name in a column ``specimen``.
-    """
-    given: Sequence[Record] = list(records)
-    names = [record.specimen for record in given]
-    if len(set(names)) != len(names):
-        repeated = next(name for name in names if names.count(name) > 1)
-        raise InputError(f"`records` hold specimen {shorten(printable(repeated))!r} twice; rename one of them.")
-    folder = Path(os.fspath(path))
-    files = [folder / f"{stem}.csv" for stem in _file_stems(names)]
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        present = {entry.name.lower() for entry in folder.iterdir() if entry.suffix.lower() == ".csv"}
-        ours = {file.name.lower() for file in files}
-        foreign, taken = sorted(present - ours), sorted(present & ours)
-        if foreign:
-            raise InputError(
-                f"{printable(str(folder))}: holds other CSV files ({', '.join(map(printable, foreign[:3]))}); "
-                "choose an empty folder."
-            )
-        if taken and not overwrite:
-            raise InputError(
-                f"{printable(str(folder))}: already holds {printable(taken[0])}; "
-                "choose another folder or set overwrite=True."
-            )
-        for record, file in zip(given, files, strict=True):
-            file.write_text(_as_csv(record, file.stem), encoding="utf-8", newline="\n")
-    except OSError as error:
-        raise InputError(f"{printable(str(folder))}: cannot be written ({error.strerror}); choose another.") from None
-    return files
-
-
-def _file_stems(names: Sequence[str]) -> list[str]:
-    """Return a distinct, safe file stem for each name."""
-    stems: list[str] = []
-    used: set[str] = set()
-    for name in names:
-        stem = re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip("._ -")[:80] or "specimen"
-        if re.fullmatch(r"(?i)con|prn|aux|nul|com[0-9]|lpt[0-9]", stem):
-            stem += "_"
-        unique, number = stem, 2
-        while unique.lower() in used:
-            unique, number = f"{stem}_{number}", number + 1
-        used.add(unique.lower())
-        stems.append(unique)
-    return stems
-
-
-def _as_csv(record: Record, stem: str) -> str:
-    """Return a record as the text of a CSV file; numbers are written so that they read back unchanged."""
-    named = record.specimen != stem
-    quoted = '"' + record.specimen.replace('"', '""') + '"'
-    tail = f",{quoted}\n" if named else "\n"
-    header = f"time [s],{record.quantity} [{record.unit}]" + (",specimen\n" if named else "\n")
-    pairs = zip(record.time.tolist(), record.values.tolist(), strict=True)
-    return header + "".join(f"{time!r},{value!r}{tail}" for time, value in pairs)
