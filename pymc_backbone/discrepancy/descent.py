@@ -81,16 +81,9 @@ class Descent:
                 if any(abs(cost - known) < _SAME_WAY * known for known in ways):
                     return None
                 ways.append(cost)
-        found = self.fit(
+        return self.fit(
             layout, batch.deciding, state, iterations=_SHORT, tolerance=0.03, rival=rival, nuisances=batch.nuisances
         )
-        if found is None or found.is_converged or found.cost > _NEAR_NOISE * sum(term.size for term in batch.deciding):
-            return found
-        # near the noise, and still on its way: kinks and hysteresis make slow valleys
-        further = self.fit(
-            layout, batch.deciding, found.state, iterations=_PATIENT, tolerance=0.03, nuisances=batch.nuisances
-        )
-        return found if further is None else further
 
     def _over_turning_points(self, layout: Layout, state: State) -> tuple[State, float]:
         """Return the state after a window over the turning points that grows from the first to all of them.

@@ -28,7 +28,6 @@ EXPLAINED = 1.1
 """Reduced chi-square up to which a set may be complete."""
 _POOR = 1.5  # reduced chi-square above which a fit may have lost its way
 _LOST = 6.0  # reduced chi-square of the backbones, over what was promised, from which a fit ended elsewhere
-_ALIKE = 6.0  # chi-square within which backbones cannot tell two minima of a set apart
 _NOTED = 1.0  # chi-square above that of the smaller set up to which one step is enough to note a set
 _WORTH = 5.0  # fall of chi-square by which one more effect begins to earn its place
 
@@ -166,27 +165,19 @@ class FittedSets:
         return [] if near is None else [near]
 
     def _proposed(self, names: Set, rival: float | None) -> list[Fit]:
-        """Return fits from what the backbones propose for a set, until one keeps what they promise.
-
-        Where that explains the records, from those as well that the backbones cannot tell from it: the samples may.
-        """
+        """Return fits from what the backbones propose for a set, until one keeps what they promise."""
         proposal = self.proposals.get(names)
         if proposal is None:
             return []
         layout = self.layout(names)
         found: list[Fit] = []
         ways: list[float] = []
-        kept = np.inf
         for promised, eta, own in proposal.starts:
-            if promised > kept + _ALIKE:
-                break
             state = self.descent.released(layout, eta, own)
             reached = self.descent.from_afar(layout, state, rival, ways)
             found += [] if reached is None else [reached]
             if reached is not None and not self._is_lost(reached, promised):
-                if reached.cost > EXPLAINED * self.count:
-                    break
-                kept = min(kept, promised)
+                break
         return found
 
     def _is_lost(self, found: Fit, promised: float) -> bool:

@@ -147,8 +147,9 @@ def fit(
     goal : float
         A cost that is low enough for what comes after: the fit ends below it, not at rest.
     """
+    q = layout.free.size
     scatter = SCATTER if has_scatter and len(terms) > 1 else 0.0
-    active = np.zeros(NUISANCES + layout.free.size, dtype=bool)
+    active = np.zeros(NUISANCES + q, dtype=bool)
     active[list(nuisances)] = True
     active[NUISANCES:] = scatter > 0.0
     state = State(np.clip(state.eta, layout.low, layout.high), state.own.copy())
@@ -158,10 +159,18 @@ def fit(
     damping, converged, quiet = _FIRST_DAMPING, False, 0
     past, evaluations = [system.cost], 1
     for _ in range(iterations if system.cost > goal else 0):
-        proposal, damping = _proposal(layout, system, state, active, damping, scatter)
-        accepted = None if proposal is None else linearise(layout, terms, proposal, scatter, active)
-        evaluations += proposal is not None
-        if proposal is not None and accepted is not None and accepted.cost < system.cost + 1e-9:
+        step = _step(layout, system, state, active, damping)
+        accepted = None
+        if step is not None:
+            proposal = State(np.clip(state.eta + step[0], layout.low, layout.high), state.own + step[1])
+            proposal.own[:, 1] = np.maximum(proposal.own[:, 1], 0.0)
+            np.clip(proposal.own[:, DRIFTS[0] :], -_MOST_SCATTER, _MOST_SCATTER, out=proposal.own[:, DRIFTS[0] :])
+            if scatter > 0.0:
+                proposal = _recentred(layout, proposal, scatter)
+            if np.isfinite(proposal.own).all() and _is_trusted(state, proposal):
+                accepted = linearise(layout, terms, proposal, scatter, active)
+                evaluations += 1
+        if accepted is not None and accepted.cost < system.cost + 1e-9:
             gain = system.cost - accepted.cost
             state, system = proposal, accepted
             damping = max(damping / 8.0, 1e-9)
@@ -184,24 +193,6 @@ def fit(
                 converged = True
                 break
     return replace(_finish(layout, system, state, active, converged), evaluations=evaluations)
-
-
-def _proposal(
-    layout: Layout, system: System, state: State, active: Any, damping: float, scatter: float
-) -> tuple[State | None, float]:
-    """Return where the next step leads, and with which damping it is trusted; None where none is."""
-    while damping <= _LARGEST_DAMPING:
-        step = _step(layout, system, state, active, damping)
-        if step is not None:
-            proposal = State(np.clip(state.eta + step[0], layout.low, layout.high), state.own + step[1])
-            proposal.own[:, 1] = np.maximum(proposal.own[:, 1], 0.0)
-            np.clip(proposal.own[:, DRIFTS[0] :], -_MOST_SCATTER, _MOST_SCATTER, out=proposal.own[:, DRIFTS[0] :])
-            if scatter > 0.0:
-                proposal = _recentred(layout, proposal, scatter)
-            if np.isfinite(proposal.own).all() and _is_trusted(state, proposal):
-                return proposal, damping
-        damping *= 6.0
-    return None, damping
 
 
 def _is_trusted(state: State, proposal: State) -> bool:
