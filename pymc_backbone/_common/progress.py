@@ -23,7 +23,7 @@ class Pace:
     >>> pace = Pace(0.0)
     >>> for second in range(1, 11):
     ...     pace.add(float(second), 0.05 * second)
-    >>> pace.left(10.0)
+    >>> round(pace.left(10.0), 6)
     10.0
     """
 
