@@ -169,6 +169,10 @@ ROWS = {
     "`.lvm`": "test_variants_of_labview_files test_segments_that_do_not_continue_are_apart",
     "`Volts`": "test_each_format_gives_the_same_decay",
     "`.mat` of version 5": "test_layouts_of_mat_files test_structs_cells_and_objects_of_version_73",
+    "a cell of vectors": (
+        "test_a_cell_holds_records_of_unequal_length test_the_columns_of_a_matrix_are_no_records_of_their_own"
+    ),
+    "a cell or a text such as": "test_a_list_of_units_in_a_struct",
     "units in a `.mat`": "test_layouts_of_mat_files test_each_format_gives_the_same_decay",
     "MATLAB objects": "test_objects_are_never_read test_structs_cells_and_objects_of_version_73",
     "`.mat` of version 4": "test_other_mat_files_are_named",
@@ -182,11 +186,16 @@ ROWS = {
     "no quantity": "test_quantity_follows_from_the_unit_and_conversion_is_exact",
     "no unit": "test_headers_name_quantity_and_unit",
     "times that repeat": "test_a_bad_line_is_named test_times_that_are_none",
+    "a line that stands there twice": "test_lines_written_twice_are_dropped_and_said",
+    "samples missing with a gap": "test_gaps_and_jitter_of_the_times_are_counted_and_placed",
+    "samples lost or written twice": "test_lost_samples_are_noticed_said_and_put_in test_a_doubled_sample_is_taken_out",
+    "samples or frames that repeat": "test_repeated_frames_are_left_out",
     "NaN, empty": "test_a_bad_line_is_named test_arrays_that_are_no_record",
     "a header that promises": (
         "test_sizes_that_lie_allocate_nothing test_arrays_larger_than_their_file_are_not_allocated"
     ),
     "a damaged file of HDF5": "test_a_file_on_which_the_library_hangs_is_refused",
+    "a file of a folder that cannot": "test_a_file_that_cannot_be_read_is_left_out_by_name",
     "a folder with files": "test_folders_hold_files_of_one_kind",
     "names with markup": (
         "test_names_of_files_and_columns_are_text_in_the_report test_what_a_terminal_would_obey_is_shown"

@@ -202,7 +202,7 @@ def test_settings_reach_model_and_sampler(monkeypatch, sampler, rng):
     assert sampler["model"]["bounds"]["cubic_stiffness"] == (0.0, 1e7)
     assert sampler["model"]["fixed"] == {"viscous_damping": 1.7}
     wanted = {"model": "model", "draws": 300, "tune": 50, "chains": 2, "step": "slice", "random_seed": 5}
-    assert sampler["sample"] == wanted
+    assert sampler["sample"] == {**wanted, "progress": None}
     assert list(result["parameters"]) == ["linear_stiffness", "cubic_stiffness"] and result["fixed"] == {
         "viscous_damping": 1.7
     }

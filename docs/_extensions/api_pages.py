@@ -40,7 +40,10 @@ GROUPS = {
         "BackboneLogLikelihood", "BackboneOp", "sample", "goodness_of_fit", "GoodnessOfFit", "findings",
         "summarise", "unidentified_parameters", "add_log_likelihood", "add_predictions", "set_backbones",
     ),
-    "The missing effect": ("find_missing_effect", "Study", "write_study"),
+    "The missing effect": (
+        "find_missing_effect", "Study", "write_study", "plan_tests", "Affordable", "Design", "Contender", "Plan",
+        "PlannedTest",
+    ),
     "Many structures": ("diagnose_many", "Structure", "Survey"),
     "Errors and citation": ("InputError", "citation"),
 }  # fmt: skip

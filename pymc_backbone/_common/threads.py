@@ -8,6 +8,8 @@ import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
+from threadpoolctl import threadpool_limits
+
 _inside = threading.local()
 
 
@@ -20,6 +22,17 @@ def in_threads[T](jobs: Sequence[Callable[[], T]]) -> list[T]:
         return [job() for job in jobs]
     cores = _cores()
     return [job() for job in jobs] if cores < 2 else list(_pool(os.getpid(), cores).map(_run, jobs))
+
+
+def with_one_thread[**P, R](function: Callable[P, R]) -> Callable[P, R]:
+    """Return a function that leaves the linear algebra one thread: its matrices are small, and threads only wait."""
+
+    @functools.wraps(function)
+    def limited(*args: P.args, **kwargs: P.kwargs) -> R:
+        with threadpool_limits(1):
+            return function(*args, **kwargs)
+
+    return limited
 
 
 def _run[T](job: Callable[[], T]) -> T:
@@ -40,4 +53,4 @@ def _pool(_process: int, cores: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(cores, thread_name_prefix="backbone")
 
 
-__all__ = ["in_threads"]
+__all__ = ["in_threads", "with_one_thread"]

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from .._common.checks import FloatArray, InputError
+from .._common.threads import with_one_thread
 from ..effects import Effect
 from ..oscillator import Oscillator
 from .decide import NAMED
@@ -26,6 +27,7 @@ _PARAMETER_DRAWS = 3
 _EQUAL = 0.03  # probabilities that differ by less are decided by what the tests cost
 
 
+@with_one_thread
 def plan_tests(
     base: Oscillator,
     contenders: Sequence[Contender],

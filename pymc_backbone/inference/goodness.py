@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike
 from scipy.stats import chi2
 
 from .._common.checks import FloatArray, InputError, check_choice
+from .._common.threads import with_one_thread
 from ..oscillator import Oscillator
 from ..simulation.response import Response, make_response
 from .fit_verdict import P_LIMIT, ExcludedBy, GoodnessOfFit, SpecimenFit
@@ -39,6 +40,7 @@ _NEGLIGIBLE = 1e-3  # of the specimens' spread: residuals without standard error
 _BETTER = 0.25  # of chi-square: what is left of it where a prior, not the model, keeps it from the data
 
 
+@with_one_thread
 def goodness_of_fit(
     source: Oscillator | Callable[[dict[str, float], FloatArray], ArrayLike],
     backbones: xr.Dataset,

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._common.checks import FloatArray, InputError, check_finite_array
+from .._common.threads import with_one_thread
 from .peak_noise import with_peak_noise
 from .smoothing import smooth
 from .template import FLOOR, Fit, fit_with_template
@@ -128,6 +129,7 @@ def extract_cycles(record: Any, *, noise: float | ArrayLike | None = None) -> Cy
     )
 
 
+@with_one_thread
 def extract_cycles_from_arrays(
     time: ArrayLike,
     displacement: ArrayLike,

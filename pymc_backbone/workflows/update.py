@@ -207,11 +207,11 @@ def _at_nominal_mass(
     posterior: xr.DataTree, oscillator: Oscillator, modelling: Modelling
 ) -> tuple[xr.DataTree, dict[str, float]]:
     """Return the posterior as the oscillator with its one mass would have it, and what is fixed in all its draws."""
-    from ..inference.model import NOMINAL
-
     fixed = dict(modelling.fixed)
     if MASS not in posterior["posterior"]:
         return posterior, fixed
+    from ..inference.model import NOMINAL
+
     draws = posterior["posterior"].to_dataset()
     powers = oscillator.mass_exponents
     goes_with_mass = {name: draws[f"{NOMINAL}{name}"] for name in powers if f"{NOMINAL}{name}" in draws}

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ..._common.checks import FloatArray, InputError, check_motion, check_positive
+from ..._common.threads import with_one_thread
 from ..reading.record import MINIMUM_SAMPLES, Record
 from .asymmetry import SIGNIFICANT, MidLine, displacement_amplitude, restore_mid_line, second_harmonic
 from .baseline import Baseline, find_baseline
@@ -27,6 +28,7 @@ _FEWEST_CYCLES = 8.0
 """Fewer are not given up to keep the end of forcing out of what a filter saw."""
 
 
+@with_one_thread
 def condition(
     record: Record,
     *,
