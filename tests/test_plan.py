@@ -79,6 +79,17 @@ def test_rivals_that_miss_alike_fall_together():
     assert apart < alike - 0.03
 
 
+def test_what_is_possible_beside_the_contenders_counts():
+    """It goes with the likeliest: it stays where that is true, and falls with it where it is not."""
+    noise = np.random.default_rng(0).standard_normal((100_000, 2))
+    shared = {"directions": [np.ones(3)], "noise": noise, "rest": 0.2}
+    # however far the rival falls, a sixth of the probability remains elsewhere
+    assert planning._share_resolved(np.array([3.0]), np.array([1e4]), is_likeliest=True, **shared) == 0.0
+    shown = planning._share_resolved(np.array([0.0]), np.array([8.0]), is_likeliest=False, **shared)
+    needed = np.log(1.2 * NAMED / (1.0 - NAMED))
+    assert shown == pytest.approx(norm.sf((needed - 4.0) / np.sqrt(8.0)), abs=0.006)
+
+
 def test_a_plan_prefers_what_tells_the_springs_apart():
     """A gap between springs grows with amplitude: from higher up a test decides that the same again does not."""
     noisy = dataclasses.replace(PRESENT, noise=0.08 * AMPLITUDE)
@@ -170,7 +181,7 @@ def test_the_command_reads_a_folder_and_writes_what_it_says(folder, tmp_path, ca
     assert base.mass == result["mass"] and tuple(contenders) == (CUBIC, NOTHING) and present == PRESENT
     assert given["affordable"] == Affordable(largest=0.02, records=3)
     shown = capsys.readouterr().out
-    assert "91 %" in shown and "the same again" in shown and "if cubic_stiffness" in shown
+    assert "91 %" in shown and "the same again" in shown and "A: cubic_stiffness" in shown and "if B" in shown
     assert json.loads(target.read_text())["repeat"]["probability"] == 0.2
     assert main(["plan", str(folder), "--out", str(target)]) == 2
     assert "exists already" in capsys.readouterr().err

@@ -200,32 +200,49 @@ class _Planner:
                 continue
             gains.append(max(together.cost - before[1].cost, 0.0))
             directions.append(together.residuals)
-        return _share_resolved(np.array(odds), np.array(gains), directions, self.noise)
+        # what is possible beside the contenders moves as the likeliest of them does, which most of it imitates
+        rest = max(1.0 - sum(item.probability for item in self.contenders), 0.0) / self.contenders[0].probability
+        return _share_resolved(
+            np.array(odds), np.array(gains), directions, self.noise, rest=rest, is_likeliest=true == 0
+        )
 
     def _together(self, layout: Layout, rival: Contender, before: tuple[Imagined, Miss], new: Imagined) -> Miss | None:
         return miss(layout, rival, [before[0], new], before[1].fit)
 
 
 def _share_resolved(
-    odds: FloatArray, gains: FloatArray, directions: Sequence[FloatArray | None], noise: FloatArray
+    odds: FloatArray,
+    gains: FloatArray,
+    directions: Sequence[FloatArray | None],
+    noise: FloatArray,
+    *,
+    rest: float = 0.0,
+    is_likeliest: bool = True,
 ) -> float:
-    """Return how often the truth is named: logarithms of the odds (r,), gains (r,), residuals, draws (n, r or more)."""
+    """Return how often the truth is named: logarithms of the odds (r,), gains (r,), residuals, draws (n, r or more).
+
+    ``rest`` is what is possible beside truth and rivals, as a share of the likeliest of all; that is the truth, or else
+    the first of the rivals.
+    """
     finite = np.isfinite(gains)
-    if not finite.any():
-        return 1.0
     unit = []
     for direction, gain in zip(directions, gains, strict=True):
         if direction is not None and np.isfinite(gain):
             length = float(np.linalg.norm(direction))
             unit.append(direction / length if length > 0.0 else direction)
-    together = np.array(unit) @ np.array(unit).T
-    np.fill_diagonal(together, 1.0)
-    values, vectors = np.linalg.eigh(together)
-    shared = noise[:, : values.size] @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
-    gain = gains[finite]
-    logs = odds[finite] + 0.5 * gain + shared * np.sqrt(gain)
-    probability = 1.0 / (1.0 + np.exp(-np.clip(logs, -700.0, 700.0)).sum(axis=1))
-    return float((probability >= NAMED).mean())
+    against = np.full(len(noise), rest if is_likeliest else 0.0)
+    if unit:
+        together = np.array(unit) @ np.array(unit).T
+        np.fill_diagonal(together, 1.0)
+        values, vectors = np.linalg.eigh(together)
+        shared = noise[:, : values.size] @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
+        gain = gains[finite]
+        logs = odds[finite] + 0.5 * gain + shared * np.sqrt(gain)
+        each = np.exp(-np.clip(logs, -700.0, 700.0))
+        against += each.sum(axis=1)
+        if not is_likeliest and finite[0]:
+            against += rest * each[:, 0]
+    return float((1.0 / (1.0 + against) >= NAMED).mean())
 
 
 __all__ = ["MOST_CONTENDERS", "plan_tests"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from string import ascii_uppercase
 from typing import Any
 
 from .._common.atomic_files import replacing
@@ -69,11 +70,17 @@ def plan(
     unit = str(result.get("amplitude_unit", "m"))
     base = Oscillator(float(result["mass"]), [str(name) for name in result["base_effects"]])
     found = plan_tests(base, contenders, present, affordable=affordable, random_seed=random_seed, progress=progress)
-    rows = [("test", "decides", *(f"if {name_of(item)}" for item in found.contenders), "recording [s]")]
+    letters = ascii_uppercase[: len(found.contenders)]
+    told = [f"{letter}: {name_of(item)}" for letter, item in zip(letters, found.contenders, strict=True)]
+    rows = [("test", "decides", *(f"if {letter}" for letter in letters), "recording [s]")]
     for item in (*found.best, found.repeat):
         name = describe(item.design, present, unit) if item is not found.repeat else "the same again"
         rows.append((name, percent(item.probability), *(percent(p) for p in item.by_set), f"{item.seconds:.3g}"))
-    say("\n".join(["", aligned(rows), "", *(f"- {sentence}" for sentence in sentences(found, present, unit))]))
+    say(
+        "\n".join(
+            ["", *told, "", aligned(rows), "", *(f"- {sentence}" for sentence in sentences(found, present, unit))]
+        )
+    )
     entries = dict(plain(plan_entries(found)))
     if target is not None:
         import json
