@@ -8,7 +8,18 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from pymc_backbone.discrepancy.study import Candidate, Check, Detectable, Estimate, GapRange, HeldOut, Study
+from pymc_backbone.discrepancy.study import (
+    Candidate,
+    Check,
+    Detectable,
+    Estimate,
+    GapRange,
+    HeldOut,
+    LawProbability,
+    MissingMechanism,
+    Study,
+)
+from pymc_backbone.discrepancy.verdict import NamedLevel
 from pymc_backbone.effects import LIBRARY
 from pymc_backbone.inference.diagnostics import findings, summarise
 from pymc_backbone.inference.model import build_model
@@ -120,6 +131,18 @@ def make_study(
         base=base,
         extended=extended,
         missing_effects=("coulomb_friction",) if verdict == "found" else (),
+        named_level=NamedLevel.LAW if verdict == "found" else None,
+        mechanisms=(
+            MissingMechanism(
+                "hysteresis",
+                0.98,
+                0.94,
+                (LawProbability("coulomb_friction", 0.6), LawProbability("jenkins", 0.38)),
+                {"friction_force": (0.1, 0.01)},
+            ),
+        )
+        if is_found
+        else (),
         probability={"adequate": 0.98, "found": 0.97, "ambiguous": 0.55, "unexplained": 0.6}[verdict],
         candidates=_candidates(verdict),
         ambiguous_sets=(("coulomb_friction",), ("jenkins",)) if verdict == "ambiguous" else (),

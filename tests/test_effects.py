@@ -13,7 +13,7 @@ import pytest
 
 import pymc_backbone.effects as effects_package
 from pymc_backbone._common.checks import InputError
-from pymc_backbone.effects import BASE_EFFECTS, LIBRARY, Effect, Parameter, Signature, get_effect
+from pymc_backbone.effects import BASE_EFFECTS, LIBRARY, MECHANISMS, Effect, Parameter, Signature, get_effect
 from pymc_backbone.oscillator import Oscillator
 from pymc_backbone.simulation.decay import simulate_backbone
 
@@ -354,6 +354,43 @@ def test_roles_that_do_not_fit_are_refused(roles, redundant, message):
 def test_an_unknown_role_is_named_with_its_nearest():
     with pytest.raises(InputError, match="Did you mean 'exponent'"):
         number("one", "exponents")
+
+
+@ALL
+def test_mechanism_is_what_the_force_does(effect, rng):
+    """Each mechanism is told by the force itself: what it depends on, where it is zero, whether it is odd."""
+    if effect.name in BASE_EFFECTS:
+        assert effect.mechanism is None  # every oscillator has it: it is never missing
+        return
+    assert effect.mechanism in MECHANISMS and effect.mechanism != "other"
+    p = draw_parameters(effect, rng)
+    x, v = AMPLITUDE * np.linspace(-1.0, 1.0, 41), OMEGA * AMPLITUDE * np.linspace(0.1, 1.0, 8)
+
+    def force(place, speed, direction):
+        z = np.zeros(effect.n_states)
+        return np.array([effect.force(a, direction * speed, direction, z, p) for a in place])
+
+    if effect.n_states:  # remembers: only hysteresis does
+        assert effect.mechanism == "hysteresis"
+        return
+    slow, fast, back = force(x, v[0], 1.0), force(x, v[-1], 1.0), force(x, v[0], -1.0)
+    is_elastic = np.array_equal(slow, fast) and np.array_equal(slow, back)
+    is_odd = np.allclose(slow, -slow[::-1], atol=1e-12 * FORCE)
+    rests = np.count_nonzero(slow == 0.0) > 1 or np.count_nonzero(force(1e-3 * x, v[0], 1.0) == 0.0) > 1
+    if is_elastic:
+        expected = "asymmetry" if not is_odd else "clearance" if rests else "spring"
+    elif np.array_equal(slow, fast):
+        expected = "hysteresis"  # opposes the motion whatever its speed
+    else:
+        expected = "drag" if np.allclose(slow, slow[0]) else "displacement_damping"
+        assert np.allclose(force(x, 0.0, 1.0), 0.0)
+    assert effect.mechanism == expected
+
+
+def test_an_unknown_mechanism_is_named_with_its_nearest():
+    with pytest.raises(InputError, match="hysteresis"):
+        Effect("mine", "", "", "", (), force=LIBRARY["freeplay"].force, mechanism="histeresis")
+    assert Effect("mine", "", "", "", (), force=LIBRARY["freeplay"].force).mechanism is None
 
 
 def test_uncompiled_force_is_refused():

@@ -14,7 +14,7 @@ from matplotlib import pyplot
 
 from pymc_backbone._common.checks import InputError
 from pymc_backbone.discrepancy.locate import mean_gap
-from pymc_backbone.discrepancy.verdict import Verdict
+from pymc_backbone.discrepancy.verdict import NamedLevel, Verdict
 from pymc_backbone.effects import LIBRARY
 from pymc_backbone.reporting.candidate_plots import plot_candidates
 from pymc_backbone.reporting.html import number, table, unit
@@ -24,6 +24,8 @@ from pymc_backbone.reporting.report_model import parameters
 from pymc_backbone.reporting.study_files import DIAGNOSIS_KEYS, write_study
 from pymc_backbone.reporting.study_plots import study_figures
 from pymc_backbone.reporting.words import percent
+from pymc_backbone.survey.structure import Structure, summary_of
+from pymc_backbone.survey.survey import effects_in_words
 
 from .study_cases import make_study
 from .test_plots import drawn_without_overlap
@@ -103,6 +105,29 @@ def test_result_has_the_documented_keys(studies, tmp_path, verdict):
     if verdict == "adequate":
         assert result["gap"]["shrink"] is None and result["equation_after"] is None
         assert result["adequate_by"] == "statistics"
+
+
+def test_a_named_mechanism_comes_first_and_no_law_is_named(studies, tmp_path):
+    study = dataclasses.replace(studies["found"], named_level=NamedLevel.MECHANISM, missing_effects=())
+    write_study(study, tmp_path / "out")
+    result = read_result(tmp_path / "out")
+    assert result["named_level"] == "mechanism" and result["missing_effects"] == []
+    (entry,) = result["mechanisms"]
+    assert (entry["mechanism"], entry["probability"], entry["share_of_gap"]) == ("hysteresis", 0.98, 0.94)
+    assert entry["laws"][0] == {"effect": "coulomb_friction", "probability": 0.6}
+    assert entry["parameters"] == {"friction_force": {"value": 0.1, "standard_error": 0.01}}
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "probability of friction-like hysteresis" in page and "agree on its mechanism" in page
+    assert page.index("<h2>Mechanisms</h2>") < page.index("<h2>Candidates</h2>")
+    row = page[page.index("<h2>Mechanisms</h2>") : page.index("<h2>Candidates</h2>")]
+    assert "<details" in row and "jenkins 38 %" in row and "94 %" in row
+    said = summary_of(result)
+    assert said["mechanisms"] == ("hysteresis",) and said["missing_effects"] == ()
+    assert effects_in_words(Structure("a", verdict="found", mechanisms=("hysteresis",))) == "hysteresis"
+    # where the law is named the mechanism is beside it, not in its place
+    write_study(studies["found"], tmp_path / "law")
+    result = read_result(tmp_path / "law")
+    assert result["named_level"] == "law" and result["mechanisms"] and summary_of(result)["mechanisms"] == ()
 
 
 def test_result_is_strict_json(studies, tmp_path):

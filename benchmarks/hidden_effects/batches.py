@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from contamination import distorted, jittered, limited
 from motion import Decay, simulate
-from strengths import draw_parameters, draw_strength, is_scattered, log_uniform
+from strengths import STIFFNESS_KINDS, draw_parameters, draw_strength, is_scattered, log_uniform
 from systems import pack
 from tiers import Plan, draw_amplitude, draw_plan, draw_tier
 
@@ -93,9 +94,12 @@ def _draw_batch(plan: Plan, rng: np.random.Generator) -> Batch:
     nominal = {"mass": mass, "linear_stiffness": stiffness, "viscous_damping": damping}
     strength: dict[str, float] = {}
     for effect in (*plan.present, *((plan.outside,) if plan.outside else ())):
+        wanted = draw_strength(effect, rng, visible=plan.visible or effect in plan.base, strong=plan.strong)
+        if plan.contaminations and effect == plan.outside:
+            wanted = _share(plan, strength, rng) / (1.0 if effect in STIFFNESS_KINDS else 2.0)
         parameters, strength[effect] = draw_parameters(
             effect,
-            draw_strength(effect, rng, visible=plan.visible or effect in plan.base, strong=plan.strong),
+            wanted,
             rng,
             mass=mass,
             stiffness=stiffness,
@@ -117,6 +121,15 @@ def _draw_batch(plan: Plan, rng: np.random.Generator) -> Batch:
     duration = cycles / actual_frequency
     drift = _draw_drift(plan, nominal, duration, rng)
     second = _draw_second_mode(plan, actual_frequency, rng)
+    sizes = _contaminations(plan, strength, rng)
+    if "temperature" in sizes:
+        nominal["linear_stiffness_rate"] = sizes["temperature"] * stiffness / duration
+    if "second_mode" in sizes:
+        second = {
+            "frequency": float(rng.uniform(1.9, 3.1) * actual_frequency),
+            "share": sizes["second_mode"],
+            "damping_ratio": log_uniform(rng, 0.003, 0.03),
+        }
     offset_share = 0.0 if rng.random() < 0.5 else rng.uniform(-0.2, 0.2)
     start = str(rng.choice(("hold", "release", "fast")))
     scatter = _draw_scatter(rng)
@@ -129,11 +142,14 @@ def _draw_batch(plan: Plan, rng: np.random.Generator) -> Batch:
         sampling = per_cycle * actual_frequency
         held = _draw_release_time(start, actual_frequency, sampling, rng)
         time = np.arange(int((duration + held) * sampling) + 1) / sampling
-        exact, decay = _respond(parameters, release, time - held, second, plan.quantity)
+        taken = jittered(time, sizes["jitter"], actual_frequency, rng) if "jitter" in sizes else time
+        exact, decay = _respond(parameters, release, taken - held, second, plan.quantity)
         if decay.stuck and decay.turn_values.size < 8:
             raise _RedrawError
         scale = (2.0 * math.pi * actual_frequency) ** QUANTITIES.index(plan.quantity)
         offset = offset_share * amplitude * scale
+        if sizes:
+            exact = distorted(exact, sizes, scale * release, per_cycle)
         records.append(_measure(time, exact, offset, noise_db, bits, release, scale, held, rng))
         specimens.append({"specimen": f"specimen_{number}", **parameters})
     truth = {
@@ -141,9 +157,10 @@ def _draw_batch(plan: Plan, rng: np.random.Generator) -> Batch:
         "base": sorted(plan.base),
         "hidden": sorted(plan.hidden),
         "present": sorted(plan.present),
-        "outside": plan.outside,
+        "outside": None if plan.contaminations else plan.outside,
         "drift": drift,
-        "second_mode": second,
+        "second_mode": None if plan.contaminations else second,
+        "contaminations": {**sizes, **({plan.outside: strength[plan.outside]} if "outside" in sizes else {})},
         "quantity": plan.quantity,
         "band": _band(actual_frequency, second) if plan.is_banded else None,
         "strength": strength,
@@ -197,6 +214,28 @@ def _usable_cycles(
         reached = 0.5 * (turns - 1)
         lengths.append(min(wanted, tail * reached) if turns < decay.turn_times.size or decay.stuck else wanted)
     return sum(lengths) / 2.0, float(frequency)
+
+
+def _share(plan: Plan, strength: dict[str, float], rng: np.random.Generator) -> float:
+    """Return 3 to 30 % of what the hidden effect does, in units of the elastic force."""
+    gap = sum(
+        value * (1.0 if name in STIFFNESS_KINDS else 2.0) for name, value in strength.items() if name in plan.present
+    )
+    return log_uniform(rng, 0.03, 0.3) * gap
+
+
+def _contaminations(plan: Plan, strength: dict[str, float], rng: np.random.Generator) -> dict[str, float]:
+    """Draw the size of each contamination; of the causal filter its cut-off over the frequency."""
+    sizes: dict[str, float] = {}
+    for kind in plan.contaminations:
+        size = _share(plan, strength, rng)
+        if kind == "filter":
+            sizes[kind] = float(rng.uniform(2.5, 6.0))
+        elif kind in ("outside", "temperature"):
+            sizes[kind] = float(size * rng.choice((-1.0, 1.0))) if kind == "temperature" else size
+        else:
+            sizes[kind] = limited(kind, size)
+    return sizes
 
 
 def _draw_drift(

@@ -12,10 +12,32 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import expit
 
-OUTCOMES = ("right", "listed", "wrong", "adequate", "unexplained", "ambiguous", "refused", "no result")
-"""``listed``: ambiguous, the truth among the sets; ``ambiguous``: the truth not among them; ``wrong``: another name,
-said with confidence. Where nothing is missing, ``adequate`` is the right answer and any name is wrong."""
+OUTCOMES = ("right", "mechanism", "listed", "wrong", "adequate", "unexplained", "ambiguous", "refused", "no result")
+"""``listed``: ambiguous, the truth among the sets; ``ambiguous``: the truth not among them; ``mechanism``: no law is
+named, but its mechanism is; ``wrong``: another name, said with confidence. Where nothing is missing, ``adequate`` is
+the right answer and any name is wrong."""
 
+MECHANISMS: dict[str, str] = {
+    "cubic_stiffness": "spring",
+    "quintic_stiffness": "spring",
+    "pendulum_stiffness": "spring",
+    "quadratic_stiffness": "asymmetry",
+    "bilinear_stiffness": "asymmetry",
+    "freeplay": "clearance",
+    "coulomb_friction": "hysteresis",
+    "jenkins": "hysteresis",
+    "iwan": "hysteresis",
+    "bouc_wen": "hysteresis",
+    "quadratic_damping": "drag",
+    "cubic_damping": "drag",
+    "displacement_dependent_damping": "displacement_damping",
+}
+"""What the effects of the library have in common."""
+EITHER = {"rising_damping": {"drag", "displacement_damping"}, "changing_stiffness": {"spring", "clearance"}}
+"""What is said where one of two mechanisms is certain, but not which."""
+NAMED_FROM = 0.95
+LEAST_SHARE = 0.05
+"""Probability and share of the gap from which the tool names a mechanism."""
 ALWAYS_THERE = frozenset(("linear_stiffness", "viscous_damping"))
 
 
@@ -115,6 +137,16 @@ def _judge(folder: Path) -> Outcome:
     listed = {_names(names, held) for names in said.get("ambiguous_sets") or ()}
     is_answerable = is_in_library or bool(hidden)
     outcome = _classify(said.get("verdict"), named, listed, hidden, is_answerable)
+    if said.get("verdict") == "found" and said.get("named_level") == "mechanism":
+        kinds = {
+            item["mechanism"]
+            for item in said["mechanisms"]
+            if item["probability"] >= NAMED_FROM and item["share_of_gap"] >= 0.05
+        }
+        # a law that no effect of the library describes has no mechanism to be right or wrong about
+        true = {MECHANISMS[name] for name in hidden}
+        is_right = not is_in_library or (bool(kinds) and all(EITHER.get(kind, {kind}) & true for kind in kinds))
+        outcome = "mechanism" if is_right else "wrong"
     candidates = [(_number(c.get("probability")), _names(c.get("effects"), held)) for c in said.get("candidates") or ()]
     candidates = [candidate for candidate in candidates if not math.isnan(candidate[0])]
     top = max(candidates, key=lambda candidate: candidate[0], default=(_number(said.get("probability")), named))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from contamination import CONTAMINATIONS
 from strengths import LIBRARY_NAMES, log_uniform
 from systems import OUTSIDE
 
@@ -26,6 +27,7 @@ TIERS: dict[str, float] = {
     "acceleration": 0.0,
     "band_passed": 0.0,
     "band_passed_acceleration": 0.0,
+    "contaminated": 0.0,
 }
 """Kinds of batches and their shares; those without a share hide one effect after the other, all in the same motions."""
 
@@ -97,6 +99,8 @@ class Plan:
         Whether springs rival the linear one, dampers add up to 15 %, and hysteresis slips from 0.5 % of the amplitude.
     effect_scatter : float or None
         Relative standard deviation of the effects between specimens; drawn where not given.
+    contaminations : tuple of str
+        What else is in the records, of `contamination.CONTAMINATIONS`.
     damping_ratio, cycles, samples_per_cycle, noise_db, bits, specimens, release_factor : tuple
         Ranges; the middle four are as good as the data are.
     """
@@ -110,6 +114,7 @@ class Plan:
     effect_scatter: float | None = None
     drift: str | None = None
     second_mode: bool = False
+    contaminations: tuple[str, ...] = ()
     quantity: str = "displacement"
     is_banded: bool = False
     fewest_cycles: float = 0.0
@@ -193,6 +198,13 @@ def draw_plan(tier: str, rng: np.random.Generator, index: int = 0) -> Plan:
         plan.specimens, plan.cycles, plan.samples_per_cycle = (5,), (40, 80), (20.0, 60.0)
         plan.fewest_cycles = 25.0  # a band-pass takes some ten of them
         plan.noise_db, plan.bits = (50.0, 50.0), (24, 24)
+    elif tier == "contaminated":
+        plan.present, plan.visible = _pick(rng, LIBRARY_NAMES, 1), True
+        plan.contaminations = _pick(rng, CONTAMINATIONS, int(rng.integers(1, 3)))
+        if "outside" in plan.contaminations:
+            plan.outside = _pick(rng, tuple(OUTSIDE), 1)[0]
+        plan.specimens, plan.cycles, plan.samples_per_cycle = (2, 3, 3, 4, 5), (30, 80), (16.0, 50.0)
+        plan.noise_db, plan.bits, plan.fewest_cycles = (45.0, 60.0), (14, 24), 12.0
     elif tier in HARD_TIERS:
         _plan_hard(plan, tier, rng)
     else:

@@ -19,11 +19,9 @@ def candidates_of(search: Search, decision: Decision) -> tuple[Candidate, ...]:
     rows = []
     count = sum(w.size for w in search.batch.deciding)
     best_cost = search.fits[decision.best].cost
-    for names in decision.evidences:
-        if names not in search.fits:
-            continue  # a drift with time is no set of effects
-        found = search.fits[names]
-        probability = decision.probabilities[names]
+    for names, found in search.fits.items():
+        probability = decision.probabilities.get(names, 0.0)
+        weighed = decision.evidences.get(names)
         reduced = float(found.chi_square.sum() / count)
         status = Status.POSSIBLE if probability > _POSSIBLE else Status.REJECTED
         status = Status.NOT_CONVERGED if status is Status.REJECTED and search.is_open(names) else status
@@ -32,7 +30,7 @@ def candidates_of(search: Search, decision: Decision) -> tuple[Candidate, ...]:
             Candidate(
                 effects=names,
                 probability=probability,
-                log_evidence=decision.evidences[names].log_evidence,
+                log_evidence=float("nan") if weighed is None else weighed.log_evidence,
                 reduced_chi_square=reduced,
                 backbone_chi_square=level_chi_square(search.batch, on_levels(search.batch, found))
                 if status is not Status.REJECTED or len(names) < 2

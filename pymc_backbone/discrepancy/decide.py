@@ -9,18 +9,21 @@ from itertools import combinations
 import numpy as np
 
 from . import evidence
+from .estimates import estimates_of
 from .evidence import Evidence, LackOfFit
 from .joint_fit import Fit
+from .mechanisms import estimates_with, missing_mechanisms, remainder_of, weigh
 from .search import Search, Set
-from .tolerance import UNEXPLAINED, is_unexplained, prune, within_tolerance
-from .verdict import AdequateBy, Verdict
+from .study import MissingMechanism, Remainder
+from .tolerance import UNEXPLAINED, is_unexplained, prune
+from .verdict import AdequateBy, NamedLevel, Verdict
 
 MISSING = 0.01  # p-value of "nothing is missing" below which something is
 NAMED = 0.88  # probability from which a set is named
 LISTED = 0.95  # probability that the sets listed as possible hold together
 DRIFT_POSSIBLE = 0.05  # probability of a drift with time from which nothing is named
+MOST_OF_THE_GAP = 0.8  # share of the gap that named mechanisms explain together: it shrinks at least five-fold
 _MOST_LISTED = 16
-_PRIOR_NONE = 0.05  # prior probability that the library does not hold what is missing
 _IMITATES = (0.0, 0.01, 0.05, 0.3)  # how probable it is that a set of so many effects imitates what the library lacks
 _WEIGHT_OF_NOISE = 0.1  # how much rarer residuals like noise are where the library lacks what is missing
 _INDEPENDENT = 8.0  # the effects of the library count as so many independent attempts
@@ -59,9 +62,17 @@ class Decision:
     unfinished : tuple of tuple of str
         Sets that could explain the backbones, but whose fit to the records did not come to rest.
     is_approximate : bool
-        Whether the sets listed follow the backbones within the tolerance, none exactly.
+        Whether no set is exact, and their probabilities are those with a departure.
     left_by_best : float
         What the best of these leaves, as a share of the motion.
+    mechanisms : tuple of MissingMechanism
+        What may be missing by mechanism, most probable first.
+    named_level : NamedLevel or None
+        What is named; None unless the verdict is ``found``.
+    remainder : tuple of Remainder
+        What the best set leaves, where none is exact.
+    is_single_valued : bool
+        Whether what no set explains goes with the amplitude, and not with the record.
     """
 
     verdict: Verdict
@@ -80,6 +91,10 @@ class Decision:
     unfinished: tuple[Set, ...] = ()
     is_approximate: bool = False
     left_by_best: float = 0.0
+    mechanisms: tuple[MissingMechanism, ...] = ()
+    named_level: NamedLevel | None = None
+    remainder: tuple[Remainder, ...] = ()
+    is_single_valued: bool = True
 
 
 def p_nothing_missing(search: Search) -> float:
@@ -109,13 +124,15 @@ def decide(
     ``drifting`` is the base with a drift in time, known as ``drift_key``; ``bonus`` is added to its log evidence.
     """
     _complete(search)
-    decision = _judged(search, _weighed(search, drifting, drift_key, bonus), tolerance)
+    decision = _judged(search, _weighed(search, drifting, drift_key, bonus), tolerance, drifting)
     if decision.verdict is Verdict.AMBIGUOUS and decision.best not in decision.listed and not decision.unfinished:
-        return replace(decision, listed=(decision.best, *decision.listed))
-    return decision
+        decision = replace(decision, listed=(decision.best, *decision.listed))
+    if decision.verdict is Verdict.ADEQUATE or decision.mechanisms:
+        return decision
+    return _by_mechanism(search, decision)
 
 
-def _judged(search: Search, weighed: Decision, tolerance: Mapping[str, float]) -> Decision:
+def _judged(search: Search, weighed: Decision, tolerance: Mapping[str, float], drifting: Fit | None) -> Decision:
     """Return the verdict: each question in turn, until one is answered."""
     if weighed.best == () and not is_unexplained(weighed.lack, tolerance):
         return replace(weighed, verdict=Verdict.ADEQUATE, adequate_by=AdequateBy.STATISTICS)
@@ -127,15 +144,22 @@ def _judged(search: Search, weighed: Decision, tolerance: Mapping[str, float]) -
     named = _pruned(search, weighed, tolerance) if any(tolerance.values()) else weighed
     if named.verdict is Verdict.ADEQUATE:
         return named
-    if named.drift_probability > 0.5:
+    if named.drift_probability > 0.5 and drifting is not None and _is_exact(search, drifting):
         return replace(named, verdict=Verdict.UNEXPLAINED, below=())
     if named.lack.p_value < UNEXPLAINED:
-        return _approximate(search, named, tolerance)
+        return _departing(search, named)
+    if named.drift_probability > 0.5:
+        return replace(named, verdict=Verdict.UNEXPLAINED, below=())
     if named.probability >= NAMED and named.drift_probability < DRIFT_POSSIBLE:
-        return replace(named, verdict=Verdict.FOUND)
+        return replace(named, verdict=Verdict.FOUND, named_level=NamedLevel.LAW)
     chances = {names: named.evidences[names].probability for names in named.ranked}
     # what the sets do not hold of the probability is the drift's
     return replace(named, listed=_listed(chances, 1.0 - sum(chances.values())))
+
+
+def _is_exact(search: Search, found: Fit) -> bool:
+    """Return whether a fit leaves noise."""
+    return evidence.lack_of_fit(search.batch, found).p_value >= UNEXPLAINED
 
 
 def _weighed(search: Search, drifting: Fit | None, drift_key: Set, bonus: float) -> Decision:
@@ -159,8 +183,8 @@ def _weighed(search: Search, drifting: Fit | None, drift_key: Set, bonus: float)
     left = lack
     if drifting is not None and evidences[drift_key].log_posterior > evidences[best].log_posterior:
         left = evidence.lack_of_fit(search.batch, drifting)  # what explains the records best may be no set
-    none = _PRIOR_NONE * _WEIGHT_OF_NOISE / least_bayes_factor(left.p_value)
-    explained = (1.0 - _PRIOR_NONE) / (1.0 - _PRIOR_NONE + none)
+    none = evidence.PRIOR_NONE * _WEIGHT_OF_NOISE / least_bayes_factor(left.p_value)
+    explained = (1.0 - evidence.PRIOR_NONE) / (1.0 - evidence.PRIOR_NONE + none)
     probabilities = {names: explained * _is_none_other(names) * evidences[names].probability for names in search.fits}
     return Decision(
         verdict=Verdict.AMBIGUOUS,
@@ -195,30 +219,60 @@ def _pruned(search: Search, weighed: Decision, tolerance: Mapping[str, float]) -
     return replace(weighed, best=kept, probability=probability, below=below)
 
 
-def _approximate(search: Search, decision: Decision, tolerance: Mapping[str, float]) -> Decision:
-    """Return the decision where no set is exact.
+def _departing(search: Search, decision: Decision) -> Decision:
+    """Return the decision where no set is exact: sets are weighed with a departure, and mechanisms named, no law.
 
-    Sets that follow the backbones within the tolerance cannot be told apart by what matters; without any the records
-    are unexplained.
+    What goes with the time since the release, or differs between releases at the same amplitude, is no law: then the
+    records are unexplained, and so where what is most probable leaves most of the gap.
     """
-    close = within_tolerance(search, decision.ranked, tolerance) if any(tolerance.values()) else []
-    if not close:
-        unfinished = tuple(names for names in decision.ranked if search.is_open(names))
-        if unfinished:  # what was not fitted to its end is not refuted
-            return replace(decision, verdict=Verdict.AMBIGUOUS, listed=unfinished[:_MOST_LISTED], unfinished=unfinished)
-        return replace(decision, verdict=Verdict.UNEXPLAINED)
-    chances = by_model_error(search, close)
-    best = max(chances, key=lambda names: chances[names])
-    return replace(
+    weighed = weigh(search)
+    if weighed is None:
+        return replace(decision, verdict=Verdict.UNEXPLAINED, below=())
+    best = next((names for names in weighed.ranked() if search.fit_set(names)), ())
+    estimates = estimates_with(search, best, weighed.departing[best])
+    mechanisms = missing_mechanisms(search, weighed.probabilities, best, weighed.gaps, estimates)
+    lack = evidence.lack_of_fit(search.batch, search.fits[best])
+    known = replace(
         decision,
         best=best,
-        probability=chances[best],
-        probabilities={names: chances.get(names, 0.0) for names in search.fits},
+        probability=weighed.probabilities[best],
+        probabilities=weighed.probabilities,
+        lack=lack,
         below=(),
-        listed=_listed(chances, decision.drift_probability),
+        drift_probability=weighed.drift_probability,
+        mechanisms=mechanisms,
+        remainder=remainder_of(weighed, best),
         is_approximate=True,
-        left_by_best=evidence.lack_of_fit(search.batch, search.fits[best]).share,
+        is_single_valued=weighed.is_law,
+        left_by_best=lack.share,
     )
+    if not weighed.is_law or weighed.drift_probability > 0.5:
+        return replace(known, verdict=Verdict.UNEXPLAINED)
+    if weighed.gaps[best] > 1.0 - MOST_OF_THE_GAP:
+        open_sets = [names for names in decision.ranked if search.is_open(names)]
+        unfinished = tuple(names for names in open_sets if weighed.gaps.get(names, 0.0) <= 1.0 - MOST_OF_THE_GAP)
+        if unfinished:  # what was not fitted to its end is not refuted
+            return replace(known, verdict=Verdict.AMBIGUOUS, listed=unfinished[:_MOST_LISTED], unfinished=unfinished)
+        return replace(known, verdict=Verdict.UNEXPLAINED)
+    if is_told_apart(mechanisms) and weighed.drift_probability < DRIFT_POSSIBLE:
+        return replace(known, verdict=Verdict.FOUND, named_level=NamedLevel.MECHANISM)
+    # the base with a departure is no explanation, and not listed as one
+    sets = {names: chance for names, chance in weighed.probabilities.items() if names and names in search.fits}
+    return replace(known, verdict=Verdict.AMBIGUOUS, listed=_listed(sets, 1.0 - sum(sets.values())))
+
+
+def is_told_apart(mechanisms: Sequence[MissingMechanism]) -> bool:
+    """Return whether mechanisms can be named: some are certain, and what they explain is most of the gap."""
+    named = [item for item in mechanisms if item.is_certain]
+    return bool(named) and sum(item.share_of_gap for item in named) >= MOST_OF_THE_GAP
+
+
+def _by_mechanism(search: Search, decision: Decision) -> Decision:
+    """Return the decision with the mechanisms of its sets, where these are exact."""
+    best, count = decision.best, search.count
+    gaps = {names: float(np.sqrt(max(found.cost - count, 0.0))) for names, found in search.fits.items()}
+    estimates = estimates_of(search.fits[best])
+    return replace(decision, mechanisms=missing_mechanisms(search, decision.probabilities, best, gaps, estimates))
 
 
 def _is_none_other(names: Set) -> float:
@@ -228,7 +282,7 @@ def _is_none_other(names: Set) -> float:
     """
     size = min(len(names), len(_IMITATES) - 1)
     prior = evidence.PRIOR_OF_SIZE[size]
-    return prior / (prior + _PRIOR_NONE * _IMITATES[size])
+    return prior / (prior + evidence.PRIOR_NONE * _IMITATES[size])
 
 
 def _listed(chances: Mapping[Set, float], total: float) -> tuple[Set, ...]:
@@ -242,24 +296,6 @@ def _listed(chances: Mapping[Set, float], total: float) -> tuple[Set, ...]:
     return tuple(listed)
 
 
-def by_model_error(search: Search, close: Sequence[Set]) -> dict[Set, float]:
-    """Return the probability of each of some sets, none of which is exact, that it is the best description.
-
-    What a set leaves is taken for a model error of unknown size that is alike in all specimens and smooth over
-    amplitude: it has as many independent pieces as there are levels, however many samples show it. The logarithm of
-    the evidence is ``-n/2 log chi^2`` with Schwarz' price for each parameter.
-    """
-    pieces = float(np.asarray(search.batch.backbones["level"]).size)
-    logs = []
-    for names in close:
-        found = search.fits[names]
-        price = 0.5 * found.layout.free.size * np.log(pieces)
-        prior = evidence.log_prior(len(names), len(search.candidates))
-        logs.append(prior - price - 0.5 * pieces * float(np.log(found.cost)))
-    weights = np.exp(np.array(logs) - max(logs))
-    return dict(zip(close, (weights / weights.sum()).tolist(), strict=True))
-
-
 def mind_second_mode(decision: Decision) -> Decision:
     """Return what can be said of records in which a second mode beats.
 
@@ -269,7 +305,9 @@ def mind_second_mode(decision: Decision) -> Decision:
     if decision.verdict is Verdict.ADEQUATE:
         return replace(decision, has_second_mode=True, verdict=Verdict.UNEXPLAINED, adequate_by=None)
     if decision.verdict is Verdict.FOUND:
-        return replace(decision, has_second_mode=True, verdict=Verdict.AMBIGUOUS, listed=(decision.best,))
+        return replace(
+            decision, has_second_mode=True, verdict=Verdict.AMBIGUOUS, named_level=None, listed=(decision.best,)
+        )
     return replace(decision, has_second_mode=True)
 
 

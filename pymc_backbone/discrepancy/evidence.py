@@ -16,6 +16,8 @@ from .joint_fit import NUISANCES, Fit, information
 
 PRIOR_OF_SIZE = (0.5, 0.445, 0.05, 0.005)
 """Prior probability that so many effects are missing, shared evenly among the sets of that size."""
+PRIOR_NONE = 0.05
+"""Prior probability that the library does not hold what is missing."""
 UNSEEN = 0.5
 """Prior probability that a missing effect is too small to be seen: then the records are as probable as without it."""
 

@@ -17,6 +17,7 @@ _KEPT_PARENTS = 2
 _ROUNDS = 2
 _LOOKED_BACK = 3
 _MOST_FOLLOWED = 24  # sets that are followed from the backbones to the waveforms before anything explains these
+_FEW_FOLLOWED = 6  # the same where not even the backbones are explained
 _MOST_EXTENDED = 8
 _REACH = 12.0  # difference of the logarithm of evidence by the backbones within which the waveforms are asked, too
 _SETTLED = 4
@@ -40,8 +41,12 @@ class Search(FittedSets):
                 self.progress("single effects", (k + 1) / len(self.candidates))
                 self.fit_set((name,))
             self._look_again()
+        elif self._is_beyond():
+            self._follow_backbones(_FEW_FOLLOWED)
+            self._look_back()
+            return
         else:
-            self._follow_backbones()
+            self._follow_backbones(_MOST_FOLLOWED)
         self._look_back()
         for size in range(2, self.max_effects + 1):
             before = self.best(size - 1)
@@ -66,10 +71,17 @@ class Search(FittedSets):
         best = self.best()
         return not self._is_costly(best) and evidence.lack_of_fit(self.batch, self.fits[best]).p_value > _NOISE
 
-    def _follow_backbones(self) -> None:
+    def _is_beyond(self) -> bool:
+        """Return whether no set explains the backbones; then none explains the records, and mechanisms are asked."""
+        values = sum(term.size for term in self.batch.levels)
+        known = [item.chi_square for item in self.proposals.values() if item.is_exact]
+        return bool(known) and min(known) > _POSSIBLE_BACKBONE * values
+
+    def _follow_backbones(self, most: int) -> None:
         """Fit the sets in the order of their backbones until one explains the records and no rival is within reach.
 
-        A set that adds to one that explains already is left to the stage after, which starts from there.
+        ``most`` of them before anything explains the records. A set that adds to one that explains already is left to
+        the stage after, which starts from there.
         """
         fitted = 0
         reach = -np.inf
@@ -77,14 +89,14 @@ class Search(FittedSets):
         for names, proposal in self.proposals.items():
             if not names or any(set(known) < set(names) for known in explained):
                 continue
-            if proposal.log_evidence < reach or fitted >= _MOST_FOLLOWED:
+            if proposal.log_evidence < reach or fitted >= most:
                 break
             if self._is_spent:
                 self.is_cut = True
                 break
             if self._is_costly(names) and explained and self._is_settled():
                 continue
-            self.progress("sets that the backbones propose", min(fitted / _MOST_FOLLOWED, 1.0))
+            self.progress("sets that the backbones propose", min(fitted / most, 1.0))
             found = self.fit_set(names)
             fitted += 1
             if found is not None and found.cost < EXPLAINED * self.count:

@@ -326,14 +326,21 @@ class SetFits:
             return -np.inf
         result = -0.5 * start.cost - 0.5 * start.log_determinant
         if start.eta.size:
-            # Log-uniform priors: four decades of strength, two of shape; as normal ones of the same information.
-            strength = np.maximum(np.abs(start.eta), 1e-4 * layout.width) * np.log(1e4) / np.sqrt(12.0)
-            shape = np.where(self._view(names).is_log, np.abs(start.eta) * np.log(1e2) / np.sqrt(12.0), layout.width)
-            width = np.where(layout.is_strength, strength, np.minimum(shape, layout.high - layout.low))
+            width = prior_widths(layout, start.eta)
             scaled = 0.5 * (start.shared + start.shared.T) * np.outer(width, width)
             eigenvalues = np.linalg.eigvalsh(scaled)
             result -= 0.5 * float(np.log1p(np.maximum(eigenvalues, 0.0)).sum())
         return result + evidence.log_prior(len(names), len(self.candidates))
+
+
+def prior_widths(layout: Layout, eta: FloatArray) -> FloatArray:
+    """Return standard deviations (q,) of priors of as much information as log-uniform ones.
+
+    These hold four decades of strength and two of shape.
+    """
+    strength = np.maximum(np.abs(eta), 1e-4 * layout.width) * np.log(1e4) / np.sqrt(12.0)
+    shape = np.where(is_log(layout), np.abs(eta) * np.log(1e2) / np.sqrt(12.0), layout.width)
+    return np.where(layout.is_strength, strength, np.minimum(shape, layout.high - layout.low))
 
 
 def is_log(layout: Layout) -> Any:

@@ -11,7 +11,7 @@ import xarray as xr
 from .._common.checks import FloatArray
 from ..oscillator import Oscillator
 from .design import Contender, Design, Plan
-from .verdict import AdequateBy, Status, Verdict
+from .verdict import LEAST_SHARE, MECHANISM_NAMED, AdequateBy, NamedLevel, Status, Verdict
 
 
 @dataclass(frozen=True)
@@ -65,6 +65,78 @@ class Candidate:
     status: Status
     reason: str
     parameters: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class LawProbability:
+    """One law of a mechanism: the effect, and the probability of all sets together that hold it."""
+
+    effect: str
+    probability: float
+
+
+@dataclass(frozen=True)
+class MissingMechanism:
+    """What effects have in common, whatever their law.
+
+    Attributes
+    ----------
+    mechanism : str
+        A key of `MECHANISMS`.
+    probability : float
+        Of all sets together that hold a law of it.
+    share_of_gap : float
+        By what share of the base's chi-square at the levels it lowers that; zero where the best set does not hold it.
+    laws : tuple of LawProbability
+        The laws that it may be, most probable first.
+    parameters : mapping of str to (float, float)
+        Value over the batch and standard error, by parameter of the best set's laws of it.
+    """
+
+    mechanism: str
+    probability: float
+    share_of_gap: float
+    laws: tuple[LawProbability, ...]
+    parameters: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def is_certain(self) -> bool:
+        """Whether it is probable enough for a name, and explains enough to be worth one."""
+        return self.probability >= MECHANISM_NAMED and self.share_of_gap >= LEAST_SHARE
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """What the most probable set leaves of the gap in one observable, over the amplitudes that were visited.
+
+    Attributes
+    ----------
+    observable : str
+        frequency, damping or offset.
+    size : float
+        Measured minus the model with the set, where it is largest [``unit``].
+    unit : str
+        Hz, or 1.
+    standard_errors : float
+        The same in standard errors of it.
+    share_of_gap : float
+        Root mean square over that of the gap of the base model.
+    amplitude_low, amplitude_high : float
+        The range [m or rad].
+    amplitude, values, errors : tuples of float
+        The curve and its standard errors [``unit``] at some amplitudes [m or rad].
+    """
+
+    observable: str
+    size: float
+    unit: str
+    standard_errors: float
+    share_of_gap: float
+    amplitude_low: float
+    amplitude_high: float
+    amplitude: tuple[float, ...]
+    values: tuple[float, ...]
+    errors: tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -167,7 +239,7 @@ class Study:
     extended : Oscillator or None
         The base with the most probable set of effects added, where that is not empty.
     missing_effects : tuple of str
-        The named effects; empty unless the verdict is ``found``.
+        The named effects; empty unless the verdict is ``found`` and the law is named.
     probability : float
         Posterior probability of the most probable set.
     candidates : tuple of Candidate
@@ -227,6 +299,13 @@ class Study:
     plan : Plan or None
         Which test would tell them apart; None where none was looked for.
 
+    mechanisms : tuple of MissingMechanism
+        What may be missing by mechanism, most probable first; empty where the verdict is ``adequate``.
+    named_level : NamedLevel or None
+        What is named, a string: ``law`` or ``mechanism``; None unless the verdict is ``found``.
+    remainder : tuple of Remainder
+        What the most probable set leaves by observable, where no law is exact; else empty.
+
     See Also
     --------
     find_missing_effect : makes it.
@@ -271,3 +350,6 @@ class Study:
     present: Design | None = None
     contenders: tuple[Contender, ...] = ()
     plan: Plan | None = None
+    mechanisms: tuple[MissingMechanism, ...] = ()
+    named_level: NamedLevel | None = None
+    remainder: tuple[Remainder, ...] = ()

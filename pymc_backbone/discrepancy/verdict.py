@@ -14,6 +14,19 @@ class Verdict(StrEnum):
     UNEXPLAINED = "unexplained"
 
 
+class NamedLevel(StrEnum):
+    """On what level something is named: one law, or the mechanism that several laws have in common."""
+
+    LAW = "law"
+    MECHANISM = "mechanism"
+
+
+MECHANISM_NAMED = 0.95
+"""Probability from which a mechanism is named."""
+LEAST_SHARE = 0.05
+"""Share of the gap from which a mechanism is named: what explains less may follow what is no law."""
+
+
 class Status(StrEnum):
     """What became of a candidate set."""
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from .._common.checks import OBSERVABLES, FloatArray
+from ..effects import MECHANISMS
 from . import starts
 from .batch import Batch
 from .curves import curve, measured, on_levels
@@ -14,11 +15,12 @@ from .decide import DRIFT_POSSIBLE, Decision
 from .estimates import without
 from .joint_fit import Fit, State, parameters_of
 from .search import Search, Set
-from .study import Check, Detectable
-from .verdict import AdequateBy, Verdict
+from .study import Check, Detectable, MissingMechanism
+from .verdict import AdequateBy, NamedLevel, Verdict
 
 _DETECTED = 5.0  # standard deviations at which an effect is named nine times in ten
-_SPOKEN = 5  # sets that the sentence holds
+_SPOKEN = 5  # sets or laws that the sentence holds
+_UNLIKELY = 0.02  # probability of a law below which the sentence does not hold it
 _SEPARATED = 5.0  # logarithm of the odds that decides
 
 
@@ -123,7 +125,7 @@ def _largest(change: FloatArray) -> float:
 
 def advice(search: Search, decision: Decision) -> tuple[str, ...]:
     """Say what measurement would tell the most probable set from the next that is not just a larger or smaller one."""
-    listed = [names for names in decision.listed if names != decision.best]
+    listed = [names for names in decision.listed if names != decision.best and names in search.fits]
     sentences = []
     if is_drift_possible(decision):
         sentences.append(
@@ -190,10 +192,49 @@ def _named(names: Set) -> str:
     return " + ".join(names) if names else "no missing effect"
 
 
+def _chance(probability: float) -> str:
+    """Return a probability in per cent, never rounded to certainty."""
+    if probability > 0.999:
+        return "more than 99.9 %"
+    return f"{100.0 * probability:.3g} %" if probability > 0.99 else f"{100.0 * probability:.0f} %"
+
+
+def _of_mechanism(item: MissingMechanism) -> str:
+    """Return the sentence that names a mechanism, with the laws that it may be."""
+    laws = [law for law in item.laws if law.probability > _UNLIKELY]
+    if len(laws) > 1:
+        told = ", ".join(f"{law.effect} {100.0 * law.probability:.0f} %" for law in laws[:_SPOKEN])
+        which = f"which law these records do not tell: {told}"
+    else:
+        which = f"its law is {laws[0].effect} or one like it, not exactly"
+    share = f"it explains {100.0 * item.share_of_gap:.0f} % of the gap"
+    return f"{MECHANISMS[item.mechanism].capitalize()} is missing, {_chance(item.probability)}; {share}; {which}."
+
+
+def _certain(decision: Decision) -> str:
+    """Return the sentence on what is certain all the same; empty where nothing is."""
+    certain = [item for item in decision.mechanisms if item.is_certain]
+    if not certain or decision.drift_probability > DRIFT_POSSIBLE or not decision.is_single_valued:
+        return ""
+    kinds = [f"{MECHANISMS[item.mechanism]} ({100.0 * item.share_of_gap:.0f} % of the gap)" for item in certain]
+    return f" Certain all the same: {', '.join(kinds)}."
+
+
+def _of_inexact(decision: Decision, named: Sequence[str]) -> str:
+    """Return the sentence where no set is exact and no mechanism can be named."""
+    sets = "; ".join(named[:_SPOKEN])
+    rest = f"; and {len(named) - _SPOKEN} more" if len(named) > _SPOKEN else ""
+    kinds = ", ".join(f"{MECHANISMS[item.mechanism]} {_chance(item.probability)}" for item in decision.mechanisms)
+    told = "Something is missing, but no set is exact and these records do not tell mechanisms apart"
+    return f"{told}: {kinds} ({sets}{rest})."
+
+
 def sentence(decision: Decision) -> str:
     """Return the verdict in one sentence."""
     percent = f"{100.0 * decision.probability:.0f} %" if decision.probability < 0.995 else "more than 99 %"
     best = _named(decision.best)
+    if decision.named_level is NamedLevel.MECHANISM:
+        return " ".join(_of_mechanism(item) for item in decision.mechanisms if item.is_certain)
     if decision.verdict is Verdict.FOUND:
         below = f" ({', '.join(decision.below)} is detectable too, below the tolerance)" if decision.below else ""
         return f"{best} is missing from the model, with a probability of {percent}{below}."
@@ -202,12 +243,9 @@ def sentence(decision: Decision) -> str:
         named = [*listed, "a drift with time"] if is_drift_possible(decision) else listed
         if decision.has_second_mode:
             named = [*named, "a second mode"]
-        if decision.is_approximate and len(named) == 1:
-            return (
-                f"Something is missing; of the known effects {best} alone follows the backbones within the tolerance, "
-                f"but it is not exact: it leaves {decision.left_by_best:.2%} of the motion."
-            )
-        if len(named) == 1 and decision.best:
+        if decision.is_approximate and not decision.unfinished:
+            return _of_inexact(decision, named)
+        if len(named) == 1 and decision.best and not decision.unfinished:
             return (
                 f"Something is missing; of the known effects {best} is the only explanation that remains, but with a "
                 f"probability of {percent} it is too uncertain for a name."
@@ -220,18 +258,22 @@ def sentence(decision: Decision) -> str:
             )
         rest = f"; and {len(named) - _SPOKEN} more" if len(named) > _SPOKEN else ""
         sets = "; ".join(named[:_SPOKEN])
-        exact = "; within the tolerance each follows the backbones, none is exact" if decision.is_approximate else ""
-        return f"Something is missing, but these records do not tell apart: {sets}{rest}{exact}."
+        return f"Something is missing, but these records do not tell apart: {sets}{rest}.{_certain(decision)}"
     if decision.verdict is Verdict.UNEXPLAINED and decision.has_second_mode and decision.drift_probability <= 0.5:
         partial = f"; beside it the best explanation is {best}" if decision.best else ""
         return f"Something is in the records that the model does not have: a second mode beats with it{partial}."
+    if decision.verdict is Verdict.UNEXPLAINED and not decision.is_single_valued:
+        return (
+            "Something is missing, but what no set of known effects explains differs between records at the same "
+            "amplitude: it goes with the time or the record, and no law of amplitude is named."
+        )
     if decision.verdict is Verdict.UNEXPLAINED:
         why = (
             "a drift with time explains the records better than any effect of amplitude"
             if decision.drift_probability > 0.5
             else f"what the best set ({best}) leaves is not noise ({decision.lack.share:.2%} of the motion)"
         )
-        return f"Something is missing, and no set of known effects explains it: {why}."
+        return f"Something is missing, and no set of known effects explains it: {why}.{_certain(decision)}"
     if decision.adequate_by is AdequateBy.TOLERANCE:
         what = _named(decision.below) if decision.below else "a drift with time"
         return f"The model is adequate: {what} is detectable, but changes the backbones by less than the tolerance."

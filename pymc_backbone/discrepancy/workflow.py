@@ -31,7 +31,7 @@ from .plan import plan_tests
 from .question import Question, ask
 from .search import Search
 from .study import Check, Study
-from .verdict import Verdict
+from .verdict import NamedLevel, Verdict
 from .verify import MOST_HELD_OUT, Verification, verify
 
 _AGREE = 5.0  # reduced chi-square of the backbones up to which they agree with the waveforms
@@ -242,7 +242,7 @@ def _study(
         sentence=words.with_checks(words.sentence(decision), decision.verdict, checks),
         base=question.base,
         extended=None if extended is None else extended.layout.oscillator,
-        missing_effects=decision.best if decision.verdict is Verdict.FOUND else (),
+        missing_effects=decision.best if decision.named_level is NamedLevel.LAW else (),
         probability=decision.probability,
         candidates=candidates_of(search, decision),
         ambiguous_sets=decision.listed if is_ambiguous else (),
@@ -276,6 +276,9 @@ def _study(
         present=present_design(batch),
         contenders=_contenders(outcome),
         plan=plan,
+        mechanisms=decision.mechanisms,
+        named_level=decision.named_level,
+        remainder=decision.remainder,
     )
 
 

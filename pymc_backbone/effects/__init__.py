@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from .._common.checks import InputError, check_choice
-from ._base import ROLES, Effect, Parameter, Role, Signature
+from ._base import EITHER, MECHANISMS, ROLES, Effect, Mechanism, Parameter, Role, Signature
 
 BASE_EFFECTS: tuple[str, str] = ("linear_stiffness", "viscous_damping")
 """The effects that every oscillator has."""
@@ -72,4 +72,16 @@ def get_effect(name: str) -> Effect:
     return LIBRARY[check_choice("effect", name, LIBRARY)]
 
 
-__all__ = ["BASE_EFFECTS", "LIBRARY", "ROLES", "Effect", "Parameter", "Role", "Signature", "get_effect"]
+__all__ = [
+    "BASE_EFFECTS",
+    "EITHER",
+    "LIBRARY",
+    "MECHANISMS",
+    "ROLES",
+    "Effect",
+    "Mechanism",
+    "Parameter",
+    "Role",
+    "Signature",
+    "get_effect",
+]

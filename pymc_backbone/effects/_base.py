@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any, Literal, get_args
 
 import numba
@@ -16,6 +17,25 @@ BoundsFunction = Callable[[float, float, float], tuple[float, float]]
 TypicalFunction = Callable[[float, float, float], tuple[float, ...]]
 Role = Literal["strength", "slip_force", "gap", "exponent", "power_coefficient", "shape", "plain"]
 ROLES: tuple[Role, ...] = get_args(Role)
+Mechanism = Literal["spring", "asymmetry", "clearance", "hysteresis", "drag", "displacement_damping"]
+MECHANISMS: Mapping[str, str] = MappingProxyType(
+    {
+        "spring": "hardening or softening of the spring",
+        "asymmetry": "a spring that differs between the two sides",
+        "clearance": "clearance or contact",
+        "hysteresis": "friction-like hysteresis",
+        "drag": "damping that rises with speed",
+        "displacement_damping": "damping that rises with displacement",
+        "other": "another mechanism",
+        "rising_damping": "damping that rises with the amplitude",
+        "changing_stiffness": "stiffness that changes with the amplitude",
+    }
+)
+"""What effects have in common, in words; `other` stands for effects that do not say, the last two for either of two."""
+EITHER: Mapping[str, tuple[Mechanism, Mechanism]] = MappingProxyType(
+    {"rising_damping": ("drag", "displacement_damping"), "changing_stiffness": ("spring", "clearance")}
+)
+"""Mechanisms that backbones may be unable to tell apart, while one of the two is certain."""
 _NAME = re.compile(r"[a-z][a-z0-9_]*\Z")
 
 
@@ -173,6 +193,9 @@ class Effect:
     needs_rotation : bool
         Whether the law holds for an angle only, as that of a pendulum does: it is looked for where the motion is
         measured in radians, and elsewhere only when it is named.
+    mechanism : {"spring", "asymmetry", "clearance", "hysteresis", "drag", "displacement_damping"}, optional
+        What the effect does, whatever its law: where records do not tell one law from another, that is named. Effects
+        without one count together as another mechanism.
 
     See Also
     --------
@@ -197,10 +220,13 @@ class Effect:
     opposed: tuple[tuple[str, str], ...] = ()
     signature: Signature | None = None
     needs_rotation: bool = False
+    mechanism: Mechanism | None = None
 
     def __post_init__(self) -> None:
         if not _NAME.match(self.name):
             raise InputError(f"effect name {self.name!r} must be lower-case letters, digits and underscores.")
+        if self.mechanism is not None:
+            check_choice("mechanism", self.mechanism, get_args(Mechanism))
         for label in ("force", "gradient", "regime", "state_rate", "state_rate_gradient"):
             function = getattr(self, label)
             if function is not None and not (hasattr(function, "py_func") or numba.config.DISABLE_JIT):

@@ -57,6 +57,7 @@ EFFECT = Effect(
         "Shaw S. W., Holmes P. J. (1983) A periodically forced piecewise linear oscillator. "
         "Journal of Sound and Vibration 90(1), 129-155",
     ),
+    mechanism="asymmetry",
     signature=Signature(
         frequency="Constant: the mean of two half cycles, whatever their amplitude.",
         damping="Constant.",

@@ -142,6 +142,7 @@ EFFECT = Effect(
         "Ismail M., Ikhouane F., Rodellar J. (2009) The hysteresis Bouc-Wen model, a survey. "
         "Archives of Computational Methods in Engineering 16, 161-188. doi:10.1007/s11831-009-9031-8",
     ),
+    mechanism="hysteresis",
     signature=Signature(
         frequency="Falls with the amplitude, and levels off where the hysteretic spring has given all it can.",
         damping="Rises with the amplitude, levels off, and falls again at far larger ones.",

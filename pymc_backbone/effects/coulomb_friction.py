@@ -43,6 +43,7 @@ EFFECT = Effect(
         "Feeny B. F., Liang J.-W. (1996) A decrement method for the simultaneous estimation of Coulomb and viscous "
         "friction. Journal of Sound and Vibration 195(1), 149-154",
     ),
+    mechanism="hysteresis",
     signature=Signature(
         frequency="Constant.",
         damping="Falls as one over the amplitude: friction takes the same step off every cycle, a larger share of "

@@ -48,6 +48,7 @@ EFFECT = Effect(
         "Kovacic I., Brennan M. J. (2011) The Duffing Equation. Wiley. doi:10.1002/9780470977859",
         "Nayfeh A. H., Mook D. T. (1979) Nonlinear Oscillations. Wiley. doi:10.1002/9783527617586",
     ),
+    mechanism="spring",
     signature=Signature(
         frequency="Rises with the square of the amplitude; falls where the coefficient is negative.",
         damping="Falls a little where the frequency rises: the spring dissipates nothing, but the viscous damper "

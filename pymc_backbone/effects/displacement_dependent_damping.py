@@ -43,6 +43,7 @@ EFFECT = Effect(
         "Zaitsev S., Shtempluck O., Buks E., Gottlieb O. (2012) Nonlinear damping in a micromechanical oscillator. "
         "Nonlinear Dynamics 67, 859-883. arXiv:0911.0833",
     ),
+    mechanism="displacement_damping",
     signature=Signature(
         frequency="Constant.",
         damping="Rises with the square of the amplitude.",

@@ -69,6 +69,7 @@ EFFECT = Effect(
         "Kerschen G., Worden K., Vakakis A. F., Golinval J.-C. (2006) Past, present and future of nonlinear system "
         "identification in structural dynamics. Mechanical Systems and Signal Processing 20(3), 505-592",
     ),
+    mechanism="clearance",
     signature=Signature(
         frequency="Rises once the amplitude has closed the gap, steeply at first; constant below.",
         damping="Falls where the frequency rises; constant below the gap.",

@@ -118,6 +118,7 @@ EFFECT = Effect(
         "Iwan W. D. (1966) A distributed-element model for hysteresis and its steady-state dynamic response. "
         "Journal of Applied Mechanics 33(4), 893-900. doi:10.1115/1.3625199",
     ),
+    mechanism="hysteresis",
     signature=Signature(
         frequency="Falls slowly with the amplitude, as ever more of the contact slips.",
         damping="Rises with the amplitude to the power chi + 1.",

@@ -77,6 +77,7 @@ EFFECT = Effect(
         "Iwan W. D. (1966) A distributed-element model for hysteresis and its steady-state dynamic response. "
         "Journal of Applied Mechanics 33(4), 893-900. doi:10.1115/1.3625199",
     ),
+    mechanism="hysteresis",
     signature=Signature(
         frequency="Falls once the slider slips; constant below.",
         damping="Rises, then falls: nothing below slip, a peak, then less, because a friction of fixed size "

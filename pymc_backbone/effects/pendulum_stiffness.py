@@ -43,6 +43,7 @@ EFFECT = Effect(
     gradient=gradient,
     references=("Nayfeh A. H., Mook D. T. (1979) Nonlinear Oscillations. Wiley. doi:10.1002/9783527617586",),
     needs_rotation=True,
+    mechanism="spring",
     signature=Signature(
         frequency="Falls with the square of the angle: by 6 % at one radian.",
         damping="Rises a little where the frequency falls: a longer cycle leaves the viscous damper more time.",

@@ -44,6 +44,7 @@ EFFECT = Effect(
         "Elliott S. J., Ghandchi Tehrani M., Langley R. S. (2015) Nonlinear damping and quasi-linear modelling. "
         "Philosophical Transactions of the Royal Society A 373, 20140402. doi:10.1098/rsta.2014.0402",
     ),
+    mechanism="drag",
     signature=Signature(
         frequency="Constant.",
         damping="Rises in proportion to the amplitude.",

@@ -45,6 +45,7 @@ EFFECT = Effect(
     force=force,
     gradient=gradient,
     references=("Nayfeh A. H., Mook D. T. (1979) Nonlinear Oscillations. Wiley. doi:10.1002/9783527617586",),
+    mechanism="asymmetry",
     signature=Signature(
         frequency="Falls with the square of the amplitude, whatever the sign of the coefficient.",
         damping="Falls a little.",

@@ -45,6 +45,7 @@ EFFECT = Effect(
     force=force,
     gradient=gradient,
     references=("Nayfeh A. H., Mook D. T. (1979) Nonlinear Oscillations. Wiley. doi:10.1002/9783527617586",),
+    mechanism="spring",
     signature=Signature(
         frequency="Rises with the fourth power of the amplitude: hardly at small ones, steeply at large ones.",
         damping="Falls a little where the frequency rises, as beside a cubic spring.",

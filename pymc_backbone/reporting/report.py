@@ -9,10 +9,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ..discrepancy.study import Study
+from ..discrepancy.verdict import NamedLevel, Verdict
 from .html import Raw, bullets, details, escape, image, number, page, paragraph, prose, section, table, tiles
 from .report_gap import amplitudes, curves, held_out_gap, interval, where
-from .report_model import candidates, convergence, detectable, equations, parameters
-from .words import ADEQUATE_BY, VERDICT_MEANS, VERDICT_WORDS, percent, set_name
+from .report_model import candidates, convergence, detectable, equations, mechanisms, parameters
+from .words import ADEQUATE_BY, NAMED_MEANS, VERDICT_MEANS, VERDICT_WORDS, mechanism_name, percent, set_name
 
 
 def report_html(study: Study, figures: Mapping[str, Figure], *, version: str, command: str = "") -> str:
@@ -40,6 +41,7 @@ def report_html(study: Study, figures: Mapping[str, Figure], *, version: str, co
             _reasons(study),
             curves(study, figures),
             where(study),
+            mechanisms(study),
             candidates(study, figures),
             parameters(study, figures),
             equations(study),
@@ -57,7 +59,8 @@ def report_html(study: Study, figures: Mapping[str, Figure], *, version: str, co
 def _header(study: Study) -> str:
     count = study.backbones.sizes["specimen"]
     kicker = f"Missing effect in {count} {'specimen' if count == 1 else 'specimens'}"
-    means = VERDICT_MEANS.get(study.verdict, "")
+    level = study.named_level or (NamedLevel.LAW if study.verdict == Verdict.FOUND else None)
+    means = NAMED_MEANS[level] if level is not None else VERDICT_MEANS.get(study.verdict, "")
     if study.adequate_by is not None:
         means = f"{means} {ADEQUATE_BY.get(study.adequate_by, '')}"
     parts = [
@@ -79,7 +82,13 @@ def _key_figures(study: Study) -> list[tuple[object, object]]:
     levels = np.asarray(study.backbones["level"], dtype=float)
     best = study.candidates[0].effects if study.candidates else ()
     figures: list[tuple[object, object]] = []
-    if np.isfinite(study.probability):
+    if study.named_level == NamedLevel.MECHANISM:
+        figures += [
+            (percent(item.probability), f"probability of {mechanism_name(item.mechanism)}")
+            for item in study.mechanisms
+            if item.is_certain
+        ]
+    elif np.isfinite(study.probability):
         figures.append(
             (
                 percent(study.probability),

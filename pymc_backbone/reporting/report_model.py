@@ -13,9 +13,10 @@ from ..effects import LIBRARY
 from ..oscillator import Oscillator
 from .html import Raw, bullets, details, escape, image, number, paragraph, section, table, tiles, unit
 from .terminal import meaningful_digits
-from .words import STATUS_WORDS, added_effects, percent, set_name
+from .words import STATUS_WORDS, added_effects, mechanism_name, percent, set_name
 
 FIRST_CANDIDATES = 6
+MOST_SETS = 12
 
 
 def candidates(study: Study, figures: Mapping[str, Figure]) -> str:
@@ -43,6 +44,47 @@ def candidates(study: Study, figures: Mapping[str, Figure]) -> str:
         "soft",
     )
     return section("Candidates", first, rest, note, details("The same as a figure", picture)) if rows else ""
+
+
+def mechanisms(study: Study) -> str:
+    """List what may be missing by mechanism, and inside each the laws and the sets of effects that it may be."""
+    held = {name: effect.mechanism or "other" for name, effect in LIBRARY.items()}
+    held.update({e.name: e.mechanism or "other" for e in (study.extended or study.base).effects})
+    columns = (("mechanism", "head"), ("probability", "n"), ("share of the gap", "n"), ("laws and sets", "text"))
+    rows = []
+    for item in study.mechanisms:
+        laws = ", ".join(f"{law.effect.replace('_', ' ')} {percent(law.probability)}" for law in item.laws)
+        sets = [
+            f"{set_name(found.effects)}: {percent(found.probability)}"
+            for found in study.candidates
+            if found.probability > 0.0 and item.mechanism in {held.get(name, "other") for name in found.effects}
+        ]
+        inside = details(laws, bullets(sets[:MOST_SETS])) if sets else escape(laws)
+        share = Raw(f"{number(100.0 * item.share_of_gap, 3)} %")
+        rows.append((mechanism_name(item.mechanism), _bar(item.probability), share, Raw(inside)))
+    note = "A mechanism is as probable as all sets together that hold a law of it."
+    if study.remainder:
+        note += " None of these laws is exact: a smooth departure of unknown size is allowed for."
+    if not rows:
+        return ""
+    return section("Mechanisms", table(columns, rows, strong=[0]), paragraph(note, "soft"), _remainder(study))
+
+
+def _remainder(study: Study) -> str:
+    """List what the most probable set leaves, by observable."""
+    if not study.remainder:
+        return ""
+    columns = (("what is left of", "head"), ("largest", "n"), ("in standard errors", "n"), ("share of the gap", "n"))
+    amplitude = str(study.backbones.attrs.get("amplitude_unit", "m"))
+    rows = []
+    for item in study.remainder:
+        size = f"{number(item.size, 2)} {item.unit}" if item.unit != "1" else number(item.size, 2)
+        share = f"{number(100.0 * item.share_of_gap, 2)} %" if np.isfinite(item.share_of_gap) else "-"
+        rows.append((item.observable, size, number(item.standard_errors, 2), share))
+    first = study.remainder[0]
+    span = f"between {number(first.amplitude_low, 3)} and {number(first.amplitude_high, 3)} {amplitude}"
+    return table(columns, rows) + paragraph(f"What the most probable set leaves {span}, beyond its own frequency "
+                                            "and damping.", "soft")  # fmt: skip
 
 
 def _candidate_row(candidate: Candidate, units: Mapping[str, str]) -> tuple[object, ...]:

@@ -37,7 +37,16 @@ DIAGNOSIS_KEYS = {
     "verdict": "adequate | found | ambiguous | unexplained",
     "sentence": "the verdict in one sentence",
     "base_effects": "names of the effects of the model that was questioned",
-    "missing_effects": "name and parameters (mean, sd, hdi_low, hdi_high, unit) of each; empty unless found",
+    "missing_effects": "name and parameters (mean, sd, hdi_low, hdi_high, unit) of each; empty unless found "
+    "and the law named",
+    "named_level": "law | mechanism | null: what is named where the verdict is found",
+    "mechanisms": "what may be missing, in falling probability: mechanism (spring | asymmetry | clearance | "
+    "hysteresis | drag | displacement_damping | other), probability, share_of_gap (of the base's chi-square or, where "
+    "no law is exact, of the departure's power), laws (effect, probability), parameters (name: value, "
+    "standard_error); empty where adequate",
+    "remainder": "what the most probable set leaves where no law is exact, by observable: size where it is largest, "
+    "unit, standard_errors of it, share_of_gap (root mean square over that of the base), amplitude_low, "
+    "amplitude_high [m or rad], and the curve: amplitude, values, errors; empty where a law is exact",
     "probability": "of the most probable set, which is the missing one where the verdict is found",
     "candidates": "every set, in falling probability: effects, probability, reduced_chi_square, log_evidence (relative "
     "to the base), status (best | possible | rejected | failed), reason, backbone_chi_square, parameters "
@@ -151,6 +160,18 @@ def study_entries(study: Study, version: str) -> dict[str, Any]:
         "missing_effects": [
             {"name": name, "parameters": _estimates(study.parameters.get(name, {}))} for name in study.missing_effects
         ],
+        "named_level": None if study.named_level is None else str(study.named_level),
+        "mechanisms": [
+            {
+                "mechanism": item.mechanism,
+                "probability": item.probability,
+                "share_of_gap": item.share_of_gap,
+                "laws": [asdict(law) for law in item.laws],
+                "parameters": _values(item.parameters),
+            }
+            for item in study.mechanisms
+        ],
+        "remainder": [asdict(item) for item in study.remainder],
         "probability": study.probability,
         "candidates": [
             {
@@ -161,9 +182,7 @@ def study_entries(study: Study, version: str) -> dict[str, Any]:
                 "status": item.status,
                 "reason": item.reason,
                 "backbone_chi_square": item.backbone_chi_square,
-                "parameters": {
-                    name: {"value": value, "standard_error": error} for name, (value, error) in item.parameters.items()
-                },
+                "parameters": _values(item.parameters),
             }
             for item in falling
         ],
@@ -227,6 +246,10 @@ def plan_entries(plan: Plan) -> dict[str, Any]:
 
 def _estimates(group: Mapping[str, Estimate]) -> dict[str, dict[str, Any]]:
     return {name: asdict(estimate) for name, estimate in group.items()}
+
+
+def _values(parameters: Mapping[str, tuple[float, float]]) -> dict[str, dict[str, float]]:
+    return {name: {"value": value, "standard_error": error} for name, (value, error) in parameters.items()}
 
 
 def _held_out(held_out: HeldOut | None) -> dict[str, Any]:

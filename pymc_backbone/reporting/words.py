@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..discrepancy.verdict import AdequateBy, Status, Verdict
+from ..discrepancy.verdict import AdequateBy, NamedLevel, Status, Verdict
+from ..effects import MECHANISMS
 
 if TYPE_CHECKING:
     from ..discrepancy.study import Study
@@ -20,10 +21,16 @@ VERDICT_WORDS: dict[str, str] = {
 }
 VERDICT_MEANS: dict[str, str] = {
     Verdict.ADEQUATE: "The base model describes these records; no effect needs to be added.",
-    Verdict.FOUND: "One set of effects explains the gap between base model and measurement, and the others do not.",
+    Verdict.FOUND: "One set of effects, or one mechanism, explains the gap between base model and measurement, and the "
+    "others do not.",
     Verdict.AMBIGUOUS: "Several sets of effects explain the gap equally well; these records cannot tell them apart.",
     Verdict.UNEXPLAINED: "There is a gap that no effect known to the program explains; "
     "the best set explains a part of it.",
+}
+NAMED_MEANS: dict[str, str] = {
+    NamedLevel.LAW: "One set of effects explains the gap between base model and measurement, and the others do not.",
+    NamedLevel.MECHANISM: "No law is exact, but all that explain the gap agree on its mechanism; a smooth departure of "
+    "unknown size is allowed for.",
 }
 ADEQUATE_BY: dict[str, str] = {
     AdequateBy.STATISTICS: "Model and measurement agree within measurement error.",
@@ -43,6 +50,11 @@ def added_effects(study: Study) -> tuple[str, ...]:
     """Return the names of the effects that the extended model has beyond the base."""
     base = {effect.name for effect in study.base.effects}
     return tuple(effect.name for effect in (study.extended or study.base).effects if effect.name not in base)
+
+
+def mechanism_name(mechanism: str) -> str:
+    """Return a mechanism in words."""
+    return MECHANISMS.get(mechanism, mechanism.replace("_", " "))
 
 
 def set_name(effects: Sequence[str], nothing: str = "nothing (base model)") -> str:

@@ -117,9 +117,7 @@ def majority(structures: Sequence[Structure]) -> tuple[tuple[str, ...], int, int
     Counts are those that share it and those that are decided: ``adequate`` or ``found``. None: there is no such set,
     or fewer than three are decided.
     """
-    decided = [
-        frozenset(item.missing_effects) for item in structures if item.verdict in (Verdict.ADEQUATE, Verdict.FOUND)
-    ]
+    decided = [frozenset(item.named) for item in structures if item.verdict in (Verdict.ADEQUATE, Verdict.FOUND)]
     if len(decided) < 3:
         return None
     chosen, count = Counter(decided).most_common(1)[0]
@@ -171,7 +169,7 @@ def _verdict_reason(item: Structure, most: tuple[tuple[str, ...], int, int] | No
     if item.verdict == Verdict.AMBIGUOUS:
         sets = [frozenset(names) for names in item.ambiguous_sets]
         return "" if frozenset(usual) in sets else f"none of its possible sets is the usual one ({said})"
-    return "" if frozenset(item.missing_effects) == frozenset(usual) else f"lacks {words(item.missing_effects)}; {said}"
+    return "" if frozenset(item.named) == frozenset(usual) else f"lacks {words(item.named)}; {said}"
 
 
 def _value_reason(quantity: Quantity, value: float, score: float) -> str:

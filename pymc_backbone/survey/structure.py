@@ -23,6 +23,7 @@ from .._common.atomic_files import replacing
 from .._common.checks import InputError
 from .._common.options import pick
 from ..discrepancy.options import Searching
+from ..discrepancy.verdict import LEAST_SHARE, MECHANISM_NAMED, NamedLevel
 from ..inference.options import Sampling
 from ..measurement.options import Measuring
 from ..measurement.reading.options import Reading
@@ -46,7 +47,7 @@ class Structure:
     sentence : str
         The verdict in one sentence.
     missing_effects : tuple of str
-        The named effects; empty unless the verdict is ``found``.
+        The named effects; empty unless the verdict is ``found`` and the law is named.
     effects : tuple of str
         The most probable set of effects beyond the base, named or not.
     probability : float
@@ -80,6 +81,8 @@ class Structure:
         Path of its report, relative to the folder of the survey.
     attempts : int
         How often it was run: 2 where a worker was lost.
+    mechanisms : tuple of str
+        The named mechanisms, where the verdict is ``found`` and no law is named; else empty.
 
     See Also
     --------
@@ -109,6 +112,12 @@ class Structure:
     traceback: str | None = None
     report: str | None = None
     attempts: int = 1
+    mechanisms: tuple[str, ...] = ()
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """What is named: the missing effects or, where no law is, the mechanisms."""
+        return self.missing_effects or self.mechanisms
 
     @property
     def is_done(self) -> bool:
@@ -225,6 +234,13 @@ def summary_of(result: Mapping[str, Any]) -> dict[str, Any]:
         "verdict": result["verdict"],
         "sentence": result["sentence"],
         "missing_effects": tuple(item["name"] for item in result["missing_effects"]),
+        "mechanisms": tuple(
+            item["mechanism"]
+            for item in result.get("mechanisms", ())
+            if result.get("named_level") == NamedLevel.MECHANISM
+            and item["probability"] >= MECHANISM_NAMED
+            and item["share_of_gap"] >= LEAST_SHARE
+        ),
         "effects": tuple(candidates[0]["effects"]) if candidates else (),
         "probability": _number(result["probability"]),
         "ambiguous_sets": tuple(tuple(names) for names in result["ambiguous_sets"]),

@@ -177,7 +177,7 @@ def effects_in_words(item: Structure) -> str:
         return named if len(item.ambiguous_sets) > 1 else f"perhaps {named}"
     if item.verdict == Verdict.UNEXPLAINED:
         return "unknown"
-    return words(item.missing_effects)
+    return words(item.named)
 
 
 def _plain(text: str) -> str:

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     Data = str | os.PathLike[str] | Sequence[Record] | xr.Dataset
 
 TOP_CANDIDATES = 5
+TOP_LAWS = 3
 
 
 def diagnose(
@@ -237,10 +238,19 @@ def _option_value(name: str, value: Any) -> str:
 
 def describe_study(study: Study) -> str:
     """Say what was found: the verdict, why, the most probable sets, the gap before and after."""
-    from ..reporting.words import percent, set_name
+    from ..reporting.words import mechanism_name, percent, set_name
 
     lines = [f"{study.verdict.upper()}: {study.sentence}"]
     lines += [f"- {sentence}" for sentence in (*study.reasons, *study.advice)]
+    if study.mechanisms:
+        heads: list[tuple[str, ...]] = [("mechanism", "laws", "probability", "share of the gap")]
+        for kind in study.mechanisms:
+            laws = ", ".join(
+                f"{law.effect.replace('_', ' ')} {percent(law.probability)}" for law in kind.laws[:TOP_LAWS]
+            )
+            name = mechanism_name(kind.mechanism)
+            heads.append((name, laws, percent(kind.probability), percent(kind.share_of_gap)))
+        lines += ["", aligned(heads)]
     if study.candidates:
         rows = [("effects added to the base", "status", "probability", "reduced chi-square", "log evidence")]
         for item in study.candidates[:TOP_CANDIDATES]:

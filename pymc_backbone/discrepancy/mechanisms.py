@@ -1,0 +1,397 @@
+"""Which mechanisms are missing: all sets weighed with a departure that none of them explains."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import combinations
+from math import comb, factorial
+
+import numpy as np
+from scipy.special import logsumexp
+
+from .._common.checks import OBSERVABLES, FloatArray
+from .._common.threads import in_threads
+from ..effects import EITHER, LIBRARY
+from . import evidence
+from .departure import Departing, Departures, Point
+from .descent import is_heavy
+from .joint_fit import NUISANCES, State, start_state
+from .search import Search, Set
+from .study import LawProbability, MissingMechanism, Remainder
+
+PRIOR_OF_COUNT = (0.05, 0.6, 0.3, 0.05)
+"""Prior probability that so many mechanisms are missing where no law is exact; none: the library holds none of them."""
+_EACH_UNKNOWN = 1.0 / 3.0  # how much rarer a law is for each unknown that it has more
+_TWICE = 0.1  # how much rarer a second law of the same mechanism is
+_MOST_SPECIMENS = 3  # a departure is alike in all: more of them say hardly more of it
+_MOST_TURNS = 4000  # turning points of these together, where two specimens are enough
+_LEADERS = 12  # sets that are fitted with the departure first
+_MOST_WEIGHED = 60
+_MOST_HEAVY = 40  # sets that take long, beside single effects
+_LOOKS_BACK = 2  # times that subsets of the likeliest begin where these ended
+_REACH = 30.0  # logarithm of the odds at first sight from which a set is fitted with the departure
+_STANDS_OUT = 2.0  # standard errors of a level value from which the departure of an observable counts
+_EXPLAINED = 0.2  # of the gap that a set leaves up to which it does not matter whose own the rest is
+_SEPARATE = 5.0  # logarithm of the odds from which departures are each specimen's own, and so no law of amplitude
+_TOLD = 0.01  # probability from which a mechanism, or a law, is told
+
+
+@dataclass(frozen=True, eq=False)
+class Weighed:
+    """Sets with a departure.
+
+    Attributes
+    ----------
+    departing : mapping of Set to Departing
+        What the records say of each set.
+    probabilities : mapping of Set to float
+        Of each set; what they lack of one is the drift's.
+    gaps : mapping of Set to float
+        Departure that each set needs, as a share of what the base needs.
+    drift_probability : float
+        Of the base with a drift in time.
+    is_law : bool
+        Whether the departure goes with the amplitude; else it is each specimen's own, as a drift makes it.
+    nodes : (j,) array
+        Logarithms of the amplitudes of the departures.
+    """
+
+    departing: Mapping[Set, Departing]
+    probabilities: Mapping[Set, float]
+    gaps: Mapping[Set, float]
+    drift_probability: float
+    is_law: bool
+    nodes: FloatArray
+
+    def ranked(self) -> list[Set]:
+        """Return the sets, most probable first."""
+        return sorted(self.probabilities, key=lambda names: -self.probabilities[names])
+
+
+def weigh(search: Search) -> Weighed | None:
+    """Return the probabilities of all sets within reach if none is exact, and that of a drift with time.
+
+    None where the base cannot be followed over the turning points.
+
+    Every set is fitted to the turning points with the departure that it needs in their covariance: what it cannot
+    follow exactly does not pull it away from what it can follow.
+    """
+    chosen = _specimens(search)
+    departures = Departures(search.batch.subset(chosen), search.base.mass)
+    departing = _departing(search, departures, chosen)
+    logs = {names: item.log_evidence + _log_prior(names, search) for names, item in departing.items()}
+    logs = {names: value for names, value in logs.items() if np.isfinite(value)}
+    if () not in logs:
+        return None
+    best = max(logs, key=lambda names: logs[names])
+    of_drift = _of_drift(search, departures, departing[()]) if search.batch.has_records else -np.inf
+    total = float(logsumexp([*logs.values(), of_drift]))
+    gaps = _gaps(departing, departures)
+    is_law = True
+    if len(chosen) > 1:
+        apart = departures.evidence_apart(departing[best], search.layout(best))
+        is_explained = gaps[best] < _EXPLAINED
+        is_law = is_explained or apart < _SEPARATE
+    return Weighed(
+        departing=departing,
+        probabilities={names: float(np.exp(value - total)) for names, value in logs.items()},
+        gaps=gaps,
+        drift_probability=float(np.exp(of_drift - total)),
+        is_law=is_law,
+        nodes=departures.nodes,
+    )
+
+
+def _departing(search: Search, departures: Departures, chosen: list[int]) -> dict[Set, Departing]:
+    """Return what the backbones say of every set likely at first sight, of the base, and of the best's subsets."""
+    search.progress("weighing sets that are not exact", 0.0)
+    sets = _looked_at(search)
+
+    def glance(names: Set) -> Point | None:
+        return departures.glance(search.layout(names), _states(search, names, chosen))
+
+    for names in sets:
+        search.layout(names)
+    seen = in_threads([partial(glance, names) for names in sets])
+    glances = {names: item for names, item in zip(sets, seen, strict=True) if item is not None}
+    glances = {names: item for names, item in glances.items() if np.isfinite(item.log_evidence)}
+    departing: dict[Set, Departing] = {}
+
+    def refine(chosen_sets: Sequence[Set]) -> None:
+        wanted = [names for names in chosen_sets if names in glances and names not in departing]
+        refined = in_threads([partial(departures.refined, glances[names]) for names in wanted])
+        departing.update(zip(wanted, refined, strict=True))
+
+    first = {names: item.log_evidence + _log_prior(names, search) for names, item in glances.items()}
+    order = sorted(first, key=lambda names: -first[names])
+    refine([(), *order[:_LEADERS]])
+    if () not in departing:
+        return {}
+    search.progress("weighing sets that are not exact", 0.5)
+    known = {names: item.log_evidence + _log_prior(names, search) for names, item in departing.items()}
+    refine([names for names in order[:_MOST_WEIGHED] if first[names] > max(known.values()) - _REACH])
+    refine([(name,) for name in search.candidates])
+    for _ in range(_LOOKS_BACK):
+        departing.update(_looked_back(search, departures, departing))
+    logs = {names: item.log_evidence + _log_prior(names, search) for names, item in departing.items()}
+    best = max(logs, key=lambda names: logs[names])
+    # what the best explains is shared out among its mechanisms
+    refine([names for size in range(1, len(best)) for names in combinations(best, size)])
+    return departing
+
+
+def _looked_back(search: Search, departures: Departures, departing: Mapping[Set, Departing]) -> dict[Set, Departing]:
+    """Return the subsets of the likeliest sets that fit better from where these ended: these had found a better way."""
+    logs = {names: item.log_evidence + _log_prior(names, search) for names, item in departing.items()}
+    likeliest = sorted(logs, key=lambda names: -logs[names])[:_LEADERS]
+    starts: dict[Set, list[State]] = {}
+    for larger in likeliest:
+        state, there = departing[larger].state, search.layout(larger)
+        for name in larger:
+            smaller = tuple(other for other in larger if other != name)
+            places = [there.names.index(item) for item in search.layout(smaller).names]
+            own = [*range(NUISANCES), *(NUISANCES + place for place in places)]
+            starts.setdefault(smaller, []).append(State(state.eta[places], state.own[:, own]))
+    sets = list(starts)
+    jobs = [partial(departures.evidence, search.layout(names), starts[names]) for names in sets]
+    found = {names: item for names, item in zip(sets, in_threads(jobs), strict=True) if item is not None}
+    known = {names: departing[names].log_evidence if names in departing else -np.inf for names in found}
+    return {names: item for names, item in found.items() if item.log_evidence > known[names]}
+
+
+def _of_drift(search: Search, departures: Departures, base: Departing) -> float:
+    """Return the logarithm of evidence and prior of the base with a drift in time: in each record, or alike in all."""
+    either = [departures.evidence(search.layout(()), [base.state], drifts=kind) for kind in ("own", "common")]
+    known = [item.log_evidence for item in either if item is not None]
+    return float(logsumexp(known)) - np.log(2.0) + evidence.log_prior(1, len(search.candidates)) if known else -np.inf
+
+
+def _gaps(departing: Mapping[Set, Departing], departures: Departures) -> dict[Set, float]:
+    """Return the root mean square of the departure that each set needs, as a share of that which the base needs.
+
+    As a force, over the elastic one: in phase, in quadrature and steady. Of a curve that the model's own stiffness or
+    damping moves as a whole, what changes with the amplitude; what does not stand out of the errors is left out.
+    """
+    if () not in departing:
+        return {}
+    forces = {names: _mean_squares(item) / departures.per_force**2 for names, item in departing.items()}
+    told = forces[()] > (_STANDS_OUT * departures.noise / departures.per_force) ** 2
+    whole = float(forces[()][told].sum())
+    if whole <= 0.0:
+        return dict.fromkeys(departing, 1.0)
+    return {names: float(np.sqrt(item[told].sum() / whole)) for names, item in forces.items()}
+
+
+def _mean_squares(item: Departing) -> FloatArray:
+    """Return the mean square (3,) of the departures of the observables."""
+    return np.array([*item.curves[:2].var(axis=1), (item.curves[2] ** 2).mean()])
+
+
+def _specimens(search: Search) -> list[int]:
+    """Return specimens that tell enough: of several release amplitudes, not more turning points than it takes."""
+    batch = search.batch
+    order = np.argsort([-term.levels[-1] for term in batch.levels])
+    spread = np.unique(np.linspace(0, order.size - 1, min(order.size, _MOST_SPECIMENS)).round().astype(int))
+    chosen: list[int] = []
+    for k in spread:
+        size = sum(batch.turning[r].times.size for r in (*chosen, order[k])) if batch.turning else 0
+        if len(chosen) < 2 or size <= _MOST_TURNS:
+            chosen.append(int(order[k]))
+    return sorted(chosen)
+
+
+def _log_prior(names: Set, search: Search) -> float:
+    """Return the logarithm of the prior of a set where the model as it is lacks something and no law is exact.
+
+    Mechanisms come first: so many of them are missing with the probabilities `PRIOR_OF_COUNT`, each choice of them
+    alike, and within each its laws. Two laws of one mechanism are hardly ever needed. The base with a departure is what
+    the library does not hold.
+    """
+    laws: dict[str, dict[str, float]] = {}
+    for name in search.candidates:
+        unknowns = search.layout((name,)).free.size - search.layout(()).free.size
+        laws.setdefault(mechanism_of(search, name), {})[name] = _EACH_UNKNOWN ** (unknowns - 1)
+    held: dict[str, list[str]] = {}
+    for name in names:
+        held.setdefault(mechanism_of(search, name), []).append(name)
+    share = PRIOR_OF_COUNT[min(len(held), len(PRIOR_OF_COUNT) - 1)] / comb(len(laws), len(held))
+    for mechanism, chosen in held.items():
+        weights = laws[mechanism]
+        together = {
+            k: float(np.prod([weights[name] for name in k])) for k in combinations(sorted(weights), len(chosen))
+        }
+        share *= _TWICE ** (len(chosen) - 1) * together[tuple(sorted(chosen))] / sum(together.values())
+    return float(np.log(share))
+
+
+def _looked_at(search: Search) -> list[Set]:
+    """Return the sets that are fitted with a departure: all that are simulated fast, and of the others the likeliest.
+
+    The likeliest are those that were fitted to the records, single effects, and what the backbones propose.
+    """
+    sizes = range(search.max_effects + 1)
+    every = [tuple(sorted(names)) for size in sizes for names in combinations(search.candidates, size)]
+    light = [names for names in every if not is_heavy(search.layout(names))]
+    heavy = [names for names in search.proposals if is_heavy(search.layout(names))]
+    fitted = sorted(search.fits, key=len)
+    return list(dict.fromkeys([*fitted, *every[: 1 + len(search.candidates)], *light, *heavy[:_MOST_HEAVY]]))
+
+
+def _states(search: Search, names: Set, chosen: list[int]) -> list[State]:
+    """Return starts of a set: its fit to the records, what its backbones propose, a larger set without the rest."""
+    layout, starts = search.layout(names), []
+    own = search.batch.own[chosen]
+    base = search.fits[()].state.own[chosen]
+    known = search.fits.get(names)
+    if known is not None:
+        starts.append(State(known.state.eta, known.state.own[chosen]))
+    if names in search.proposals:
+        for _, eta, stiffness in search.proposals[names].starts[:1]:
+            values = own.copy()
+            values[:, :2] = stiffness[chosen]
+            starts.append(start_state(layout, eta, values))
+    if not starts:
+        larger = [other for other in search.fits if set(names) < set(other)]
+        if larger:
+            near = search.fits[min(larger, key=len)]
+            places = [near.layout.names.index(name) for name in layout.names]
+            starts.append(start_state(layout, near.state.eta[places], near.state.own[chosen][:, :NUISANCES]))
+        else:
+            starts.append(start_state(layout, np.zeros(layout.free.size), base[:, :NUISANCES]))
+    return starts
+
+
+def mechanism_of(search: Search, name: str) -> str:
+    """Return the mechanism of an effect."""
+    effect = search.own.get(name) or LIBRARY[name]
+    return effect.mechanism or "other"
+
+
+def missing_mechanisms(
+    search: Search,
+    probabilities: Mapping[Set, float],
+    best: Set,
+    gaps: Mapping[Set, float],
+    estimates: Mapping[str, tuple[float, float]],
+) -> tuple[MissingMechanism, ...]:
+    """Return how probable it is of each mechanism that it is missing, and of each law that it is the one.
+
+    Parameters
+    ----------
+    search : Search
+        All sets and their fits.
+    probabilities : mapping of Set to float
+        Of every set; a mechanism is as probable as the sets that hold a law of it together.
+    best : tuple of str
+        The set whose parameters are told.
+    gaps : mapping of Set to float
+        What each set leaves: chi-square, or the mean square of the departure that it needs.
+    estimates : mapping of str to (float, float)
+        Parameters of the best set with standard errors.
+    """
+    kinds_of = {names: frozenset(mechanism_of(search, name) for name in names) for names in probabilities}
+    shares = shares_of_gap(search, best, gaps)
+
+    def told(mechanism: str, kinds: tuple[str, ...]) -> MissingMechanism:
+        laws: dict[str, float] = {}
+        for names, probability in probabilities.items():
+            for name in names:
+                if mechanism_of(search, name) in kinds:
+                    laws[name] = laws.get(name, 0.0) + probability
+        ranked = sorted(laws, key=lambda key: -laws[key])
+        kept = [name for name in ranked if laws[name] >= _TOLD] or ranked[:1]
+        owned = {
+            parameter.name
+            for effect in (search.layout(best).oscillator.effects if estimates else ())
+            if effect.name in best and mechanism_of(search, effect.name) in kinds
+            for parameter in effect.parameters
+        }
+        either = sum(probability for names, probability in probabilities.items() if kinds_of[names] & set(kinds))
+        return MissingMechanism(
+            mechanism=mechanism,
+            probability=min(float(either), 1.0),
+            share_of_gap=sum(shares.get(kind, 0.0) for kind in kinds),
+            laws=tuple(LawProbability(name, min(laws[name], 1.0)) for name in kept),
+            parameters={name: value for name, value in estimates.items() if name in owned},
+        )
+
+    found = {kind: told(kind, (kind,)) for kind in sorted(frozenset().union(*kinds_of.values()))}
+    for name, pair in EITHER.items():
+        if all(kind in found and not found[kind].is_certain for kind in pair) and (both := told(name, pair)).is_certain:
+            found = {key: item for key, item in found.items() if key not in pair} | {name: both}
+    kept = [item for item in found.values() if item.probability >= _TOLD]
+    return tuple(sorted(kept, key=lambda item: -item.probability))
+
+
+def shares_of_gap(search: Search, best: Set, gaps: Mapping[Set, float]) -> dict[str, float]:
+    """Return by what share of the base's gap each mechanism of a set lowers it, the mean over all orders.
+
+    The shares sum to what the set explains of the gap. Empty where a subset could not be fitted.
+    """
+    kinds = sorted({mechanism_of(search, name) for name in best})
+    subsets = {
+        chosen: tuple(name for name in best if mechanism_of(search, name) in chosen)
+        for size in range(len(kinds) + 1)
+        for chosen in combinations(kinds, size)
+    }
+    if any(names not in gaps for names in subsets.values()):
+        return {}
+    base = max(gaps[()], 1e-300)
+    shares = {}
+    for kind in kinds:
+        share = 0.0
+        for chosen, names in subsets.items():
+            if kind in chosen:
+                continue
+            more = subsets[tuple(sorted((*chosen, kind)))]
+            orders = factorial(len(chosen)) * factorial(len(kinds) - len(chosen) - 1) / factorial(len(kinds))
+            share += orders * (gaps[names] - gaps[more]) / base
+        shares[kind] = float(np.clip(share, 0.0, 1.0))
+    return shares
+
+
+def estimates_with(search: Search, names: Set, found: Departing) -> dict[str, tuple[float, float]]:
+    """Return the parameters of a set that departs, and their standard errors with the departure in them."""
+    layout = search.layout(names)
+    if not layout.free.size:
+        return {}
+    values, slopes = layout.physical(found.state.eta, np.zeros(layout.free.size), 0.0)
+    errors = np.sqrt(np.maximum(np.diag(slopes @ found.covariance @ slopes.T), 0.0))
+    rows = zip(layout.names, values, errors, strict=True)
+    return {name: (float(value), float(error)) for name, value, error in rows}
+
+
+def remainder_of(weighed: Weighed, best: Set) -> tuple[Remainder, ...]:
+    """Return what a set leaves of the gap: by observable its largest size, in errors, and as a share of the gap."""
+    found, base = weighed.departing[best], weighed.departing[()]
+    rows = []
+    for o, unit in enumerate(("Hz", "1", "1")):
+        # stiffness and damping of the model move the first two as a whole
+        curve, whole = (item.curves[o] - (item.curves[o].mean() if o < 2 else 0.0) for item in (found, base))
+        errors = found.errors[o]
+        if not errors.any():
+            continue  # not measured
+        at = int(np.argmax(np.abs(curve)))
+        gap, left = (float(np.sqrt((item**2).mean())) for item in (whole, curve))
+        rows.append(
+            Remainder(
+                observable=OBSERVABLES[o],
+                size=float(curve[at]),
+                unit=unit,
+                standard_errors=float(np.abs(curve[at]) / max(float(errors[at]), 1e-300)),
+                share_of_gap=left / gap if gap > 0.0 else float("nan"),
+                amplitude_low=float(np.exp(weighed.nodes[0])),
+                amplitude_high=float(np.exp(weighed.nodes[-1])),
+                amplitude=tuple(float(x) for x in np.exp(weighed.nodes)),
+                values=tuple(float(x) for x in curve),
+                errors=tuple(float(x) for x in errors),
+            )
+        )
+    return tuple(rows)
+
+
+__all__ = [
+    "Weighed", "estimates_with", "mechanism_of", "missing_mechanisms", "remainder_of", "shares_of_gap", "weigh",
+]  # fmt: skip

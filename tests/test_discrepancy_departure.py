@@ -1,0 +1,175 @@
+"""A departure of the backbones: its evidence against one dense Gaussian, and what it says where the truth is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pymc_backbone.discrepancy import departure as module
+from pymc_backbone.discrepancy import starts
+from pymc_backbone.discrepancy.batch import Batch
+from pymc_backbone.discrepancy.data_term import LevelTerm
+from pymc_backbone.discrepancy.departure import NOISES, OWN_SHARE, SCALES, SIZES, Choice, Departures
+from pymc_backbone.discrepancy.joint_fit import fit, start_state
+from pymc_backbone.discrepancy.layout import make_layout
+from pymc_backbone.oscillator import Oscillator
+from pymc_backbone.simulation.decay import simulate_backbone
+
+OMEGA, ZETA = 20.0, 0.01
+LEVELS = np.geomspace(0.1, 1.0, 9)
+
+
+def batch_of(curves, seed, noise=(1e-4, 1e-3), count=3):
+    """Backbones of some specimens: frequency [Hz] and decrement as functions of amplitude, with noise."""
+    rng = np.random.default_rng(seed)
+    rows = np.array([(o, k) for o in (0, 1) for k in range(LEVELS.size)])
+    error = np.repeat(noise, LEVELS.size)
+    levels, own = [], []
+    for _ in range(count):
+        values = np.concatenate(curves(1.0 + 0.01 * rng.standard_normal())) + error * rng.standard_normal(error.size)
+        levels.append(LevelTerm(LEVELS, values, rows, np.diag(1.0 / error)))
+        omega = 2.0 * np.pi * float(np.median(values[:9]))
+        own.append((omega**2, 2.0 * ZETA * omega, 0.0, 0.0, 0.0))
+    names = tuple(f"s{r}" for r in range(count))
+    return Batch(None, (), (), tuple(levels), (), (), names, np.array(own), 1.0, OMEGA)
+
+
+def layout_of(batch, effects):
+    return make_layout(Oscillator(1.0, list(effects)), batch.amplitude, batch.angular_frequency)
+
+
+def lone(batch, effects):
+    """Evidence of the linear oscillator with these effects, from the best of some rough starts."""
+    layout = layout_of(batch, effects)
+    typical = starts.typical(layout)
+    etas = [np.where(layout.is_strength, scale * typical, typical) for scale in (0.02, 0.2, 1.0)]
+    begun = [fit(layout, batch.levels, start_state(layout, eta, batch.own), nuisances=(0, 1)) for eta in etas]
+    near = min((item for item in begun if item is not None), key=lambda item: item.cost)
+    return Departures(batch, 1.0).evidence(layout, [near.state])
+
+
+def matern(scale):
+    steps = np.abs(np.log10(LEVELS)[:, None] - np.log10(LEVELS)) * np.sqrt(5.0) / scale
+    return (1.0 + steps + steps**2 / 3.0) * np.exp(-steps)
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_evidence_is_that_of_one_dense_gaussian(count):
+    """The base with a departure: noise, departure common and own, stiffness and damping, all in one covariance."""
+    noise = (1e-4, 1e-3)
+    batch = batch_of(lambda s: (3.2 * s + 0.02 * LEVELS**2, 0.06 + 0.01 * LEVELS), 1, noise, count)
+    departures = Departures(batch, 1.0)
+    choice = Choice(1, (6, 5, 0), (3, 2, 2))
+    point = departures._point(
+        layout_of(batch, ()), start_state(layout_of(batch, ()), np.zeros(0), batch.own), choice, ""
+    )
+    n = 18 * count
+    covariance = np.diag(np.tile(np.repeat(noise, 9), count) ** 2 * np.tile(np.repeat((NOISES[3], 1.0), 9), count) ** 2)
+    residuals = np.zeros(n)
+    for r, term in enumerate(batch.levels):
+        vector = batch.own[r, :2]
+        oscillator = Oscillator(1.0)
+        values = dict(zip(oscillator.parameter_names, vector, strict=True))
+        residuals[18 * r : 18 * (r + 1)] = (
+            term.values - simulate_backbone(oscillator, values, LEVELS).values[:2].ravel()
+        )
+        slopes = np.zeros((18, 2))
+        omega = np.sqrt(vector[0])
+        slopes[:9, 0] = 1.0 / (4.0 * np.pi * omega)
+        slopes[9:, 1] = np.pi / omega
+        slopes[9:, 0] = -0.5 * np.pi * vector[1] / vector[0] / omega
+        at = slice(18 * r, 18 * (r + 1))
+        covariance[at, at] += slopes @ np.diag(vector**2) @ slopes.T
+        for s in range(count):
+            there = slice(18 * s, 18 * (s + 1))
+            share = 1.0 if count == 1 else 1.0 + OWN_SHARE**2 * (r == s)
+            for o in range(2):
+                unit = SIZES[choice.sizes[o]] * departures.changes[o] * departures.units[o]
+                block = matern(SCALES[1]) * np.outer(unit, unit) * share
+                covariance[at, there][9 * o : 9 * (o + 1), 9 * o : 9 * (o + 1)] += block
+    dense = -0.5 * residuals @ np.linalg.solve(covariance, residuals) - 0.5 * np.linalg.slogdet(covariance)[1]
+    prior = sum(np.log(module.PRIOR_OF_SIZES[i] * departures.prior_of_noises[k])
+                for i, k in zip(choice.sizes, choice.noises, strict=True))  # fmt: skip
+    assert point.log_evidence - prior == pytest.approx(dense, abs=0.05)
+
+
+def micro_slip(own):
+    """Curves of an Iwan bed, and beside it a force of 5 % of what it does that no law has."""
+    oscillator = Oscillator(1.0, ["iwan"])
+    values = dict(zip(oscillator.parameter_names, (400.0 * own**2, 0.2, 40.0, 20.0, -0.5), strict=True))
+    frequency, damping, _ = simulate_backbone(oscillator, values, LEVELS).values
+    wave = 0.05 * np.sin(4.0 * np.log(LEVELS))
+    share = wave * 2.0 * np.std(frequency) / frequency.mean()
+    return frequency * (1.0 + 0.5 * share), damping - np.pi * share
+
+
+def test_a_law_that_explains_both_curves_wins_although_it_is_not_exact():
+    """Micro-slip against damping alone and the base: what it leaves is far beyond the noise, and counts once."""
+    batch = batch_of(micro_slip, 2, noise=(1e-5, 1e-4))
+    logs = {names: lone(batch, names) for names in [(), ("displacement_dependent_damping",), ("iwan",)]}
+    iwan, damping, base = logs[("iwan",)], logs[("displacement_dependent_damping",)], logs[()]
+    assert iwan.log_evidence > max(damping.log_evidence, base.log_evidence) + 3.0
+    assert 0.0 < iwan.curves[0].std() < 0.5 * base.curves[0].std()
+    # the rest is many standard errors at each level: by these alone the odds would be beyond all bounds
+    assert 0.5 * (iwan.curves[0] ** 2).sum() / 1e-5**2 > 100.0
+    assert iwan.log_evidence - base.log_evidence < 60.0
+
+
+def cubic(own):
+    omega = np.sqrt((2.0 * np.pi * 3.2 * own) ** 2 + 0.75 * 8.0 * LEVELS**2)
+    return omega / (2.0 * np.pi), np.full(LEVELS.size, 0.06)
+
+
+def test_where_the_law_is_exact_the_departure_is_next_to_nothing():
+    batch = batch_of(cubic, 3)
+    exact, base = lone(batch, ("cubic_stiffness",)), lone(batch, ())
+    assert exact.log_evidence > base.log_evidence + 10.0
+    assert exact.curves[0].std() < 0.02 * base.curves[0].std()
+    # the gap of the base is the curve itself, its mean taken by the stiffness
+    gap = cubic(1.0)[0]
+    assert base.curves[0] - base.curves[0].mean() == pytest.approx(gap - gap.mean(), abs=0.02 * np.ptp(gap))
+
+
+def test_departures_of_one_specimen_each_are_no_law():
+    """A common curve is told from curves that each specimen has to itself."""
+    rng = np.random.default_rng(5)
+
+    def own(scale):
+        first, second = 0.01 * rng.standard_normal(2)
+        return 3.2 * scale * (1.0 + first * LEVELS), 0.03 + second * LEVELS
+
+    for curves, is_law in ((micro_slip, True), (own, False)):
+        data = batch_of(curves, 4)
+        layout = layout_of(data, ())
+        departures = Departures(data, 1.0)
+        found = departures.evidence(layout, [start_state(layout, np.zeros(0), data.own)])
+        assert (departures.evidence_apart(found, layout) < 0.0) is is_law
+
+
+def test_a_zero_that_is_off_is_no_asymmetry():
+    """A mid-line that is off by so many metres falls with the amplitude; that of a two-sided spring rises."""
+    base, found = (
+        departure_with_offset(lambda level: 0.004 / level, names) for names in ((), ("quadratic_stiffness",))
+    )
+    assert base.log_evidence > found.log_evidence - 1.0
+    base, found = (
+        departure_with_offset(lambda level: -0.02 * level, names) for names in ((), ("quadratic_stiffness",))
+    )
+    assert found.log_evidence > base.log_evidence + 3.0
+
+
+def departure_with_offset(offset, names):
+    rng = np.random.default_rng(6)
+    rows = np.array([(o, k) for o in (0, 1, 2) for k in range(LEVELS.size)])
+    error = np.repeat((1e-3, 1e-3, 1e-4), LEVELS.size)
+    curves = np.concatenate([np.full(9, 3.2), np.full(9, 0.06), offset(LEVELS)])
+    term = LevelTerm(LEVELS, curves + error * rng.standard_normal(error.size), rows, np.diag(1.0 / error))
+    omega = 2.0 * np.pi * 3.2
+    own = np.array([(omega**2, 2.0 * ZETA * omega, 0.0, 0.0, 0.0)])
+    return lone(Batch(None, (), (), (term,), (), (), ("s0",), own, 1.0, omega), names)
+
+
+def test_smoothness_and_sizes_cover_what_is_possible():
+    assert SIZES[0] == 0.0 and module.PRIOR_OF_SIZES.sum() == pytest.approx(1.0)
+    assert module.PRIOR_OF_NOISES.sum() == pytest.approx(1.0) and NOISES[2] == 1.0
+    assert module.PRIOR_OF_SIZES[SIZES > 0.3].sum() < 0.05 and len(SCALES) == 2
