@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 from batches import Batch, make_batch
-from tiers import HARD_TIERS, TIERS
+from tiers import HARD_TIERS, TIERS, TIMED
 
 
 def write_batch(batch: Batch, folder: Path) -> None:
@@ -62,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--first", type=int, default=0, help="number of the first (default 0)")
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--out", type=Path, required=True, help="folder to write into")
-    parser.add_argument("--tier", choices=sorted((*TIERS, *HARD_TIERS)), help="all batches of this kind")
+    parser.add_argument("--tier", choices=sorted((*TIERS, *HARD_TIERS, TIMED)), help="all batches of this kind")
     parser.add_argument("--workers", type=int, default=1, help="processes (default 1)")
     given = parser.parse_args(arguments)
     indices = range(given.first, given.first + given.batches)

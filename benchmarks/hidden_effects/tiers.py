@@ -31,6 +31,9 @@ TIERS: dict[str, float] = {
 }
 """Kinds of batches and their shares; those without a share hide one effect after the other, all in the same motions."""
 
+TIMED = "timed"
+"""What the others hide, in records of one size: five of a hundred cycles of eighty samples; made by name only."""
+
 QUANTITY_TIERS: dict[str, tuple[str, bool]] = {
     "displacement": ("displacement", False),
     "velocity": ("velocity", False),
@@ -147,7 +150,7 @@ def draw_plan(tier: str, rng: np.random.Generator, index: int = 0) -> Plan:
     Parameters
     ----------
     tier : str
-        A key of `TIERS`, or one of `HARD_TIERS`.
+        A key of `TIERS`, one of `HARD_TIERS`, or `TIMED`.
     rng : numpy.random.Generator
     index : int
         Number of the batch; in the tiers of `QUANTITY_TIERS` the effects take turns.
@@ -157,6 +160,8 @@ def draw_plan(tier: str, rng: np.random.Generator, index: int = 0) -> Plan:
     Plan
     """
     plan = Plan()
+    if tier == TIMED:
+        return _plan_timed(draw_plan(draw_tier(rng), rng, index))
     if tier == "nothing_missing":
         if rng.random() < 0.4:
             plan.base = plan.present = _pick(rng, LIBRARY_NAMES, 1)
@@ -208,7 +213,14 @@ def draw_plan(tier: str, rng: np.random.Generator, index: int = 0) -> Plan:
     elif tier in HARD_TIERS:
         _plan_hard(plan, tier, rng)
     else:
-        raise KeyError(f"tier must be one of {', '.join((*TIERS, *HARD_TIERS))}, got {tier!r}.")
+        raise KeyError(f"tier must be one of {', '.join((*TIERS, *HARD_TIERS, TIMED))}, got {tier!r}.")
+    return plan
+
+
+def _plan_timed(plan: Plan) -> Plan:
+    """Give the records of a plan the size that is timed; damping lets them last so long."""
+    plan.specimens, plan.cycles, plan.samples_per_cycle = (5,), (100, 100), (80.0, 80.0)
+    plan.fewest_cycles, plan.damping_ratio, plan.noise_db = 90.0, (0.0005, 0.004), (45.0, 60.0)
     return plan
 
 

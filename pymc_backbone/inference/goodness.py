@@ -129,7 +129,8 @@ def goodness_of_fit(
     kind = "specimen" if is_own else likelihood_of(data, likelihood)
     if kind == "specimen" and not is_own:  # scalars that stand for all specimens
         kind = "pooled"
-    predicted = np.array([[response.evaluate(theta, False)[0] for theta in group] for group in parameters])
+    together = response.evaluate_many(parameters.reshape(-1, parameters.shape[-1]))
+    predicted = together.reshape(*parameters.shape[:2], *together.shape[1:])
     batch = LevelValues.of(data)
     low, high = _limits(source, response, bounds, fixed)
     fits = _fit_all(batch, response, parameters, predicted, low, high)

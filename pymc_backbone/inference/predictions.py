@@ -147,11 +147,9 @@ def _predict_population(model: pm.Model, draws: xr.Dataset, target: Target) -> x
     given = [np.asarray(draws[variable.name].transpose("chain", "draw", ...)) for variable in free]
     chains, length = draws.sizes["chain"], draws.sizes["draw"]
     response = target.response
-    values: FloatArray = np.empty((chains, length, *target.centre.shape[1:]))
-    for chain in range(chains):
-        for draw in range(length):
-            [theta] = vector(*(each[chain, draw] for each in given))
-            values[chain, draw] = response.evaluate(np.ascontiguousarray(theta, dtype=np.float64), False)[0]
+    drawn = [vector(*(each[chain, draw] for each in given))[0] for chain in range(chains) for draw in range(length)]
+    together = response.evaluate_many(np.array(drawn, dtype=np.float64))
+    values: FloatArray = together.reshape(chains, length, *together.shape[1:])
     coords = backbone_coords(response.observables, response.levels)
     dims = ("chain", "draw", *coords)
     return xr.DataArray(values, dims=dims, coords={"chain": draws["chain"], "draw": draws["draw"], **coords})

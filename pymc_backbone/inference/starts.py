@@ -308,8 +308,7 @@ class StartFinder:
 
 def _simulate(target: Target, theta: FloatArray) -> FloatArray:
     """Return simulated values (n, o, l), NaN where a specimen's simulation failed."""
-    rows = [target.response.evaluate(np.ascontiguousarray(row), False)[0] for row in theta.reshape(-1, theta.shape[-1])]
-    return np.array(rows)
+    return target.response.evaluate_many(theta.reshape(-1, theta.shape[-1]))
 
 
 def _range(target: Target, o: int, k: int) -> tuple[float, float]:

@@ -179,7 +179,7 @@ class _Predictor:
         parameters = np.concatenate(kept)[:count]
         theta = np.tile(self.template, (len(parameters), 1))
         theta[:, self.free] = parameters
-        values = np.array([np.ravel(self.response.evaluate(row, False)[0]) for row in theta])
+        values = self.response.evaluate_many(theta).reshape(len(theta), -1)
         good = np.isfinite(values).all(axis=1) if len(values) else np.zeros(0, dtype=bool)
         if good.sum() < _FEWEST_NEAR:
             raise InputError(_OUT_OF_REACH.format(f"only {int(good.sum())}"))

@@ -9,9 +9,10 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from .._common.backbone_dataset import backbone_dataset
-from .._common.checks import OBSERVABLES, check_finite_array, check_levels, check_observables
+from .._common.checks import OBSERVABLES, check_finite_array, check_levels, check_observables, check_positive
 from ..oscillator import Oscillator
-from .decay import simulate_backbone
+from .decay import Simulator
+from .many import simulate_many
 
 
 def simulate_population(
@@ -49,14 +50,20 @@ def simulate_population(
     --------
     simulate_backbone : one specimen, with sensitivities.
     backbones_at_levels : the same of records.
+
+    Notes
+    -----
+    From 512 specimens on, those of an oscillator without kinks, memory and states are simulated side by side, some ten
+    times as fast, each within 1e-6 of what `simulate_backbone` gives (damping below 0.003: of 0.003).
     """
     chosen = check_observables(observables)
     at = check_levels(levels)
     table = check_finite_array("parameters", np.atleast_2d(np.asarray(parameters, dtype=np.float64)), ndim=2)
     rows = [OBSERVABLES.index(name) for name in chosen]
-    value = np.empty((table.shape[0], len(chosen), at.size))
-    for i, row in enumerate(table):
-        value[i] = simulate_backbone(oscillator, row, at, release_amplitude=release_amplitude).values[rows]
+    for extreme in (table.min(axis=0), table.max(axis=0)) if len(table) else ():
+        oscillator.pack(extreme)  # the limits of a parameter are an interval: all are within it or one of these is not
+    release = 0.0 if release_amplitude is None else check_positive("release_amplitude", release_amplitude)
+    value = simulate_many(Simulator(oscillator), table, at, release)[0][:, rows]
     covariance = np.zeros((*value.shape, at.size)) + np.where(np.isnan(value), np.nan, 0.0)[..., None]
     names = [f"simulated_{i + 1}" for i in range(table.shape[0])]
     return backbone_dataset(names, chosen, at, value, covariance, amplitude_unit, ["simulated"])

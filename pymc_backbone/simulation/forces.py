@@ -111,6 +111,11 @@ _library_rate = _switch([(i, (e.state_rate,)) for i, e in _stateful], ("rates",)
 _library_rate_gradient = _switch([(i, (e.state_rate_gradient,)) for i, e in _stateful], ("rows",), "None")
 
 
+def library_effects() -> list[tuple[int, Effect]]:
+    """Return the library's effects with their codes in the table, but for the two of every oscillator."""
+    return list(_numbered)
+
+
 def describe_effects(effects: Sequence[Effect]) -> tuple[NDArray[np.int64], int, int, int, bool, tuple[Effect, ...]]:
     """Return table, places of linear stiffness and damping, number of states, whether there are kinks, user effects."""
     rows, users = [], []

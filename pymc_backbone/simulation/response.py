@@ -17,6 +17,7 @@ from .._common.compiled import compiled_sources_digest
 from ..oscillator import Oscillator
 from .counts import FAILURES, GRADIENTS, REMEMBERED, SIMULATIONS, count
 from .decay import Simulator
+from .many import simulate_many
 
 logger = logging.getLogger("pymc_backbone")
 # Parameter vectors that are remembered. A walk asks for the next point and the present one: of three, the one not asked
@@ -84,6 +85,14 @@ class OscillatorResponse:
         rows = list(self.rows)
         return values[rows], jacobian[rows] if wanted else jacobian, not status.any()
 
+    def evaluate_many(self, theta: FloatArray) -> FloatArray:
+        """Return values (n, o, l) of many parameter vectors (n, p), on all cores; NaN where a level fails."""
+        simulator = simulator_of(self.oscillator)
+        values, status = simulate_many(simulator, theta, np.array(self.levels), self.release_amplitude, self.virgin)
+        count(SIMULATIONS, len(values))
+        count(FAILURES, int(status.any(axis=1).sum()))
+        return values[:, list(self.rows)]
+
 
 @functools.lru_cache(maxsize=64)
 def simulator_of(oscillator: Oscillator) -> Simulator:
@@ -138,6 +147,11 @@ class CallableResponse:
         while len(self._known) > MEMORY:
             self._known.pop(next(iter(self._known)))
         return values.copy(), np.empty((0, 0, 0)), bool(np.isfinite(values).all())
+
+    def evaluate_many(self, theta: FloatArray) -> FloatArray:
+        """Return values (n, o, l) of many parameter vectors (n, p), in turn; NaN where the function fails."""
+        values = [self.evaluate(np.ascontiguousarray(row), False)[0] for row in theta]
+        return np.array(values).reshape(len(values), len(self.observables), len(self.levels))
 
     def _call(self, theta: FloatArray) -> FloatArray:
         """Return what the function says, NaN where it fails."""
