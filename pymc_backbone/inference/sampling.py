@@ -68,7 +68,9 @@ def sample(
     step : {"metropolis", "elementwise", "demetropolisz", "slice", "nuts", "nutpie"} or a PyMC step object
         ``metropolis`` is PyMC's Metropolis with joint proposals in the shape of the posterior, d of them a draw for d
         parameters (PyMC's own where no shape is found); ``elementwise`` is `pymc.Metropolis` as it comes, one variable
-        at a time; ``nuts`` and ``nutpie`` need the gradient that oscillators have and functions have not.
+        at a time. Both simulate a proposal once; a Metropolis step that you make yourself simulates twice, because PyMC
+        computes the density of the present point anew for each proposal. ``nuts`` and ``nutpie`` need the gradient that
+        oscillators have and functions have not.
     random_seed : int or numpy.random.Generator, optional
         Seed of starts and draws; of a Generator one is drawn.
     cores : int, default 1
