@@ -90,14 +90,14 @@ def _draw_parameter(axis: Axes, draws: xr.Dataset, oscillator: Oscillator, name:
     low, middle, high = np.percentile(density, [tail, 50.0, 100.0 - tail], axis=0)
     top = float(high.max())
     axis.fill_between(x * scale, low / top, high / top, color=SIMULATED, alpha=0.22, linewidth=0,
-                      label=f"population, {probability:.0%}")  # fmt: skip
+                      label=f"population, {100.0 * probability:g} %")  # fmt: skip
     axis.plot(x * scale, middle / top, color=SIMULATED, linewidth=1.6, label="population, median of the density")
     axis.axhline(0.0, color="black", linewidth=0.6)
     shown = evenly(len(own), MOST_SPECIMENS)
     rows = -0.08 - 0.5 * np.arange(len(shown)) / max(len(shown), 8)
     labels = [drawable(str(value), 14) for value in draws["specimen"].values]
     for row, s in zip(rows, shown, strict=True):
-        text = f"specimens, {probability:.0%} HDI" if s == shown[0] else ""
+        text = f"specimens, {100.0 * probability:g} % HDI" if s == shown[0] else ""
         axis.plot(intervals[s] * scale, [row, row], color=MEASURED, linewidth=2.0, solid_capstyle="butt", label=text)
         axis.plot([own[s].mean() * scale], [row], "o", color=MEASURED, markersize=3.5)
         axis.annotate(labels[s], (1.0, row), xycoords=("axes fraction", "data"), fontsize=6, va="center", color=QUIET)
@@ -148,7 +148,7 @@ def _draw_correlations(axis: Axes, draws: xr.Dataset, names: Sequence[str], prob
     axis.set_yticks(range(len(pairs)), [label for label, _ in pairs], fontsize=7)
     axis.spines[["top", "right"]].set_visible(False)
     axis.grid(axis="x", alpha=0.25, linewidth=0.5)
-    axis.set_xlabel(f"Correlation over the population, {probability:.0%} HDI")
+    axis.set_xlabel(f"Correlation over the population, {100.0 * probability:g} % HDI")
 
 
 def _short(name: str) -> str:
