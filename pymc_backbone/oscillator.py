@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from ._common.checks import FloatArray, InputError, check_finite_array, check_positive
@@ -36,7 +37,8 @@ class Oscillator:
     Raises
     ------
     InputError
-        If the mass is not positive, an effect is unknown or there twice, or two effects share a parameter name.
+        If the mass is not a positive number, an effect is unknown or there twice, two effects share a parameter name,
+        or the force of an effect of one's own is not zero where its parameters are.
 
     See Also
     --------
@@ -79,6 +81,12 @@ class Oscillator:
                         f"parameter {name!r} belongs to both {owners[name]!r} and {effect.name!r}; rename one of them."
                     )
                 owners[name] = effect.name
+        if hasattr(mass, "owner"):  # a variable of PyTensor, say a random one
+            raise InputError(
+                "`mass` must be a number, got a random variable: a decay shows forces over mass only. Give its middle "
+                "here and its deviation as `mass_error` to build_model; in a model of your own give "
+                "backbone_likelihood each parameter over (mass / its middle) ** Oscillator.mass_exponents[name]."
+            )
         object.__setattr__(self, "mass", check_positive("mass", mass))
         object.__setattr__(self, "effects", chosen)
 
@@ -295,7 +303,29 @@ def _as_effects(effects: EffectLike | Iterable[EffectLike]) -> tuple[Effect, ...
     for effect in several:
         if not isinstance(effect, str | Effect):
             raise InputError(f"`effects` must hold names or `Effect`s, got {effect!r}.")
+        if isinstance(effect, Effect):
+            _check_zero(effect)
     return tuple(get_effect(effect) if isinstance(effect, str) else effect for effect in several)
+
+
+def _check_zero(effect: Effect) -> None:
+    """Raise if the force of an effect of one's own is not zero where its parameters are; those of the library are."""
+    force = getattr(effect.force, "py_func", None)  # as it was written: nothing is compiled for a few numbers
+    if force is None or not effect.parameters or LIBRARY.get(effect.name) is effect:
+        return  # an effect without parameters is a force that is known
+    nothing, states = np.zeros(len(effect.parameters)), np.zeros(max(effect.n_states, 1))
+    for x, v, direction in ((0.01, 0.3, 1.0), (0.7, -2.0, -1.0), (-1.3, 1.0, 1.0)):
+        try:
+            with np.errstate(all="ignore"):
+                value = float(force(x, v, direction, states, nothing))
+        except (ArithmeticError, TypeError, ValueError):
+            return  # not for plain numbers, or none there
+        if value != 0.0 and math.isfinite(value):
+            raise InputError(
+                f"the force of effect {effect.name!r} must be zero where all its parameters are, got {value:.4g} N at "
+                f"x = {x:g} m, x' = {v:g} m/s; multiply every term by a parameter, or the model without the effect is "
+                "not one of those with it."
+            )
 
 
 def _unknown(unknown: Iterable[str], known: Iterable[str]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from .reporting.backbone_plots import plot_backbones, plot_densities, plot_predictive, plot_records
 from .reporting.fit_plots import plot_fit
+from .reporting.population_plots import plot_population
 from .reporting.posterior_plots import plot_pair, plot_prior_posterior, plot_rank, plot_trace
 from .reporting.study_plots import study_figures
 
@@ -12,6 +13,7 @@ __all__ = [
     "plot_densities",
     "plot_fit",
     "plot_pair",
+    "plot_population",
     "plot_predictive",
     "plot_prior_posterior",
     "plot_rank",

@@ -177,12 +177,21 @@ def test_defaults_of_update_are_those_of_the_options(capsys, calls):
         assert given[name] == kind(), name
 
 
+def test_the_step_of_a_hierarchical_model_is_not_a_random_walk(capsys, calls):
+    assert run_cli(capsys, "update", "records", *MASS, "--likelihood", "hierarchical")[0] == 0
+    assert calls["update"]["sampling"].step == "nutpie" and calls["update"]["comparing"].population == "correlated"
+    options = ("--likelihood", "hierarchical", "--store", "kept", "--population", "uniform")
+    assert run_cli(capsys, "update", "records", *MASS, *options)[0] == 0
+    assert calls["update"]["sampling"].step == "nuts" and calls["update"]["comparing"].population == "uniform"
+
+
 def test_choices_are_those_of_the_modules():
     """The command line repeats them, so as not to load PyMC for its help."""
-    from pymc_backbone.inference import model
+    from pymc_backbone.inference import model, options
     from pymc_backbone.likelihood import density
 
-    assert _cli_update.LIKELIHOODS == model.LIKELIHOODS
+    assert _cli_update.LIKELIHOODS == (*model.LIKELIHOODS, options.HIERARCHICAL)
+    assert _cli_update.POPULATIONS == options.POPULATIONS
     assert _cli_update.DENSITIES == density.KINDS
     assert _cli_update.MARGINALS[0] == "best" and set(_cli_update.MARGINALS[1:]) == set(density.FAMILIES)
 

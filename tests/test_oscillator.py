@@ -7,6 +7,7 @@ import itertools
 import pickle
 import subprocess
 import sys
+from dataclasses import replace
 
 import numba
 import numpy as np
@@ -393,3 +394,26 @@ def test_digest_works_without_source():
 
 def digest_of(effect):
     return Oscillator(1.0, effect).source_digest()
+
+
+def test_a_force_that_is_not_zero_at_zero_parameters_is_refused():
+    def effect(function):
+        parameter = Parameter("own", "N", "q", "own", bounds=lambda m, a, w: (0.0, m * a * w * w))
+        return Effect("own", "Own.", "own", "q", (parameter,), numba.njit(function))
+
+    with pytest.raises(InputError, match=r"of effect 'own' must be zero where all its parameters are, got 1 N"):
+        Oscillator(1.0, effect(lambda x, v, direction, z, p: p[0] * direction + 1.0))
+    with pytest.raises(InputError, match="must be zero where all its parameters are"):
+        Oscillator(1.0) + effect(lambda x, v, direction, z, p: x**3)
+    kept = Oscillator(1.0, effect(lambda x, v, direction, z, p: p[0] * x / abs(p[0])))  # 0 / 0 there: nothing to say
+    assert kept.parameter_names[-1] == "own"
+    for name, found in LIBRARY.items():  # a copy of the library's is one's own, and is looked at
+        if name not in ("linear_stiffness", "viscous_damping"):
+            copied = replace(found, name=f"my_{name}", signature=None)
+            assert Oscillator(1.0, copied).effects[-1] is copied
+
+
+def test_a_random_mass_is_refused_with_what_to_do_instead():
+    pymc = pytest.importorskip("pymc")
+    with pymc.Model(), pytest.raises(InputError, match=r"deviation as `mass_error` to build_model; in a model of your"):
+        Oscillator(pymc.Normal("m", 1.0, 0.1))

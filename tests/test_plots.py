@@ -241,7 +241,7 @@ def test_every_specimen_has_a_density_of_its_own(rng):
         assert np.sqrt(np.trapezoid((x - mean) ** 2 * density, x)) == pytest.approx(10.0, rel=0.15)
     texts = [text.get_text() for text in figure.axes[0].get_legend().get_texts()] if figure.axes[0].get_legend() else [
         text.get_text() for legend in figure.legends for text in legend.get_texts()]  # fmt: skip
-    assert texts == ["posterior of each specimen", "prior", "95% HDI of each specimen"]
+    assert texts == ["posterior of each specimen", "prior", "95 % HDI of each specimen"]
 
 
 @pytest.mark.parametrize("name", ["plot_trace", "plot_rank"])
@@ -252,3 +252,22 @@ def test_specimens_that_are_not_drawn_are_said(name, rng):
     posterior = xr.DataTree.from_dict({"posterior": xr.Dataset(variables, coords=coords)})
     assert "the first 3 of 6 specimens" in getattr(plots, name)(posterior).get_suptitle()
     assert "first" not in getattr(plots, name)(posterior, ["a"]).get_suptitle()
+
+
+def test_intervals_of_specimens_do_not_lie_on_each_other(rng):
+    draws = rng.normal(7000.0, 10.0, (2, 200, 5))
+    tree = xr.DataTree.from_dict(
+        {"posterior": xr.Dataset({"linear_stiffness": (("chain", "draw", "specimen"), draws)})}
+    )
+    figure = plots.plot_prior_posterior(tree, {"linear_stiffness": BOUNDS["linear_stiffness"]}, units=UNITS)
+    for axis in figure.axes:
+        rows = [line.get_ydata()[0] for line in axis.lines if line.get_linewidth() == 1.8]
+        assert len(rows) == 5 and len(set(rows)) == 5 and max(rows) < 0.0
+        assert axis.get_ylim()[0] < min(rows)
+
+
+def test_traces_of_large_values_show_them_whole(rng):
+    draws = {"linear_stiffness": (("chain", "draw"), rng.normal(6840.2, 0.2, (2, 100)))}
+    figure = plots.plot_trace(xr.DataTree.from_dict({"posterior": xr.Dataset(draws)}), units=UNITS)
+    FigureCanvasAgg(figure).draw()
+    assert all(axis.yaxis.get_offset_text().get_text() == "" for axis in figure.axes)

@@ -297,3 +297,11 @@ def test_the_longest_name_of_a_set_stays_clear_of_its_percentage(studies):
     name, share = figure.axes[0].texts[:2]
     assert share.get_text() == "> 99.9 %"
     assert name.get_window_extent().x1 < share.get_window_extent().x0
+
+
+def test_levels_that_were_left_out_have_the_unit_of_the_other_figures(studies):
+    study = next(study for study in studies.values() if study.held_out_levels is not None)
+    axis = study_figures(study)["held_out_levels"].axes[0]
+    shown = [float(label.get_text()) for label in axis.get_yticklabels()]
+    levels = study.backbones["level"].values
+    assert axis.get_ylabel() == "Amplitude [mm]" and shown == pytest.approx(1e3 * levels, rel=5e-3)

@@ -194,3 +194,11 @@ def test_backbones_that_are_written_read_back(tmp_path, suffix):
         write_backbones(data, tmp_path / "backbones.mat")
     with pytest.raises(InputError, match="cannot be written"):
         write_backbones(data, path / f"below{suffix}")
+
+
+def test_levels_of_a_table_that_no_specimen_reaches_are_refused_with_unit(tmp_path, backbones):
+    path = write_backbones(backbones.isel(specimen=[0, 1]), tmp_path / "table.csv")
+    with pytest.raises(InputError, match=r"inside the measured amplitudes, 0.001 to 0.008 m, got 0.5 to 1 m"):
+        read_backbones(path, levels=[0.5, 1.0])
+    kept = read_backbones(path, levels=[0.002, 0.004, 1.0])  # as for records, what is not reached is left empty
+    assert np.isfinite(kept["value"].values[..., :2]).all() and np.isnan(kept["value"].values[..., 2]).all()

@@ -24,8 +24,9 @@ from pymc_backbone.oscillator import Oscillator
 from pymc_backbone.reporting.output_folder import RESULT_KEYS, backbone_table, read_result
 from pymc_backbone.reporting.terminal import compare, describe_measured
 from pymc_backbone.simulation.backbones import simulate_population
-from pymc_backbone.workflows import demo
+from pymc_backbone.workflows import demo, infer
 from pymc_backbone.workflows import update as run
+from pymc_backbone.workflows.measure import Measured
 
 MEANS = {"linear_stiffness": (7000.0, 140.0), "viscous_damping": (1.7, 0.1), "cubic_stiffness": (6e6, 3.6e5)}
 LEVELS = np.geomspace(0.002, 0.018, 4)
@@ -80,7 +81,7 @@ def sampler(monkeypatch, rng) -> dict:
 
 
 def update(monkeypatch, backbones: xr.Dataset, **settings) -> tuple[dict, str]:
-    monkeypatch.setattr(run, "measure", lambda *_, **__: run.Measured(backbones, 90.0))
+    monkeypatch.setattr(run, "measure", lambda *_, **__: Measured(backbones, 90.0))
     lines: list[str] = []
     chosen = {"mass": 1.0, "effects": ["cubic_stiffness"], "draws": 300, **settings}
     return call_update(**chosen, say=lines.append), "\n".join(lines)
@@ -166,12 +167,12 @@ def test_one_chain_that_was_ended_early_is_summarised_from_twenty_draws(monkeypa
     backbones = make_backbones(rng, 12)
     sampler["attrs"] = {"interrupted": "Stopped with Ctrl-C."}
     settings = {"store": tmp_path / "run", "chains": 1, "output": tmp_path / "out"}
-    result, _ = update(monkeypatch, backbones, draws=run.FEWEST_DRAWS, **settings)
+    result, _ = update(monkeypatch, backbones, draws=infer.FEWEST_DRAWS, **settings)
     assert result["parameters"]["linear_stiffness"]["mean"] == pytest.approx(7000.0, abs=4 * 140.0 / 20**0.5)
     written = read_result(tmp_path / "out")
     assert "figures/trace.png" in written["files"] and "figures/rank.png" not in written["files"]
     with pytest.raises(KeyboardInterrupt):
-        update(monkeypatch, backbones, draws=run.FEWEST_DRAWS - 1, overwrite=True, **settings)
+        update(monkeypatch, backbones, draws=infer.FEWEST_DRAWS - 1, overwrite=True, **settings)
 
 
 @pytest.mark.parametrize(
@@ -279,7 +280,7 @@ def test_demo_data_are_as_documented():
 
 
 def test_demo_prints_truth_beside_the_result_and_replaces_only_its_own_output(monkeypatch, sampler, rng, tmp_path):
-    monkeypatch.setattr(run, "measure", lambda *_, **__: run.Measured(make_backbones(rng, 24), 90.0))
+    monkeypatch.setattr(run, "measure", lambda *_, **__: Measured(make_backbones(rng, 24), 90.0))
     for _ in range(2):
         lines: list[str] = []
         result = demo.run_demo(tmp_path / "out", say=lines.append, sampling=Sampling(draws=200))

@@ -15,6 +15,8 @@ def hush_libraries(is_quiet: bool = False) -> None:
     logging.root.addHandler(logging.NullHandler())  # else PyMC, imported later, sets up its own
     # PyMC averages exp(log acceptance ratio), which overflows where a proposal is far better than the start.
     warnings.filterwarnings("ignore", message="overflow encountered in exp", category=RuntimeWarning)
+    # Correlations of a hierarchical model let PyTensor look for a BLAS; its matrices have a few rows.
+    warnings.filterwarnings("ignore", message="PyTensor could not link to a BLAS", category=UserWarning)
     progress = logging.getLogger("pymc_backbone")
     if not progress.handlers:
         progress.addHandler(logging.StreamHandler())

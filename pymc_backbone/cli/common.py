@@ -177,8 +177,8 @@ def add_output(parser: argparse.ArgumentParser, *, required: bool) -> None:
     group.add_argument("--overwrite", action="store_true", help="use the output folder even if it is not empty")
 
 
-def add_sampling(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the sampler."""
+def add_sampling(parser: argparse.ArgumentParser, *, step_of_hierarchical: str = "") -> None:
+    """Add the options of the sampler; a step that nobody gave is None where a hierarchical model takes another."""
     sampler = parser.add_argument_group("sampling")
     words = {
         "draws": (1, f"per chain, kept ({Sampling.draws})"),
@@ -191,8 +191,9 @@ def add_sampling(parser: argparse.ArgumentParser) -> None:
     sampler.add_argument(
         "--step",
         choices=STEPS,
-        default=Sampling.step,
-        help="PyMC's step method: metropolis proposes jointly, elementwise one variable at a time (metropolis)",
+        default=None if step_of_hierarchical else Sampling.step,
+        help="PyMC's step method: metropolis proposes jointly, elementwise one variable at a time "
+        f"({Sampling.step}{f'; {step_of_hierarchical} for a hierarchical model' if step_of_hierarchical else ''})",
     )
     sampler.add_argument(
         "--seed", dest="random_seed", type=options.count("--seed", 0), metavar="N", help="repeats a run exactly"

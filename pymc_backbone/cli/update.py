@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from .._common.quiet import hush_libraries
-from ..inference.options import Comparing, Keeping, Modelling, Sampling
+from ..inference.options import HIERARCHICAL, Comparing, Keeping, Modelling, Sampling
 from ..measurement.options import Measuring
 from ..measurement.reading.options import Reading
 from . import options
@@ -23,7 +23,10 @@ from .common import (
     shown_progress,
 )
 
-LIKELIHOODS = ("auto", "population", "specimen", "pooled")
+LIKELIHOODS = ("auto", "population", "specimen", "pooled", "hierarchical")
+POPULATIONS = ("correlated", "normal", "uniform")
+HIERARCHICAL_STEP = "nutpie"
+STORED_STEP = "nuts"  # nutpie keeps its state to itself
 DENSITIES = ("product", "joint", "data_consistent")
 MARGINALS = ("best", "uniform", "normal", "kde", "gev")
 
@@ -61,6 +64,7 @@ and if the data say anything about each parameter. Examples:
   pymc-backbone update ring_downs/ --mass 1.2 --effect cubic_stiffness --effect coulomb_friction \\
       --prior cubic_stiffness=0:1e7 --fix viscous_damping=0.8 --density joint --seed 4 --out result
   pymc-backbone update ring_downs/ --mass 1.2 --step nuts --seed 4 --store draws --resume --out result
+  pymc-backbone update ring_downs/ --mass 1.2 --effect cubic_stiffness --likelihood hierarchical --out batch
   pymc-backbone update backbones.csv --backbones --mass 1.2 --effect quadratic_damping --step nutpie --out result
 """
 
@@ -125,7 +129,16 @@ def add_update(commands: Any) -> None:
         choices=LIKELIHOODS,
         default=Comparing.likelihood,
         help="population: the parameter distribution over the batch, against the density of its backbones; specimen: "
-        "each specimen its own parameters; pooled: one parameter set for all; auto: population from 8 specimens",
+        "each specimen its own parameters; pooled: one parameter set for all; hierarchical: each specimen its own, "
+        "from a population whose mean, spread and correlation are inferred (of 3 specimens at least); auto: "
+        "population from 8 specimens, else specimen",
+    )
+    likelihood.add_argument(
+        "--population",
+        choices=POPULATIONS,
+        default=Comparing.population,
+        help="family of the hierarchical model's population: Normal with correlated or independent parameters, or "
+        "Uniform (default: correlated)",
     )
     likelihood.add_argument(
         "--density",
@@ -141,7 +154,7 @@ def add_update(commands: Any) -> None:
         help="family of the density at each level (default: best by information criterion)",
     )
 
-    add_sampling(parser)
+    add_sampling(parser, step_of_hierarchical=HIERARCHICAL_STEP)
     kept = parser.add_argument_group("runs that survive")
     kept.add_argument(
         "--store",
@@ -178,6 +191,9 @@ def _extract(given: argparse.Namespace) -> None:
 
 def _update(given: argparse.Namespace) -> None:
     hush_libraries(given.quiet)
+    if given.step is None:
+        of_many = HIERARCHICAL_STEP if given.store is None else STORED_STEP
+        given.step = of_many if given.likelihood == HIERARCHICAL else Sampling.step
     modelling = Modelling(
         given.mass[0],
         options.split(given.effects),

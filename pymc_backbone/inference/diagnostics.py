@@ -269,7 +269,7 @@ def _sampler(posterior: xr.DataTree) -> list[str]:
         if count:
             sentences.append(
                 f"{count} of {statistics['diverging'].size} transitions diverged: parts of the posterior may be "
-                "missing; raise target_accept, or use step 'slice'."
+                "missing; raise tune, or target_accept in Python."
             )
     rate = acceptance_rate(posterior)
     if rate is None or statistics is None:

@@ -130,7 +130,8 @@ def build_hierarchical_model(
     data = select_observables(backbones, observables)
     if data.sizes["specimen"] < MINIMUM_SPECIMENS:
         raise InputError(
-            f"a population needs at least {MINIMUM_SPECIMENS} specimens, got {data.sizes['specimen']}; use build_model."
+            f"a population needs at least {MINIMUM_SPECIMENS} specimens, got {data.sizes['specimen']}; take "
+            "the likelihood 'specimen' or 'pooled' of build_model."
         )
     intervals = prior_intervals(oscillator, data, dict(bounds or {}), fixed)
     names = list(intervals)

@@ -7,7 +7,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 LIKELIHOODS = ("auto", "population", "specimen", "pooled")
+HIERARCHICAL = "hierarchical"
+POPULATIONS = ("correlated", "normal", "uniform")
 STEPS = ("metropolis", "elementwise", "demetropolisz", "slice", "nuts", "nutpie")
+GRADIENT_STEPS = ("nuts", "nutpie")
 
 
 @dataclass(frozen=True)
@@ -41,17 +44,21 @@ class Comparing:
 
     Attributes
     ----------
-    likelihood : {"auto", "population", "specimen", "pooled"}
-        "auto" takes "population" from 8 specimens that reach every level, else "specimen", and "pooled" for one.
+    likelihood : {"auto", "population", "specimen", "pooled", "hierarchical"}
+        "auto" takes "population" from 8 specimens that reach every level, else "specimen", and "pooled" for one;
+        "hierarchical" is the model of `build_hierarchical_model`.
     density : {"product", "joint", "data_consistent"}
         Of the population.
     marginal : str
         Family of the density at each level.
+    population : {"correlated", "normal", "uniform"}
+        Family of the hierarchical model's population: Normal with correlated or independent parameters, or Uniform.
     """
 
     likelihood: str = "auto"
     density: str = "product"
     marginal: str = "best"
+    population: str = "correlated"
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from .._common.checks import InputError, check_choice
 from .._common.progress import Progress
 from ..likelihood.dims import label_units
 from ..simulation.counts import read_counts
-from .options import STEPS
+from .options import GRADIENT_STEPS, STEPS
 from .proposal import make_metropolis
 from .remembering import make_remembering
 from .starts import StartFinder
@@ -34,6 +34,8 @@ _OWN = {
     "initvals": "starts are found from the data; call pymc.sample(initvals=...) for starts of your own",
     "compute_convergence_checks": "`findings` says what they would",
 }
+# Arguments that belong to the step, where PyMC makes it itself; a step that is given would never see them.
+_OF_NUTS = ("target_accept", "max_treedepth")
 logger = logging.getLogger("pymc_backbone")
 
 
@@ -66,7 +68,9 @@ def sample(
     step : {"metropolis", "elementwise", "demetropolisz", "slice", "nuts", "nutpie"} or a PyMC step object
         ``metropolis`` is PyMC's Metropolis with joint proposals in the shape of the posterior, d of them a draw for d
         parameters (PyMC's own where no shape is found); ``elementwise`` is `pymc.Metropolis` as it comes, one variable
-        at a time; ``nuts`` and ``nutpie`` need the gradient that oscillators have and functions have not.
+        at a time. Both simulate a proposal once; a Metropolis step that you make yourself simulates twice, because PyMC
+        computes the density of the present point anew for each proposal. ``nuts`` and ``nutpie`` need the gradient that
+        oscillators have and functions have not.
     random_seed : int or numpy.random.Generator, optional
         Seed of starts and draws; of a Generator one is drawn.
     cores : int, default 1
@@ -82,7 +86,8 @@ def sample(
     progress : callable, optional
         Called with the stage and the fraction done (NaN where it is not known), in place of bar and lines.
     **kwargs
-        Passed on to `pymc.sample`, or to `nutpie.sample` with step ``nutpie``.
+        Passed on to `pymc.sample`, or to `nutpie.sample` with step ``nutpie``; ``target_accept`` and
+        ``max_treedepth`` go to NUTS.
 
     Returns
     -------
@@ -110,7 +115,7 @@ def sample(
     seed = _as_number(random_seed)
     if isinstance(step, str):
         check_choice("step", step, STEPS)
-        if step in ("nuts", "nutpie") and not is_differentiable(model):
+        if step in GRADIENT_STEPS and not is_differentiable(model):
             raise InputError(f"step {step!r} needs a gradient, and a backbone function has none; use 'metropolis'.")
     for label, value, least in (("draws", draws, 1), ("tune", tune, 0), ("chains", chains, 1), ("cores", cores, 1)):
         if int(value) != value or value < least:
@@ -178,6 +183,7 @@ def _run(
 ) -> xr.DataTree:
     """Find starts, sample, and note what it took; in the order that gives a stored run the draws of any other."""
     begin = time.perf_counter()
+    own = {name: kwargs.pop(name) for name in _OF_NUTS if name in kwargs and step == "nuts"}
     seeds = np.random.SeedSequence(random_seed).generate_state(2)
     told = tell or (lambda _stage, _fraction: None)
     told("looking for starts", float("nan"))
@@ -185,7 +191,7 @@ def _run(
     if kept is None:
         starts = finder.find(chains)
     else:
-        settings = {"draws": draws, "tune": tune, "chains": chains, "step": step, "random_seed": random_seed}
+        settings = {"draws": draws, "tune": tune, "chains": chains, "step": step, "random_seed": random_seed, **own}
         starts = kept.starts(model, finder, settings)
     before = read_counts()
     shown = (tell is None and sys.stderr.isatty()) if progressbar is None else progressbar
@@ -194,7 +200,7 @@ def _run(
     if step == "nutpie":
         result = _sample_nutpie(model, draws, tune, chains, int(seeds[1]), starts, shown, cores, kwargs, told)
     else:
-        stepper = make_metropolis(model, finder) if step == "metropolis" else _make_step(step, model)
+        stepper = make_metropolis(model, finder) if step == "metropolis" else _make_step(step, model, own)
         recorder = None if kept is None else kept.record(stepper, read_counts)
         if tell is not None:
             repeated = 0 if recorder is None else recorder.kept
@@ -236,11 +242,12 @@ def _run(
     return result
 
 
-def _make_step(step: str | Any, model: pm.Model) -> Any:
+def _make_step(step: str | Any, model: pm.Model, own: dict[str, Any]) -> Any:
+    """Return the step of that name, or the step given; ``own`` are arguments of NUTS."""
     if not isinstance(step, str):
         return step
     if step == "nuts":
-        return pm.NUTS(model=model)
+        return pm.NUTS(model=model, **own)
     makers = {"elementwise": pm.Metropolis, "demetropolisz": pm.DEMetropolisZ, "slice": pm.Slice}
     return make_remembering(makers[step], model)
 

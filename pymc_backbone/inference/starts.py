@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -51,17 +52,29 @@ class StartFinder:
         self.log_density = compile_once(model, "log-density", model.compile_logp)
         self.targets = targets_of(model)
         self.to_natural = compile_once(model, "natural values", lambda: self._compile(model.free_RVs))
-        thetas = [target.theta for target in self.targets]
-        self.thetas = compile_once(model, "parameters", lambda: self._compile(thetas)) if thetas else None
         self.bounded = {
             model.rvs_to_values[rv].name: isinstance(model.rvs_to_transforms[rv], Interval) for rv in model.free_RVs
         }
         self.best: dict[str, FloatArray] = {}
         self.shape: FloatArray | None = None
         self.prior_sd = np.ones(0)
-        self.draw_point = compile_once(
+
+    # A model with a hint needs neither of these two, and each takes as long to compile as its log-density.
+
+    @cached_property
+    def thetas(self) -> Callable[..., Any] | None:
+        """The parameters of every likelihood as a function of the unconstrained values; None without likelihoods."""
+        thetas = [target.theta for target in self.targets]
+        return compile_once(self.model, "parameters", lambda: self._compile(thetas)) if thetas else None
+
+    @cached_property
+    def draw_point(self) -> Callable[..., Any]:
+        """What draws a point from the prior, for a seed."""
+        model = self.model
+        function: Callable[..., Any] = compile_once(
             model, "prior", lambda: pm.initial_point.make_initial_point_fn(model=model, default_strategy="prior")
         )
+        return function
 
     def _compile(self, variables: list[Any]) -> Callable[..., Any]:
         """Return these variables as a function of the unconstrained values."""

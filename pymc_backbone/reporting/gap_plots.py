@@ -25,6 +25,7 @@ from .style import (
     TRUE,
     amplitude_axis,
     drawable,
+    engineering,
     evenly,
     label_axes,
     layout,
@@ -151,7 +152,7 @@ def plot_gap(study: Study, observable: str) -> Figure:
     return figure
 
 
-def plot_held_out(held_out: HeldOut, what: str) -> Figure:
+def plot_held_out(held_out: HeldOut, what: str, amplitude_unit: str = "m") -> Figure:
     """Draw the reduced chi-square of each left-out level or specimen, before and after.
 
     Parameters
@@ -160,6 +161,8 @@ def plot_held_out(held_out: HeldOut, what: str) -> Figure:
         The gap on data that the fit has not seen.
     what : str
         ``level`` or ``specimen``: what was left out.
+    amplitude_unit : str, optional
+        m or rad, of levels.
 
     Returns
     -------
@@ -189,7 +192,13 @@ def plot_held_out(held_out: HeldOut, what: str) -> Figure:
         axis.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
         axis.xaxis.set_minor_locator(NullLocator())
     axis.xaxis.set_minor_formatter(NullFormatter())
-    axis.set_yticks(rows, [drawable(held_out.labels[i], 22) for i in chosen], fontsize=8)
+    labels, title = [held_out.labels[i] for i in chosen], ""
+    if what == "level":  # in the unit of the other figures
+        levels = np.array([float(label.split()[0]) for label in labels])
+        scale, prefix = engineering(float(levels.max()), amplitude_unit)
+        labels, title = [f"{level * scale:.4g}" for level in levels], f"Amplitude [{prefix}{amplitude_unit}]"
+    axis.set_yticks(rows, [drawable(label, 22) for label in labels], fontsize=8)
+    axis.set_ylabel(title, fontsize=9)
     axis.set_ylim(len(chosen) - 0.4, -0.6)
     axis.set_xlabel(f"Reduced chi-square of the {what} left out", fontsize=9)
     axis.spines[["top", "right"]].set_visible(False)

@@ -47,7 +47,7 @@ RESULT, SUMMARY, BACKBONES_TABLE, BACKBONES, POSTERIOR = (
     "posterior.nc",
 )
 REPORT, SCRIPT, MEAN_BACKBONE = "report.html", "model.py", "mean_backbone.nc"
-FIGURES = ("records", "backbones", "densities", "prior_posterior", "trace", "rank", "pair", "predictive")
+FIGURES = ("records", "backbones", "densities", "prior_posterior", "population", "trace", "rank", "pair", "predictive")
 DIAGNOSIS_FIGURES = (
     *(f"{kind}_{observable}" for kind in ("backbones", "gap") for observable in OBSERVABLES),
     *("candidates", "held_out_levels", "held_out_specimens", "parameters", "detectable"),
@@ -69,7 +69,10 @@ RESULT_KEYS = {
     "amplitude_unit": "m or rad",
     "specimens": "names",
     "parameters": "name: mean, sd, hdi_low, hdi_high, unit, r_hat, ess_bulk, ess_tail, prior_low, prior_high; also of "
-    "a mass that is uncertain, of whose prior these are the central 95 %",
+    "a mass that is uncertain, of whose prior these are the central 95 %; null where the prior is a population",
+    "population": "of a hierarchical model: family, for each parameter the population's mean and sd (as under "
+    "'parameters'; prior_low and prior_high are the prior's central 95 %), correlations, unidentified, prior_spreads; "
+    "else null",
     "fixed": "name: value of the parameters that were not inferred",
     "comparison": "for each observable and level: mean and sd over the specimens, measured and simulated",
     "interrupted": "what is missing where a stored run was ended with Ctrl-C, a sentence; else null",

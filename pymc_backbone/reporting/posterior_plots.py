@@ -32,6 +32,7 @@ if TYPE_CHECKING:  # what is behind it takes long to import
     from ..inference.diagnostics import Bounds
 
 MOST_PARAMETERS = 12
+_ROWS = 0.4  # of the height of the densities: for the intervals of specimens below them
 _FEWEST_TO_THIN = 100.0  # effective draws
 
 
@@ -91,16 +92,22 @@ def plot_prior_posterior(
             axis.plot(
                 [low, low, high, high], [0, 1 / (high - low), 1 / (high - low), 0], color=QUIET, label="prior", zorder=3
             )
-            # Interval and true values stand below the densities, where nothing covers them.
-            for own, interval in enumerate(intervals):
-                label = "" if own else f"{probability:.0%} HDI{of_each}"
-                axis.plot(interval, [-0.05 * top] * 2, color="black", linewidth=3.0, solid_capstyle="butt", label=label)
+            # Intervals and true values stand below the densities, where nothing covers them; those of specimens, which
+            # may lie anywhere, in a row each.
+            rows = -0.05 - _ROWS * np.arange(len(intervals)) / max(len(intervals), 8) * (len(intervals) > 1)
+            for own, (row_of_own, interval) in enumerate(zip(rows, intervals, strict=True)):
+                label = "" if own else f"{probability * 100.0:g} % HDI{of_each}"
+                axis.plot(
+                    interval, [row_of_own * top] * 2, color="black", linewidth=3.0 if len(intervals) == 1 else 1.8,
+                    solid_capstyle="butt", label=label,
+                )  # fmt: skip
+            lowest = float(rows[-1])
             if true_values is not None and name in true_values:
                 rug = np.asarray(true_values[name]) * scale
-                below = np.full_like(rug, -0.12 * top)
+                below = np.full_like(rug, (lowest - 0.07) * top)
                 axis.plot(rug, below, "|", color=TRUE, markersize=8, label="true values of the specimens")
             axis.set_yticks([])
-            axis.set_ylim(-0.18 * top, 1.05 * top)
+            axis.set_ylim((lowest - 0.13) * top, 1.05 * top)
             axis.xaxis.set_major_locator(MaxNLocator(5))
             axis.tick_params(labelsize=8)
             axis.spines[["left", "top", "right"]].set_visible(False)
@@ -154,6 +161,7 @@ def plot_trace(
     _stand_on_zero((axis for axis in figure.axes if axis.get_xlabel() != "Draw"), 5)
     for axis in figure.axes:  # the label of a specimen's parameter has two lines, longer than a row is high
         axis.yaxis.label.set_fontsize(7)
+        axis.ticklabel_format(useOffset=False)
     return figure
 
 

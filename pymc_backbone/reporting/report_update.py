@@ -11,7 +11,7 @@ from .._common.checks import OBSERVABLE_UNITS
 from ..inference.fit_verdict import P_LIMIT, GoodnessOfFit, probability
 from .html import Raw, bullets, details, escape, image, number, page, paragraph, prose, section, table, tiles, unit
 from .report import settings_table
-from .terminal import FOUND_NOTHING, meaningful_digits
+from .terminal import FOUND_NOTHING, POPULATION_WORDS, meaningful_digits
 
 MOST_ROWS = 12
 
@@ -42,6 +42,7 @@ def update_report_html(
                 image(figures.get("predictive"), "measured and predicted backbones over amplitude", is_wide=True),
             ),
             _misfit(fit),
+            _population(result, figures),
             _parameters(result, figures),
             _sampling(result, figures),
             _data(result, figures),
@@ -69,7 +70,8 @@ def _verdict(result: Mapping[str, Any], fit: GoodnessOfFit) -> tuple[str, str]:
 
 def _header(result: Mapping[str, Any], fit: GoodnessOfFit, word: str) -> str:
     count = len(result["specimens"])
-    kicker = f"Updated model of {count} {'specimen' if count == 1 else 'specimens'}, {fit.likelihood} likelihood"
+    kind = "hierarchical model" if result.get("population") else f"{fit.likelihood} likelihood"
+    kicker = f"Updated model of {count} {'specimen' if count == 1 else 'specimens'}, {kind}"
     pairs: list[tuple[object, object]] = [
         (probability(fit.p_value), "chance of such a misfit if the model were right"),
         (number(fit.reduced_chi_square, 3), "reduced chi-square: 1 is what measurement error explains"),
@@ -153,31 +155,65 @@ def _misfit(fit: GoodnessOfFit) -> str:
     )
 
 
+def _population(result: Mapping[str, Any], figures: Mapping[str, Figure]) -> str:
+    """Say what a hierarchical model found about the population; nothing for another."""
+    population = result.get("population")
+    if not population:
+        return ""
+    units = {name.partition("[")[0]: entry["unit"] for name, entry in result["parameters"].items()}
+    rows = []
+    for name, of in population["parameters"].items():
+        for key, what in POPULATION_WORDS.items():
+            prior = f"{number(of[key]['prior_low'], 3)} to {number(of[key]['prior_high'], 3)}"
+            rows.append((f"{name.replace('_', ' ')}, {what}", *_numbers(of[key]), unit(units[name]), Raw(prior)))
+    pairs = [
+        (" and ".join(entry["between"]).replace("_", " "), *_numbers(entry)) for entry in population["correlations"]
+    ]
+    count = len(result["specimens"])
+    family = "Uniform, with edges that are inferred" if population["family"] == "uniform" else "Normal"
+    note = (
+        f"The batch that the {count} specimens were drawn from, those included that nobody has measured. Its family is "
+        f"taken to be {family}. With few specimens the prior of the spread counts; the column prior holds its central "
+        "95 %."
+    )
+    columns = (("95 % HDI", ""), ("R-hat", "n"), ("effective draws", "n"))
+    return section(
+        "The population",
+        paragraph(note, "soft"),
+        image(figures.get("population"), "specimens and the population they were drawn from", is_wide=True),
+        table((("over the batch", "head"), ("mean", "n"), ("sd", "n"), *columns, ("unit", ""), ("prior", "")), rows),
+        table((("correlation over the batch", "head"), ("mean", "n"), ("sd", "n"), *columns), pairs) if pairs else "",
+    )
+
+
+def _numbers(entry: Mapping[str, Any]) -> tuple[Raw, ...]:
+    """Return mean, sd, interval, R-hat and effective draws of one number."""
+    digits = meaningful_digits(entry["hdi_low"], entry["hdi_high"], entry["sd"])
+    return (
+        number(entry["mean"], digits),
+        number(entry["sd"], 2),
+        Raw(f"{number(entry['hdi_low'], digits)} to {number(entry['hdi_high'], digits)}"),
+        number(entry["r_hat"], 4),
+        number(entry["ess_bulk"], 4),
+    )
+
+
 def _parameters(result: Mapping[str, Any], figures: Mapping[str, Figure]) -> str:
     rows = []
+    is_own = not result.get("population")  # whether the parameters' priors are intervals
     for name, entry in result["parameters"].items():
-        digits = meaningful_digits(entry["hdi_low"], entry["hdi_high"], entry["sd"])
-        rows.append(
-            (
-                name.replace("_", " "),
-                number(entry["mean"], digits),
-                number(entry["sd"], 2),
-                Raw(f"{number(entry['hdi_low'], digits)} to {number(entry['hdi_high'], digits)}"),
-                unit(entry["unit"]),
-                Raw(f"{number(entry['prior_low'], 3)} to {number(entry['prior_high'], 3)}"),
-                number(entry["r_hat"], 4),
-                number(entry["ess_bulk"], 4),
-            )
-        )
+        prior = Raw(f"{number(entry['prior_low'], 3)} to {number(entry['prior_high'], 3)}")
+        row = (name.replace("_", " "), *_numbers(entry), unit(entry["unit"]), prior)
+        rows.append(row if is_own else row[:-1])
     columns = (
         ("parameter", "head"),
         ("mean", "n"),
         ("sd", "n"),
         ("95 % HDI", ""),
-        ("unit", ""),
-        ("prior", ""),
         ("R-hat", "n"),
         ("effective draws", "n"),
+        ("unit", ""),
+        ("prior", ""),
     )
     meaning = {
         "population": "Mean and sd are those of the distribution over the batch.",
@@ -187,9 +223,9 @@ def _parameters(result: Mapping[str, Any], figures: Mapping[str, Figure]) -> str
     }[result["fit"]["likelihood"]]
     fixed = ", ".join(f"{name.replace('_', ' ')} = {value:.6g}" for name, value in result["fixed"].items())
     return section(
-        "Parameters",
-        table(columns, rows[: 3 * MOST_ROWS]),
-        details(f"{len(rows) - 3 * MOST_ROWS} more", table(columns, rows[3 * MOST_ROWS :])),
+        "Parameters" if is_own else "Parameters of each specimen",
+        table(columns if is_own else columns[:-1], rows[: 3 * MOST_ROWS]),
+        details(f"{len(rows) - 3 * MOST_ROWS} more", table(columns if is_own else columns[:-1], rows[3 * MOST_ROWS :])),
         paragraph(f"{meaning}{f' Held fixed: {fixed}.' if fixed else ''}", "soft"),
         image(figures.get("prior_posterior"), "prior and posterior of the parameters"),
         details("Equation of motion", f"<pre>{escape(result['equation'])}</pre>"),
@@ -201,7 +237,10 @@ def _sampling(result: Mapping[str, Any], figures: Mapping[str, Figure]) -> str:
         image(figures.get(name), text, is_wide=True)
         for name, text in (("trace", "traces"), ("rank", "rank plots"), ("pair", "pairs of parameters"))
     ]
-    entries = result["parameters"].values()
+    entries = [*result["parameters"].values()]
+    if result.get("population"):
+        entries += [entry for of in result["population"]["parameters"].values() for entry in of.values()]
+        entries += result["population"]["correlations"]
     pairs = [
         (number(max((entry["r_hat"] for entry in entries), default=float("nan")), 4), "largest R-hat (below 1.01)"),
         (

@@ -42,7 +42,9 @@ def study_figures(study: Study, records: Sequence[Any] = ()) -> dict[str, Figure
     if study.candidates:
         figures["candidates"] = plot_candidates(study)
     if study.held_out_levels is not None:
-        figures["held_out_levels"] = plot_held_out(study.held_out_levels, "level")
+        figures["held_out_levels"] = plot_held_out(
+            study.held_out_levels, "level", str(study.backbones.attrs.get("amplitude_unit", "m"))
+        )
     if study.held_out_specimens is not None:
         figures["held_out_specimens"] = plot_held_out(study.held_out_specimens, "specimen")
     if study.parameters:

@@ -12,6 +12,8 @@ import xarray as xr
 from .._common.checks import OBSERVABLE_UNITS
 
 MOST_NOTES = 8
+POPULATION_WORDS = {"mean": "mean over the batch", "sd": "spread (sd) over the batch"}
+_COLUMNS = ("unit", "mean", "sd", "95 % HDI", "R-hat", "effective draws")
 FOUND_NOTHING = "the model fits, the chains agree, and no parameter leans on its prior"
 
 
@@ -118,20 +120,8 @@ def describe_measured(backbones: xr.Dataset) -> str:
 
 def describe_result(result: Mapping[str, Any]) -> str:
     """Say what was inferred: parameters, measured against simulated spread, findings."""
-    rows = [("parameter", "unit", "mean", "sd", "95 % HDI", "R-hat", "effective draws")]
-    for name, entry in result["parameters"].items():
-        digits = meaningful_digits(entry["hdi_low"], entry["hdi_high"], entry["sd"])
-        rows.append(
-            (
-                name,
-                entry["unit"],
-                short(entry["mean"], digits),
-                short(entry["sd"], 2),
-                f"{short(entry['hdi_low'], digits)} to {short(entry['hdi_high'], digits)}",
-                f"{entry['r_hat']:.3f}",
-                f"{entry['ess_bulk']:.0f}",
-            )
-        )
+    rows: list[tuple[str, ...]] = [("parameter", *_COLUMNS)]
+    rows += [(name, *_row(entry, entry["unit"])) for name, entry in result["parameters"].items()]
     spread: list[tuple[str, ...]] = [
         (
             f"level [{result['amplitude_unit']}]",
@@ -152,8 +142,36 @@ def describe_result(result: Mapping[str, Any]) -> str:
             spread.append((f"{row['level']:.4g}", _with_unit(observable), *numbers))
     found = result["findings"] or [f"Nothing wrong was found: {FOUND_NOTHING}."]
     fit = [str(result["fit"]["sentence"]), ""] if result.get("fit") else []
+    population = _describe_population(result)
     return "\n".join(
-        [*fit, aligned(rows), "", aligned(spread), "", "Findings:", *(f"- {sentence}" for sentence in found)]
+        [*fit, *population, aligned(rows), "", aligned(spread), "", "Findings:", *(f"- {one}" for one in found)]
+    )
+
+
+def _describe_population(result: Mapping[str, Any]) -> list[str]:
+    """Return the lines on the population of a hierarchical model, none for another."""
+    population = result.get("population")
+    if not population:
+        return []
+    units = {name.partition("[")[0]: entry["unit"] for name, entry in result["parameters"].items()}
+    rows: list[tuple[str, ...]] = [("population", *_COLUMNS)]
+    for name, of in population["parameters"].items():
+        rows += [(f"{name}, {what}", *_row(of[key], units[name])) for key, what in POPULATION_WORDS.items()]
+    for entry in population["correlations"]:
+        rows.append((f"correlation of {' and '.join(entry['between'])}", *_row(entry, "1")))
+    return [aligned(rows), "", "The specimens:"]
+
+
+def _row(entry: Mapping[str, float], unit: str) -> tuple[str, ...]:
+    """Return unit, mean, sd, interval, R-hat and effective draws of one number, as `_COLUMNS` names them."""
+    digits = meaningful_digits(entry["hdi_low"], entry["hdi_high"], entry["sd"])
+    return (
+        "-" if unit == "1" else unit,
+        short(entry["mean"], digits),
+        short(entry["sd"], 2),
+        f"{short(entry['hdi_low'], digits)} to {short(entry['hdi_high'], digits)}",
+        f"{entry['r_hat']:.3f}",
+        f"{entry['ess_bulk']:.0f}",
     )
 
 

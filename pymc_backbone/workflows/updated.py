@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from ..inference.fit_verdict import GoodnessOfFit
+    from ..inference.population_summary import Population
     from ..likelihood.density import Density
     from ..oscillator import Oscillator
 
@@ -41,16 +42,23 @@ class Updated:
     table: pd.DataFrame
     """What `summarise` says of each parameter."""
     mass_error: float = 0.0
+    population: Population | None = None
+    """Of a hierarchical model."""
 
     @property
     def names(self) -> list[str]:
         """Of the parameters that were inferred."""
         return [name for name in self.bounds if name in self.posterior["posterior"]]
 
+    @property
+    def population_names(self) -> list[str]:
+        """Of the variables that are mean and spread of a hierarchical model's population."""
+        return [] if self.population is None else [f"{name}_{what}" for name in self.bounds for what in ("mean", "sd")]
+
 
 def result_of(updated: Updated, command: str, settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return what ``result.json`` holds."""
-    from ..inference.diagnostics import findings, simulations_of
+    from ..inference.diagnostics import simulations_of
 
     oscillator, posterior = updated.oscillator, updated.posterior
     return {
@@ -65,16 +73,31 @@ def result_of(updated: Updated, command: str, settings: Mapping[str, Any]) -> di
         "density": None if updated.density is None else updated.density.description,
         **updated.measured.entries(),
         "parameters": _parameters(updated),
+        "population": None if updated.population is None else updated.population.as_dict(),
         "fixed": dict(updated.fixed),
         "comparison": compare(updated.measured.backbones, updated.predictive),
         "interrupted": posterior.attrs.get("interrupted"),
         "fit": updated.fit.as_dict(),
-        "findings": findings(
-            posterior, updated.bounds, units=oscillator.units, fit=updated.fit, remedy=_remedy(updated)
-        ),
+        "findings": _findings(updated),
         "failures": posterior.attrs.get("failures"),
         "simulations": simulations_of(posterior),
     }
+
+
+def _findings(updated: Updated) -> list[str]:
+    """Return what is wrong with the fit and the posterior, in sentences."""
+    from ..inference.diagnostics import findings
+
+    remedy, units = _remedy(updated), updated.oscillator.units
+    if updated.population is None:
+        return findings(updated.posterior, updated.bounds, units=units, fit=updated.fit, remedy=remedy)
+    # A specimen's prior is the population; only the population's mean has bounds to lean on.
+    is_normal = updated.population.family == "normal"
+    bounds = {f"{name}_mean": pair for name, pair in updated.bounds.items()} if is_normal else {}
+    units = {f"{name}_mean": unit for name, unit in units.items()}
+    names = [*updated.population_names, *updated.names]
+    found = findings(updated.posterior, bounds, names=names, units=units, fit=updated.fit, remedy=remedy)
+    return found + updated.population.sentences(len(updated.measured.backbones["specimen"]))
 
 
 def report_of(result: Mapping[str, Any], updated: Updated, figures: Mapping[str, Figure]) -> str:
@@ -103,9 +126,10 @@ def _parameters(updated: Updated) -> dict[str, dict[str, Any]]:
         **updated.bounds, MASS: (max(mass - 1.96 * updated.mass_error, 0.0), mass + 1.96 * updated.mass_error)
     }  # fmt: skip
     units = {**updated.oscillator.units, MASS: "kg m^2" if is_rotation else "kg"}
-    for label, row in updated.table.iterrows():
+    own = updated.table.drop(index=updated.population_names)
+    for label, row in own.iterrows():
         name = str(label).partition("[")[0]
-        low, high = bounds[name]
+        low, high = bounds[name] if updated.population is None else (float("nan"),) * 2  # the population is the prior
         kept = ("mean", "sd", "hdi_low", "hdi_high", "r_hat", "ess_bulk", "ess_tail")
         entries[str(label)] = {
             **{key: float(row[key]) for key in kept},
@@ -125,9 +149,16 @@ def figures_of(updated: Updated, true_values: Mapping[str, FloatArray] | None) -
     figures = {
         "backbones": plots.plot_backbones(measured.backbones),
         "predictive": plots.plot_fit(measured.backbones, updated.fit),
-        "prior_posterior": plots.plot_prior_posterior(posterior, updated.bounds, units=units, true_values=true_values),
-        "trace": plots.plot_trace(posterior, names, units=units),
     }
+    if updated.population is None:
+        figures["prior_posterior"] = plots.plot_prior_posterior(
+            posterior, updated.bounds, units=units, true_values=true_values
+        )
+    else:
+        figures["population"] = plots.plot_population(posterior, updated.oscillator, names)
+        units = {f"{name}_{what}": unit for name, unit in units.items() for what in ("mean", "sd")}
+        names = updated.population_names
+    figures["trace"] = plots.plot_trace(posterior, names, units=units)
     if posterior["posterior"].sizes["chain"] > 1:
         figures["rank"] = plots.plot_rank(posterior, names, units=units)
     if updated.density is not None:

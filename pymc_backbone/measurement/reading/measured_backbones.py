@@ -106,7 +106,7 @@ def read_backbones(path: str | os.PathLike[str], *, levels: ArrayLike | None = N
     if len(units) > 1:
         other = next(curve for curve in ordered if curve.unit != ordered[0].unit)
         other.fail(f"amplitude is in {other.unit} but in {ordered[0].unit} in {ordered[0].source}; use one unit.")
-    chosen = _default_levels(ordered) if levels is None else check_levels(levels)
+    chosen = _default_levels(ordered) if levels is None else _inside(check_levels(levels), ordered)
     return _dataset(ordered, chosen, units[0])
 
 
@@ -338,6 +338,19 @@ def _scatter(amplitude: FloatArray, values: FloatArray) -> float:
     basis = np.vander(u, 3)
     residual = values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0]
     return float(np.sqrt(residual @ residual / (values.size - 3)))
+
+
+def _inside(levels: FloatArray, curves: Sequence[_Curve]) -> FloatArray:
+    """Return the levels, of which some specimen reaches one; those that none reaches are left empty."""
+    low = min(float(curve.amplitude[0]) for curve in curves)
+    high = max(float(curve.amplitude[-1]) for curve in curves)
+    if not ((levels >= low * (1.0 - 1e-9)) & (levels <= high * (1.0 + 1e-9))).any():
+        unit = curves[0].unit
+        raise InputError(
+            f"`levels` must lie inside the measured amplitudes, {low:.4g} to {high:.4g} {unit}, got {levels[0]:.4g} to "
+            f"{levels[-1]:.4g} {unit}."
+        )
+    return levels
 
 
 def _default_levels(curves: Sequence[_Curve]) -> FloatArray:
