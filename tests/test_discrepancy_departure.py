@@ -9,7 +9,8 @@ from pymc_backbone.discrepancy import departure as module
 from pymc_backbone.discrepancy import starts
 from pymc_backbone.discrepancy.batch import Batch
 from pymc_backbone.discrepancy.data_term import LevelTerm
-from pymc_backbone.discrepancy.departure import NOISES, OWN_SHARE, SCALES, SIZES, Choice, Departures
+from pymc_backbone.discrepancy.departing import DepartingSets
+from pymc_backbone.discrepancy.departure import NOISES, OWN_SHARE, SCALES, SIZES, Choice
 from pymc_backbone.discrepancy.joint_fit import fit, start_state
 from pymc_backbone.discrepancy.layout import make_layout
 from pymc_backbone.oscillator import Oscillator
@@ -45,7 +46,7 @@ def lone(batch, effects):
     etas = [np.where(layout.is_strength, scale * typical, typical) for scale in (0.02, 0.2, 1.0)]
     begun = [fit(layout, batch.levels, start_state(layout, eta, batch.own), nuisances=(0, 1)) for eta in etas]
     near = min((item for item in begun if item is not None), key=lambda item: item.cost)
-    return Departures(batch, 1.0).evidence(layout, [near.state])
+    return DepartingSets(batch, 1.0).evidence(layout, [near.state])
 
 
 def matern(scale):
@@ -58,7 +59,7 @@ def test_evidence_is_that_of_one_dense_gaussian(count):
     """The base with a departure: noise, departure common and own, stiffness and damping, all in one covariance."""
     noise = (1e-4, 1e-3)
     batch = batch_of(lambda s: (3.2 * s + 0.02 * LEVELS**2, 0.06 + 0.01 * LEVELS), 1, noise, count)
-    departures = Departures(batch, 1.0)
+    departures = DepartingSets(batch, 1.0)
     choice = Choice(1, (6, 5, 0), (3, 2, 2))
     point = departures._point(
         layout_of(batch, ()), start_state(layout_of(batch, ()), np.zeros(0), batch.own), choice, ""
@@ -141,7 +142,7 @@ def test_departures_of_one_specimen_each_are_no_law():
     for curves, is_law in ((micro_slip, True), (own, False)):
         data = batch_of(curves, 4)
         layout = layout_of(data, ())
-        departures = Departures(data, 1.0)
+        departures = DepartingSets(data, 1.0)
         found = departures.evidence(layout, [start_state(layout, np.zeros(0), data.own)])
         assert (departures.evidence_apart(found, layout) < 0.0) is is_law
 

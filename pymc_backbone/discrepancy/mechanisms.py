@@ -15,7 +15,7 @@ from .._common.checks import OBSERVABLES, FloatArray
 from .._common.threads import in_threads
 from ..effects import EITHER, LIBRARY
 from . import evidence
-from .departure import Departing, Departures, Point
+from .departing import Departing, DepartingSets, Point
 from .descent import is_heavy
 from .joint_fit import NUISANCES, State, start_state
 from .search import Search, Set
@@ -79,7 +79,7 @@ def weigh(search: Search) -> Weighed | None:
     follow exactly does not pull it away from what it can follow.
     """
     chosen = _specimens(search)
-    departures = Departures(search.batch.subset(chosen), search.base.mass)
+    departures = DepartingSets(search.batch.subset(chosen), search.base.mass)
     departing = _departing(search, departures, chosen)
     logs = {names: item.log_evidence + _log_prior(names, search) for names, item in departing.items()}
     logs = {names: value for names, value in logs.items() if np.isfinite(value)}
@@ -104,7 +104,7 @@ def weigh(search: Search) -> Weighed | None:
     )
 
 
-def _departing(search: Search, departures: Departures, chosen: list[int]) -> dict[Set, Departing]:
+def _departing(search: Search, departures: DepartingSets, chosen: list[int]) -> dict[Set, Departing]:
     """Return what the backbones say of every set likely at first sight, of the base, and of the best's subsets."""
     search.progress("weighing sets that are not exact", 0.0)
     sets = _looked_at(search)
@@ -142,7 +142,7 @@ def _departing(search: Search, departures: Departures, chosen: list[int]) -> dic
     return departing
 
 
-def _looked_back(search: Search, departures: Departures, departing: Mapping[Set, Departing]) -> dict[Set, Departing]:
+def _looked_back(search: Search, departures: DepartingSets, departing: Mapping[Set, Departing]) -> dict[Set, Departing]:
     """Return the subsets of the likeliest sets that fit better from where these ended: these had found a better way."""
     logs = {names: item.log_evidence + _log_prior(names, search) for names, item in departing.items()}
     likeliest = sorted(logs, key=lambda names: -logs[names])[:_LEADERS]
@@ -161,14 +161,14 @@ def _looked_back(search: Search, departures: Departures, departing: Mapping[Set,
     return {names: item for names, item in found.items() if item.log_evidence > known[names]}
 
 
-def _of_drift(search: Search, departures: Departures, base: Departing) -> float:
+def _of_drift(search: Search, departures: DepartingSets, base: Departing) -> float:
     """Return the logarithm of evidence and prior of the base with a drift in time: in each record, or alike in all."""
     either = [departures.evidence(search.layout(()), [base.state], drifts=kind) for kind in ("own", "common")]
     known = [item.log_evidence for item in either if item is not None]
     return float(logsumexp(known)) - np.log(2.0) + evidence.log_prior(1, len(search.candidates)) if known else -np.inf
 
 
-def _gaps(departing: Mapping[Set, Departing], departures: Departures) -> dict[Set, float]:
+def _gaps(departing: Mapping[Set, Departing], departures: DepartingSets) -> dict[Set, float]:
     """Return the root mean square of the departure that each set needs, as a share of that which the base needs.
 
     As a force, over the elastic one: in phase, in quadrature and steady. Of a curve that the model's own stiffness or
