@@ -81,6 +81,9 @@ def test_evidence_is_that_of_one_dense_gaussian(count):
         slopes[9:, 0] = -0.5 * np.pi * vector[1] / vector[0] / omega
         at = slice(18 * r, 18 * (r + 1))
         covariance[at, at] += slopes @ np.diag(vector**2) @ slopes.T
+        for o in range(2):  # errors of a smooth curve that are smooth
+            block = slice(18 * r + 9 * o, 18 * r + 9 * (o + 1))
+            covariance[block, block] += (noise[o] * (NOISES[3], 1.0)[o]) ** 2 * matern(SCALES[1])
         for s in range(count):
             there = slice(18 * s, 18 * (s + 1))
             share = 1.0 if count == 1 else 1.0 + OWN_SHARE**2 * (r == s)

@@ -84,6 +84,7 @@ class Departures:
             at = np.flatnonzero(self.owner == r)
             covariance[np.ix_(at, at)] = block
         self.rows = [np.flatnonzero(self.observable == o) for o in range(3)]
+        covariance += self._smooth_errors(covariance)
         frequency, damping = data.omegas[thinned] / (2.0 * np.pi), data.decrements[thinned]
         typical = np.maximum(damping, _LEAST_DAMPING * damping.mean())
         self.units = np.array([frequency, typical, np.ones(frequency.size)])
@@ -108,6 +109,16 @@ class Departures:
         distance = np.sqrt(5.0) * steps / scale
         kernel: FloatArray = (1.0 + distance + distance**2 / 3.0) * np.exp(-distance)
         return kernel
+
+    def _smooth_errors(self, covariance: FloatArray) -> FloatArray:
+        """Return the covariance of errors as large as the others, but smooth over the levels of a specimen.
+
+        Curves that were smoothed err smoothly, too: else the error of a slope would be taken for a drift.
+        """
+        error = np.sqrt(np.diag(covariance))
+        is_same = (self.owner[:, None] == self.owner) & (self.observable[:, None] == self.observable)
+        smooth: FloatArray = np.outer(error, error) * self.kernel(SCALES[-1], self.level, self.level) * is_same
+        return smooth
 
     def departing(self, o: int, scale: float, common: float = 1.0, own: float = OWN_SHARE) -> FloatArray:
         """Return the covariance of the values of one observable by a departure of unit size."""

@@ -27,6 +27,7 @@ _EACH_UNKNOWN = 1.0 / 3.0  # how much rarer a law is for each unknown that it ha
 _TWICE = 0.1  # how much rarer a second law of the same mechanism is
 _MOST_SPECIMENS = 3  # a departure is alike in all: more of them say hardly more of it
 _MOST_TURNS = 4000  # turning points of these together, where two specimens are enough
+_MOST_STARTS = 4  # of a single effect, from its backbones
 _LEADERS = 12  # sets that are fitted with the departure first
 _MOST_WEIGHED = 60
 _MOST_HEAVY = 40  # sets that take long, beside single effects
@@ -180,8 +181,17 @@ def _gaps(departing: Mapping[Set, Departing], departures: DepartingSets) -> dict
     told = forces[()] > (_STANDS_OUT * departures.noise / departures.per_force) ** 2
     whole = float(forces[()][told].sum())
     if whole <= 0.0:
-        return dict.fromkeys(departing, 1.0)
+        return _by_evidence(departing)
     return {names: float(np.sqrt(item[told].sum() / whole)) for names, item in forces.items()}
+
+
+def _by_evidence(departing: Mapping[Set, Departing]) -> dict[Set, float]:
+    """Return what each set leaves of the largest gain of evidence: what no departure of the base draws, like a zero."""
+    base = departing[()].log_evidence
+    most = max(item.log_evidence for item in departing.values()) - base
+    if most <= 0.0:
+        return dict.fromkeys(departing, 1.0)
+    return {k: float(np.clip(1.0 - (item.log_evidence - base) / most, 0.0, 1.0)) for k, item in departing.items()}
 
 
 def _mean_squares(item: Departing) -> FloatArray:
@@ -248,7 +258,7 @@ def _states(search: Search, names: Set, chosen: list[int]) -> list[State]:
     if known is not None:
         starts.append(State(known.state.eta, known.state.own[chosen]))
     if names in search.proposals:
-        for _, eta, stiffness in search.proposals[names].starts[:1]:
+        for _, eta, stiffness in search.proposals[names].starts[: _MOST_STARTS if len(names) < 2 else 1]:
             values = own.copy()
             values[:, :2] = stiffness[chosen]
             starts.append(start_state(layout, eta, values))
