@@ -325,8 +325,8 @@ def test_words_of_each_verdict():
         (
             "found",
             {"named_level": NamedLevel.MECHANISM, "mechanisms": (HYSTERESIS, CLEARANCE)},
-            "Friction-like hysteresis is missing, 99.6 %; it explains 93 % of the gap; which law these records do not "
-            "tell: iwan 46 %, jenkins 31 %, bouc_wen 20 %.",
+            "Friction-like hysteresis is missing (99.6 %, 93 % of the gap); which law these records do not tell: "
+            "iwan 46 %, jenkins 31 %, bouc wen 20 %.",
         ),
         ("unexplained", {}, "no set of known effects explains it"),
         ("unexplained", {"drift_probability": 0.9}, "a drift with time explains the records better"),

@@ -203,12 +203,16 @@ def _of_mechanism(item: MissingMechanism) -> str:
     """Return the sentence that names a mechanism, with the laws that it may be."""
     laws = [law for law in item.laws if law.probability > _UNLIKELY]
     if len(laws) > 1:
-        told = ", ".join(f"{law.effect} {100.0 * law.probability:.0f} %" for law in laws[:_SPOKEN])
+        told = ", ".join(f"{_spoken(law.effect)} {100.0 * law.probability:.0f} %" for law in laws[:_SPOKEN])
         which = f"which law these records do not tell: {told}"
     else:
-        which = f"its law is {laws[0].effect} or one like it, not exactly"
-    share = f"it explains {100.0 * item.share_of_gap:.0f} % of the gap"
-    return f"{MECHANISMS[item.mechanism].capitalize()} is missing, {_chance(item.probability)}; {share}; {which}."
+        which = f"its law is {_spoken(laws[0].effect)} or one like it, not exactly"
+    share = f"{_chance(item.probability)}, {100.0 * item.share_of_gap:.0f} % of the gap"
+    return f"{MECHANISMS[item.mechanism].capitalize()} is missing ({share}); {which}."
+
+
+def _spoken(name: str) -> str:
+    return name.replace("_", " ")
 
 
 def _certain(decision: Decision) -> str:
