@@ -29,10 +29,10 @@ _MOST_SPECIMENS = 3  # a departure is alike in all: more of them say hardly more
 _MOST_TURNS = 4000  # turning points of these together, where two specimens are enough
 _MOST_STARTS = 4  # of a single effect, from its backbones
 _LEADERS = 12  # sets that are fitted with the departure first
-_MOST_WEIGHED = 60
-_MOST_HEAVY = 40  # sets that take long, beside single effects
-_LOOKS_BACK = 2  # times that subsets of the likeliest begin where these ended
-_REACH = 30.0  # logarithm of the odds at first sight from which a set is fitted with the departure
+_MOST_WEIGHED = 40
+_MOST_HEAVY = 24  # sets that take long, beside single effects
+_LOOKED_BACK = 5  # sets whose subsets begin once more where these ended
+_REACH = 20.0  # logarithm of the odds at first sight from which a set is fitted with the departure
 _STANDS_OUT = 2.0  # standard errors of a level value from which the departure of an observable counts
 _EXPLAINED = 0.2  # of the gap that a set leaves up to which it does not matter whose own the rest is
 _SEPARATE = 5.0  # logarithm of the odds from which departures are each specimen's own, and so no law of amplitude
@@ -134,8 +134,7 @@ def _departing(search: Search, departures: DepartingSets, chosen: list[int]) -> 
     known = {names: item.log_evidence + _log_prior(names, search) for names, item in departing.items()}
     refine([names for names in order[:_MOST_WEIGHED] if first[names] > max(known.values()) - _REACH])
     refine([(name,) for name in search.candidates])
-    for _ in range(_LOOKS_BACK):
-        departing.update(_looked_back(search, departures, departing))
+    departing.update(_looked_back(search, departures, departing))
     logs = {names: item.log_evidence + _log_prior(names, search) for names, item in departing.items()}
     best = max(logs, key=lambda names: logs[names])
     # what the best explains is shared out among its mechanisms
@@ -146,7 +145,7 @@ def _departing(search: Search, departures: DepartingSets, chosen: list[int]) -> 
 def _looked_back(search: Search, departures: DepartingSets, departing: Mapping[Set, Departing]) -> dict[Set, Departing]:
     """Return the subsets of the likeliest sets that fit better from where these ended: these had found a better way."""
     logs = {names: item.log_evidence + _log_prior(names, search) for names, item in departing.items()}
-    likeliest = sorted(logs, key=lambda names: -logs[names])[:_LEADERS]
+    likeliest = sorted(logs, key=lambda names: -logs[names])[:_LOOKED_BACK]
     starts: dict[Set, list[State]] = {}
     for larger in likeliest:
         state, there = departing[larger].state, search.layout(larger)
