@@ -92,8 +92,8 @@ def test_evidence_is_that_of_one_dense_gaussian(count):
                 block = matern(SCALES[1]) * np.outer(unit, unit) * share
                 covariance[at, there][9 * o : 9 * (o + 1), 9 * o : 9 * (o + 1)] += block
     dense = -0.5 * residuals @ np.linalg.solve(covariance, residuals) - 0.5 * np.linalg.slogdet(covariance)[1]
-    prior = sum(np.log(module.PRIOR_OF_SIZES[i] * departures.prior_of_noises[k])
-                for i, k in zip(choice.sizes, choice.noises, strict=True))  # fmt: skip
+    prior = sum(np.log(module.PRIOR_OF_SIZES[i] * departures.prior_of_noises[o, k])
+                for o, (i, k) in enumerate(zip(choice.sizes, choice.noises, strict=True)))  # fmt: skip
     assert point.log_evidence - prior == pytest.approx(dense, abs=0.05)
 
 

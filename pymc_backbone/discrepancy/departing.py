@@ -214,7 +214,7 @@ class DepartingSets(Departures):
         total = 0.0
         for o in range(3):
             i, n = choice.sizes[o], choice.noises[o]
-            total += float(np.log(PRIOR_OF_SIZES[i] * self.prior_of_noises[n]))
+            total += float(np.log(PRIOR_OF_SIZES[i] * self.prior_of_noises[o, n]))
             total -= 0.5 * float(self.log_determinant[choice.scale][o][i, n])
         return total
 
@@ -244,7 +244,8 @@ class DepartingSets(Departures):
         products = rest + self._products(point, o, inverse.reshape(-1, count, count))
         logs = _log_evidence(point, products).reshape(sizes.size, noises.size)
         logs = logs - 0.5 * self.log_determinant[k][o][np.ix_(sizes, noises)]
-        return logs + np.log(PRIOR_OF_SIZES[sizes])[:, None] + np.log(self.prior_of_noises[noises])
+        prior: FloatArray = np.log(PRIOR_OF_SIZES[sizes])[:, None] + np.log(self.prior_of_noises[o, noises])
+        return logs + prior
 
     def _near(self, point: Point, reach: int) -> Point:
         """Return a point at the best choice near its own, observable by observable."""

@@ -96,8 +96,9 @@ class Departures:
             self.inverse.append([item[0] for item in pairs])
             self.log_determinant.append([item[1] for item in pairs])
         self.covariance = covariance
-        possible = np.where((NOISES < 1.0) & (len(batch.levels) < 2), 1e-12, PRIOR_OF_NOISES)
-        self.prior_of_noises: FloatArray = possible / possible.sum()
+        is_shown = np.array([len(batch.levels) > 1] * 2 + [False])  # a mid-line rests on a zero that is no curve's
+        possible = np.where((NOISES < 1.0) & ~is_shown[:, None], 1e-12, PRIOR_OF_NOISES)
+        self.prior_of_noises: FloatArray = possible / possible.sum(axis=1, keepdims=True)
         variance = np.diag(covariance)
         self.noise = np.array([np.sqrt(np.median(variance[rows])) if rows.size else np.inf for rows in self.rows])
         self.per_force = np.array([0.5 * float(self.units[0].mean()), np.pi, 1.0])
