@@ -101,7 +101,7 @@ def test_wheel_says_what_pyproject_says(built):
     for name in ("pymc", "pytensor", "arviz"):  # their major versions change interfaces
         (line,) = (line for line in needed if re.match(rf"{name}\b(?!-)", line))
         assert ">=" in line and "<" in line
-    assert "pymc-backbone = pymc_backbone.cli.main:main" in files[f"{INFO}/entry_points.txt"].decode()
+    assert "pymc-backbone = pymc_backbone.cli.main:run" in files[f"{INFO}/entry_points.txt"].decode()
 
 
 def test_source_archive_builds_the_same_wheel(built):

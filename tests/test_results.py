@@ -135,11 +135,11 @@ def test_a_failed_write_leaves_the_earlier_file(tmp_path, backbones, posterior, 
     write(folder, backbones, posterior)
     before = (folder / "backbones.nc").read_bytes()
 
-    def full(self: object, path: Path, **_: object) -> None:
-        Path(path).write_bytes(b"half")
+    def full(self: object, store: object, **_: object) -> None:
+        assert list(folder.glob(".writing-*"))  # the new file is there, with nothing in it
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(xr.Dataset, "to_netcdf", full)
+    monkeypatch.setattr(xr.Dataset, "dump_to_store", full)
     with pytest.raises(InputError, match="No space left on device"):
         write_results(folder, {"command": "extract"}, backbones=backbones)
     assert (folder / "backbones.nc").read_bytes() == before

@@ -217,10 +217,10 @@ def write_results(
         table = backbone_table(backbones)
         writers[BACKBONES_TABLE] = lambda path: table.to_csv(path, index=False, float_format="%.9g")
         portable = _portable(backbones)
-        writers[BACKBONES] = lambda path: portable.to_netcdf(path, engine="h5netcdf")
+        writers[BACKBONES] = partial(_write_netcdf, portable)
     if mean_backbone is not None:
         mean = _portable(mean_backbone)
-        writers[MEAN_BACKBONE] = lambda path: mean.to_netcdf(path, engine="h5netcdf")
+        writers[MEAN_BACKBONE] = partial(_write_netcdf, mean)
     if summary is not None:
         writers[SUMMARY] = lambda path: summary.to_csv(path, float_format="%.9g")
     if posterior is not None:
@@ -289,7 +289,7 @@ def write_backbones(backbones: xr.Dataset, path: str | os.PathLike[str], *, over
         raise InputError(f"{file}: exists already; choose another name or give `overwrite=True`.")
     with replacing(file) as temporary:
         if kind == ".nc":
-            _portable(backbones).to_netcdf(temporary, engine="h5netcdf")
+            _write_netcdf(_portable(backbones), temporary)
         else:
             backbone_table(backbones).to_csv(temporary, index=False, float_format="%.9g")
     return file
@@ -349,6 +349,15 @@ def _write_png(figure: Figure, path: Path) -> None:
 
 def _write_text(text: str, path: Path) -> None:
     path.write_text(text, encoding="utf-8", newline="\n")
+
+
+def _write_netcdf(dataset: xr.Dataset, path: Path) -> None:
+    """Write what `Dataset.to_netcdf` writes, which asks Dask, where it is installed, whether a cluster is at work."""
+    store = xr.backends.H5NetCDFStore.open(path, mode="w", lock=False)
+    try:
+        dataset.dump_to_store(store)
+    finally:
+        store.close()
 
 
 def _portable(dataset: xr.Dataset) -> xr.Dataset:
