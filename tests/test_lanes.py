@@ -120,6 +120,21 @@ def test_several_effects_at_once(random_seed):
     judge(oscillator, parameters, levels)
 
 
+@pytest.mark.parametrize("draw_number", range(6))
+def test_any_mixture_of_effects_and_levels(draw_number, random_seed):
+    """Strengths over two decades, up to three effects, one to twelve levels, evenly spaced or not."""
+    rng = np.random.default_rng([random_seed, draw_number])
+    names = [str(name) for name in rng.choice(SMOOTH, draw_number % 3 + 1, replace=False)]
+    oscillator = Oscillator(MASS, names)
+    _, amplitude = levels_of(oscillator)
+    lowest = amplitude / 10.0 ** rng.uniform(0.2, 1.5)
+    count = int(rng.integers(1, 13))
+    even = np.geomspace(lowest, amplitude, count)
+    levels = even if draw_number % 2 else np.sort(rng.uniform(lowest, amplitude, count))
+    strength = 10.0 ** rng.uniform(-1.5, 0.2) / len(names)
+    judge(oscillator, draw(oscillator, amplitude, 512, random_seed, strength=strength, damping=(1e-4, 0.3)), levels)
+
+
 @pytest.mark.parametrize("levels", [[1e-3], [2e-4, 1e-3], [1e-4, 2e-4, 9e-4], [1e-5, 1e-4, 1e-3, 1.1e-3, 1.2e-3]])
 def test_few_levels_and_levels_far_apart(levels, random_seed):
     oscillator = Oscillator(MASS, ["cubic_stiffness", "quadratic_damping"])

@@ -34,7 +34,7 @@ from .lane_stages import (
 from .memory import MASS, N_NUMBERS
 from .pointers import Floats, address, shifted
 
-_NEAR = 4e-4  # a cycle this close to its level is carried there between the levels ...
+_NEAR = 7e-5  # a cycle this close to its level is carried there between the levels ...
 _CAREFULLY_NEAR = 1e-6  # ... and this close, between the last two at its level
 _STRAGGLERS = LANES // 16  # for so few lanes the others do not run another cycle
 _MOST_CYCLES = 8
@@ -97,24 +97,31 @@ def _note(level: float, row: Floats, w: Floats) -> None:
 
 @plain
 def _predict(levels: FloatArray, k: int, cycles: Floats, before: Floats, w: Floats) -> None:
-    """Extrapolate where the cycle of level ``k`` starts from the cycles of up to three levels above."""
+    """Extrapolate where the cycle of level ``k`` starts from the cycles of up to four levels above (Newton's form)."""
     size = N_ROWS * LANES
     level = levels[k]
     known = levels.size - 1 - k
     one = shifted(cycles, (k + 1) * size)
     two = shifted(cycles, (k + 2) * size) if known > 1 else shifted(before, (k + 1) * size)
     three = shifted(cycles, (k + 3) * size) if known > 2 else two
+    four = shifted(cycles, (k + 4) * size) if known > 3 else three
     t1 = math.log(levels[k + 1] / level)
     t2 = math.log(levels[k + 2] / level) if known > 1 else t1
     t3 = math.log(levels[k + 3] / level) if known > 2 else 0.0
+    t4 = math.log(levels[k + 4] / level) if known > 3 else 0.0
     for i in range(LANES):
-        a1, a2, y1 = t1 + one[i], t2 + two[i], one[RATIO * LANES + i]
-        rise = (two[RATIO * LANES + i] - y1) / (a2 - a1) if abs(a2 - a1) > 1e-6 else 0.0
+        a1, a2, a3, a4 = t1 + one[i], t2 + two[i], t3 + three[i], t4 + four[i]
+        y1, y2, y3 = one[RATIO * LANES + i], two[RATIO * LANES + i], three[RATIO * LANES + i]
+        rise = (y2 - y1) / (a2 - a1) if abs(a2 - a1) > 1e-6 else 0.0
         ratio = y1 - a1 * rise
         if known > 2:
-            a3 = t3 + three[i]
-            further = (three[RATIO * LANES + i] - two[RATIO * LANES + i]) / (a3 - a2)
-            ratio += a1 * a2 * (further - rise) / (a3 - a1)
+            further = (y3 - y2) / (a3 - a2)
+            bend = (further - rise) / (a3 - a1)
+            ratio += a1 * a2 * bend
+            if known > 3:
+                furthest = (four[RATIO * LANES + i] - y3) / (a4 - a3)
+                beyond = (furthest - further) / (a4 - a2)
+                ratio -= a1 * a2 * a3 * (beyond - bend) / (a4 - a1)
         start = min(max(ratio, 0.5), 4.0)
         w[START + i] = level * (start if w[FAILED + i] == 0.0 else 1.0)
         w[START_BEFORE + i] = 0.0
