@@ -23,7 +23,8 @@ from generate import write_batch  # noqa: E402
 from motion import simulate  # noqa: E402
 from strengths import STIFFNESS_KINDS, draw_parameters  # noqa: E402
 from systems import LIBRARY, pack  # noqa: E402
-from tiers import TIERS  # noqa: E402
+from tiers import TIERS, TIMED  # noqa: E402
+from timing import Clock, table  # noqa: E402
 
 MASS, STIFFNESS, DAMPING, AMPLITUDE = 2.0, 800.0, 0.4, 0.01
 LINEAR = {"mass": MASS, "linear_stiffness": STIFFNESS, "viscous_damping": DAMPING}
@@ -105,6 +106,45 @@ def test_every_tier_hides_what_its_name_says(tier: str) -> None:
     assert (truth["drift"] is not None) == (tier == "drift")
     assert (truth["second_mode"] is not None) == tier.startswith(("second_mode", "band"))
     assert bool(base) == (tier in ("base_and_hidden", "base_absent")) or tier == "nothing_missing"
+
+
+def test_batches_that_are_timed_have_one_size():
+    for index in range(4):
+        batch = make_batch(15, index, TIMED)
+        assert len(batch.records) == 5
+        for record in batch.records:
+            samples = np.count_nonzero(record.time >= record.release_time)
+            assert samples == pytest.approx(100 * 80, rel=0.02)  # the frequency is that of two of the specimens
+
+
+def test_the_clock_counts_a_stage_without_the_stages_inside(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr("timing.time.perf_counter", lambda: now[0])
+    clock = Clock()
+
+    def inner():
+        now[0] += 2.0
+
+    timed = clock.timed("figures", inner)
+
+    def outer():
+        now[0] += 1.0
+        timed()
+        timed()
+
+    clock.timed("held out", outer)()
+    assert clock.seconds["figures"] == 4.0
+    assert clock.seconds["held out"] == 1.0
+
+
+def test_the_table_of_timings_adds_up():
+    stages = dict.fromkeys(("interpreter, options, end", *Clock().seconds), 1.0)
+    results = [{"seconds": s, "computed": 2.0 * s, "stages": stages} for s in (1.0, 2.0, 3.0)]
+    lines = table(results).splitlines()
+    assert "| seconds on the clock | 2.0 | 2.9 | 3.0 |" in lines
+    shares = [int(line.split("|")[3].strip().rstrip("%")) for line in lines if line.endswith("% |")]
+    assert len(shares) == len(stages)
+    assert sum(shares) == pytest.approx(100, abs=len(stages) / 2)  # each is rounded
 
 
 def test_a_batch_depends_on_seed_and_index_only(tmp_path: Path) -> None:
