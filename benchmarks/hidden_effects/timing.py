@@ -109,16 +109,18 @@ def threading_ident() -> int:
     return _thread.get_ident()
 
 
-def run_watched(arguments: Sequence[str], target: Path) -> int:
-    """Run the command with a clock in every stage; its seconds go to a file."""
+def run_watched(arguments: Sequence[str], target: Path) -> None:
+    """Run the command with a clock in every stage, to the end of the process; its seconds go to a file."""
     clock = Clock()
     clock.watch_imports()
-    from pymc_backbone.cli.main import main as command
+    from pymc_backbone.cli.main import run as command
 
     clock.watch()
-    code = command(arguments)
-    target.write_text(json.dumps(clock.seconds))
-    return code
+    sys.argv = ["pymc-backbone", *arguments]
+    try:
+        command()
+    finally:
+        target.write_text(json.dumps(clock.seconds))
 
 
 def command_of(batch: Path, output: Path) -> list[str]:
@@ -185,7 +187,7 @@ def table(results: Sequence[dict[str, Any]]) -> str:
 def main() -> None:
     """Time all batches of a folder."""
     if sys.argv[1:2] == ["--watched"]:
-        raise SystemExit(run_watched(sys.argv[3:], Path(sys.argv[2])))
+        run_watched(sys.argv[3:], Path(sys.argv[2]))
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--json", type=Path, help="figures of each batch into this file")
