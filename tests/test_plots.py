@@ -266,11 +266,18 @@ def test_intervals_of_specimens_do_not_lie_on_each_other(rng):
         assert axis.get_ylim()[0] < min(rows)
 
 
-def test_traces_of_large_values_show_them_whole(rng):
+def test_figures_of_the_posterior_show_large_values_whole(rng):
     draws = {"linear_stiffness": (("chain", "draw"), rng.normal(6840.2, 0.2, (2, 100)))}
-    figure = plots.plot_trace(xr.DataTree.from_dict({"posterior": xr.Dataset(draws)}), units=UNITS)
-    FigureCanvasAgg(figure).draw()
-    assert all(axis.yaxis.get_offset_text().get_text() == "" for axis in figure.axes)
+    draws["viscous_damping"] = (("chain", "draw"), rng.normal(2.50026, 2e-5, (2, 100)))
+    posterior = xr.DataTree.from_dict({"posterior": xr.Dataset(draws)})
+    for figure in (
+        plots.plot_trace(posterior, units=UNITS),
+        plots.plot_pair(posterior, units=UNITS),
+        plots.plot_prior_posterior(posterior, {name: BOUNDS[name] for name in draws}, units=UNITS),
+    ):
+        FigureCanvasAgg(figure).draw()
+        offsets = [side.get_offset_text().get_text() for axis in figure.axes for side in (axis.xaxis, axis.yaxis)]
+        assert set(offsets) == {""}
 
 
 def test_a_long_record_keeps_its_envelope_and_its_spike(rng):
