@@ -309,7 +309,12 @@ def decision_of(verdict: str, **options) -> decide.Decision:
 def test_words_of_each_verdict():
     for verdict, options, said in (
         ("found", {}, "cubic_stiffness is missing from the model, with a probability of 97 %"),
-        ("ambiguous", {"listed": (("cubic_stiffness",), ("freeplay",))}, "tell apart: cubic_stiffness; freeplay."),
+        ("ambiguous", {"listed": (("cubic_stiffness",), ("freeplay",))}, "tell apart: cubic stiffness; freeplay."),
+        (
+            "ambiguous",
+            {"listed": (("cubic_stiffness",), ("freeplay", "iwan"), ("jenkins",), ("bouc_wen",), ("iwan",))},
+            "tell apart: cubic stiffness; freeplay + iwan; jenkins; and 2 more.",
+        ),
         ("ambiguous", {"listed": (("freeplay",),), "drift_probability": 0.2}, "freeplay; a drift with time"),
         ("ambiguous", {"listed": (("cubic_stiffness",),)}, "is the only explanation that remains"),
         (

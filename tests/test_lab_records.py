@@ -243,3 +243,24 @@ def test_a_run_that_died_does_not_keep_its_folder(tmp_path: Path) -> None:
     with claimed_output(out):
         pass
     assert os.listdir(out) == []
+
+
+def test_surveys_and_cases_keep_other_runs_out_of_their_folder(tmp_path):
+    from pymc_backbone.paper.run_cases import run_cases
+    from pymc_backbone.reporting.output_folder import claimed_output
+    from pymc_backbone.survey.files import begun_survey
+
+    with begun_survey(tmp_path / "survey", False, False, 1) as folder:
+        assert (folder / "summary.json").is_file()
+        for again in (False, True):  # to resume is no reason either
+            with (
+                pytest.raises(InputError, match="in use by process"),
+                begun_survey(folder, overwrite=not again, resume=again, seed=1),
+            ):
+                pass
+        with pytest.raises(InputError, match="in use by process"):
+            run_cases(["1"], ["product"], output=folder, overwrite=True, say=lambda _: None)
+    with begun_survey(folder, overwrite=False, resume=True, seed=1):  # over: free again
+        pass
+    with claimed_output(tmp_path / "cases"), pytest.raises(InputError, match="in use by process"):
+        run_cases(["1"], ["product"], output=tmp_path / "cases", overwrite=True, say=lambda _: None)

@@ -266,8 +266,27 @@ def test_intervals_of_specimens_do_not_lie_on_each_other(rng):
         assert axis.get_ylim()[0] < min(rows)
 
 
-def test_traces_of_large_values_show_them_whole(rng):
+def test_figures_of_the_posterior_show_large_values_whole(rng):
     draws = {"linear_stiffness": (("chain", "draw"), rng.normal(6840.2, 0.2, (2, 100)))}
-    figure = plots.plot_trace(xr.DataTree.from_dict({"posterior": xr.Dataset(draws)}), units=UNITS)
-    FigureCanvasAgg(figure).draw()
-    assert all(axis.yaxis.get_offset_text().get_text() == "" for axis in figure.axes)
+    draws["viscous_damping"] = (("chain", "draw"), rng.normal(2.50026, 2e-5, (2, 100)))
+    posterior = xr.DataTree.from_dict({"posterior": xr.Dataset(draws)})
+    for figure in (
+        plots.plot_trace(posterior, units=UNITS),
+        plots.plot_pair(posterior, units=UNITS),
+        plots.plot_prior_posterior(posterior, {name: BOUNDS[name] for name in draws}, units=UNITS),
+    ):
+        FigureCanvasAgg(figure).draw()
+        offsets = [side.get_offset_text().get_text() for axis in figure.axes for side in (axis.xaxis, axis.yaxis)]
+        assert set(offsets) == {""}
+
+
+def test_a_long_record_keeps_its_envelope_and_its_spike(rng):
+    time = np.arange(300_001) / 5e4
+    values = 0.004 * np.exp(-time) * np.cos(2.0 * np.pi * 80.0 * time)
+    values[123_456] = 0.0061
+    line = plots.plot_records([FakeRecord("long", time, values)]).axes[0].lines[0]
+    x, y = line.get_xdata(), line.get_ydata()
+    assert len(x) < 30_000 and np.all(np.diff(x) >= 0.0)
+    assert y.max() == pytest.approx(6.1) and x[np.argmax(y)] == time[123_456] and y.min() == 1e3 * values.min()
+    short = FakeRecord("short", time[:500], values[:500])
+    assert len(plots.plot_records([short]).axes[0].lines[0].get_xdata()) == 500

@@ -586,3 +586,79 @@ def test_real_records_are_read(shared_data: Path) -> None:
     ships = read_records(shared_data / "ship_roll_kvlcc2", unit="rad")
     assert [record.time.size for record in ships] == [6660, 5400] and ships[0].unit == "rad"
     refuses(shared_data, "subfolders jointed_beam, ship_roll_kvlcc2")
+
+
+LINES = 9000
+
+
+def long_text(separator: str = ",", end: str = "\n", **changed: str) -> str:
+    """Return a table that is long by `monkeypatch`, with some lines changed (``line_17="..."``)."""
+    rows = [separator.join((f"{i / 512:.9f}", f"{np.cos(0.1 * i):.7e}")) for i in range(LINES)]
+    names = ("time", "displacement") if separator == " " else ("time [s]", "displacement [mm]")
+    lines = [separator.join(names), *rows]
+    for name, text in changed.items():
+        lines[int(name.removeprefix("line_")) - 1] = text
+    return end.join(lines) + end
+
+
+@pytest.fixture
+def long_from(monkeypatch):
+    """Make a table of some hundred lines a long one."""
+    from pymc_backbone.measurement.reading import long_tables
+
+    monkeypatch.setattr(long_tables, "LONG", 20_000)
+    monkeypatch.setattr(long_tables, "_HEAD", 5_000)
+    monkeypatch.setattr(long_tables, "_CHUNK", 7_000)
+    return long_tables
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t", " "])
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_a_long_table_is_read_as_numbers_and_holds_the_same(tmp_path, monkeypatch, long_from, separator, end):
+    from pymc_backbone.measurement.reading.tables import read_table
+
+    text = long_text(separator, end)
+    (tmp_path / "a.csv").write_bytes(text.encode())
+    long = read_table(tmp_path / "a.csv")
+    assert isinstance(long.cells[0], long_from.NumberCells)
+    monkeypatch.setattr(long_from, "LONG", len(text) + 1)
+    short = read_table(tmp_path / "a.csv")
+    assert not isinstance(short.cells[0], long_from.NumberCells)
+    assert long.columns == short.columns and list(long.lines) == list(short.lines) and long.notes == short.notes
+    for column in long.columns:
+        np.testing.assert_array_equal(long.numbers(column), short.numbers(column))
+        assert float(long.cells[column.index][4321]) == float(short.cells[column.index][4321])
+    rows = np.arange(LINES)
+    assert not long.repeats(rows).any() and not short.repeats(rows).any()
+
+
+@pytest.mark.parametrize(
+    ("line", "text", "words"),
+    [
+        (7000, "13.668,abc", "line 7000, column 'displacement [mm]': expected a number, got 'abc'"),
+        (7000, "13.668,nan", "line 7000, column 'displacement [mm]': expected a finite number"),
+        (7000, "13.6", "line 7000: expected 2 comma-separated values"),
+        (7000, "1.0,0.5", "line 7000, column 'time [s]': time must increase, got 1.0 after 13.6"),
+    ],
+)
+def test_faults_of_a_long_table_are_found_with_their_line(tmp_path, long_from, line, text, words):
+    path = tmp_path / "a.csv"
+    path.write_text(long_text(**{f"line_{line}": text}))
+    with pytest.raises(InputError) as caught:
+        read_records(path)
+    assert words in str(caught.value)
+
+
+def test_blank_lines_comments_and_repeated_lines_of_a_long_table(tmp_path, long_from):
+    whole = one(write_text(tmp_path / "a.csv", long_text()))
+    rows = long_text().splitlines()
+    blank = one(write_text(tmp_path / "b.csv", "\n".join([*rows[:6000], "", "# a remark", *rows[6000:]]) + "\n\n"))
+    twice = one(write_text(tmp_path / "c.csv", "\n".join([*rows[:6000], *rows[5999:]])))
+    for record in (blank, twice):
+        np.testing.assert_array_equal(record.values, whole.values)
+    assert any("1 line repeats the one before (line 6001)" in note for note in twice.notes)
+
+
+def write_text(path, text):
+    path.write_text(text)
+    return path

@@ -210,3 +210,33 @@ def test_sampling_is_compiled_without_fast_mathematics_and_leaves_the_setting_al
         sample(model, draws=2, tune=1, chains=1, callback=lambda **_: seen.append(pytensor.config.numba__fastmath))
         assert pytensor.config.numba__fastmath is True
     assert seen == [False] * 3 and pytensor.config.numba__fastmath is before
+
+
+@pytest.mark.parametrize(("columns", "expected"), [(80, "split"), (200, True)])
+def test_in_few_columns_the_bar_keeps_its_times(monkeypatch, rng, columns, expected):
+    """PyMC's bar cuts elapsed and remaining time off for the step's statistics."""
+    from pymc_backbone.inference import sampling
+
+    seen = []
+    whole = pm.sample
+    monkeypatch.setenv("COLUMNS", str(columns))
+    monkeypatch.setattr(sampling.pm, "sample", lambda **given: seen.append(given["progressbar"]) or whole(**given))
+    model = build_model(DUFFING, fit_density(batch(rng, 20)), BOUNDS)
+    settings = {"draws": 10, "tune": 10, "chains": 1, "random_seed": 1}
+    sample(model, progressbar=True, **settings)
+    sample(model, progressbar="combined", **settings)
+    sample(model, progressbar=False, **settings)
+    assert seen == [expected, "combined", False]
+
+
+def test_arguments_of_nuts_reach_it(monkeypatch, rng):
+    from pymc_backbone.inference import sampling
+
+    seen = []
+    whole = pm.NUTS
+    monkeypatch.setattr(sampling.pm, "NUTS", lambda **given: seen.append(given) or whole(**given))
+    model = build_model(DUFFING, noisy(rng, 1), BOUNDS, likelihood="pooled")
+    settings = {"draws": 5, "tune": 5, "chains": 1, "random_seed": 1, "step": "nuts"}
+    kept = sample(model, target_accept=0.95, max_treedepth=3, **settings)
+    assert seen == [{"model": model, "target_accept": 0.95, "max_treedepth": 3}]
+    assert int(kept["sample_stats"]["tree_depth"].max()) <= 3

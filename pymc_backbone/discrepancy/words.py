@@ -20,6 +20,7 @@ from .verdict import AdequateBy, NamedLevel, Verdict
 
 _DETECTED = 5.0  # standard deviations at which an effect is named nine times in ten
 _SPOKEN = 5  # sets or laws that the sentence holds
+_HEADED = 3  # sets in the headline, where a list of them follows
 _UNLIKELY = 0.02  # probability of a law below which the sentence does not hold it
 _SEPARATED = 5.0  # logarithm of the odds that decides
 
@@ -260,8 +261,9 @@ def sentence(decision: Decision) -> str:
                 "Something is missing; no fit explains the records, but those of sets that could explain the backbones "
                 f"did not come to rest: {sets}."
             )
-        rest = f"; and {len(named) - _SPOKEN} more" if len(named) > _SPOKEN else ""
-        sets = "; ".join(named[:_SPOKEN])
+        # as the list below writes them, which holds the others
+        rest = f"; and {len(named) - _HEADED} more" if len(named) > _HEADED else ""
+        sets = "; ".join(named[:_HEADED]).replace("_", " ")
         return f"Something is missing, but these records do not tell apart: {sets}{rest}.{_certain(decision)}"
     if decision.verdict is Verdict.UNEXPLAINED and decision.has_second_mode and decision.drift_probability <= 0.5:
         partial = f"; beside it the best explanation is {best}" if decision.best else ""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import shutil
 import sys
 import time
 import warnings
@@ -35,6 +36,7 @@ _OWN = {
     "compute_convergence_checks": "`findings` says what they would",
 }
 # Arguments that belong to the step, where PyMC makes it itself; a step that is given would never see them.
+_WIDE = 110  # columns from which on PyMC's bar has room for statistics and times
 _OF_NUTS = ("target_accept", "max_treedepth")
 logger = logging.getLogger("pymc_backbone")
 
@@ -48,7 +50,7 @@ def sample(
     step: str | Any = "metropolis",
     random_seed: int | np.random.Generator | None = None,
     cores: int = 1,
-    progressbar: bool | None = None,
+    progressbar: bool | str | None = None,
     store: str | os.PathLike[str] | None = None,
     resume: bool = False,
     progress: Callable[[str, float], None] | None = None,
@@ -75,8 +77,10 @@ def sample(
         Seed of starts and draws; of a Generator one is drawn.
     cores : int, default 1
         Processes. A cheap likelihood gains nothing from several; a slow function does.
-    progressbar : bool, optional
-        Default: where there is a terminal; elsewhere a line is logged at least every ten seconds.
+    progressbar : bool or str, optional
+        Default: where there is a terminal; elsewhere a line is logged at least every ten seconds. In fewer than 110
+        columns PyMC's bar comes without the step's statistics, which would cut off elapsed and remaining time; a word
+        that `pymc.sample` knows chooses.
     store : path-like, optional
         Folder that keeps draws and the sampler's state on disk as they come; empty or new. For all steps by name but
         ``nutpie``, in one process. A Ctrl-C then ends the run after the draw it comes in, with what was drawn.
@@ -137,7 +141,7 @@ def sample(
 
 
 def _told(
-    progress: Callable[[str, float], None] | None, progressbar: bool | None
+    progress: Callable[[str, float], None] | None, progressbar: bool | str | None
 ) -> AbstractContextManager[Callable[[str, float], None] | None]:
     """Return what is told of stages and fractions: what was given, or the log where no bar can be shown."""
     if progress is not None or progressbar is not None or sys.stderr.isatty():
@@ -177,7 +181,7 @@ def _run(
     chains: int,
     step: str | Any,
     cores: int,
-    progressbar: bool | None,
+    progressbar: bool | str | None,
     kwargs: dict[str, Any],
     tell: Callable[[str, float], None] | None,
 ) -> xr.DataTree:
@@ -194,7 +198,7 @@ def _run(
         settings = {"draws": draws, "tune": tune, "chains": chains, "step": step, "random_seed": random_seed, **own}
         starts = kept.starts(model, finder, settings)
     before = read_counts()
-    shown = (tell is None and sys.stderr.isatty()) if progressbar is None else progressbar
+    shown = (tell is None and sys.stderr.isatty()) if progressbar is None else bool(progressbar)
     told("compiling the sampler", float("nan"))
     recorder = None
     if step == "nutpie":
@@ -218,7 +222,7 @@ def _run(
                 nuts_sampler="pymc",
                 initvals=starts,
                 random_seed=int(seeds[1]),
-                progressbar=shown,
+                progressbar=_bar_that_fits(progressbar) if shown else False,
                 compute_convergence_checks=False,
                 **kwargs,
             )
@@ -240,6 +244,13 @@ def _run(
             f"{sizes['chain']} of {chains} chains with {sizes['draw']} of {draws} draws. Resume to have the rest."
         )
     return result
+
+
+def _bar_that_fits(asked: bool | str | None) -> bool | str:
+    """Return the bar that PyMC is to show: without the step's statistics where they would cut off the times."""
+    if isinstance(asked, str):
+        return asked
+    return True if shutil.get_terminal_size().columns >= _WIDE else "split"
 
 
 def _make_step(step: str | Any, model: pm.Model, own: dict[str, Any]) -> Any:

@@ -10,6 +10,8 @@ from .._common.checks import BoolArray, FloatArray, IntArray
 N_FIXED = 5
 """Shape functions besides the harmonics: detuning, decay, decay squared, friction, drift of the decay."""
 
+_SEGMENT = 2**18  # samples
+
 
 def n_shape_functions(harmonics: int) -> int:
     """Return how many shape functions a template of ``harmonics`` harmonics has."""
@@ -307,11 +309,21 @@ def dominant_period(x: FloatArray, step: float) -> float:
 
 
 def rough_noise(x: FloatArray) -> float:
-    """Return the standard deviation of white noise from the upper half of the spectrum."""
-    window = np.hanning(x.size)
-    power = np.abs(np.fft.rfft((x - x.mean()) * window)) ** 2 / np.sum(window**2)
-    upper = power[int(0.55 * power.size) :]
+    """Return the standard deviation of white noise from the upper half of the spectrum.
+
+    Of a long record from those of its segments: the transform of millions of samples, their number a prime perhaps,
+    would need a hundred bytes for each.
+    """
+    segments = np.array_split(x, -(-x.size // _SEGMENT)) if x.size > 2 * _SEGMENT else [x]
+    upper = np.concatenate([_upper_half(segment) for segment in segments])
     return float(np.sqrt(np.median(upper) / np.log(2.0))) if upper.size else 0.0
+
+
+def _upper_half(x: FloatArray) -> FloatArray:
+    """Return the upper half of the power spectrum, its mean that of one sample."""
+    window = np.hanning(x.size)
+    power: FloatArray = np.abs(np.fft.rfft((x - x.mean()) * window)) ** 2 / np.sum(window**2)
+    return power[int(0.55 * power.size) :]
 
 
 def rough_turning_points(x: FloatArray, step: float, noise: float) -> tuple[FloatArray, FloatArray, float]:

@@ -12,7 +12,7 @@ from typing import Any
 from .._common.checks import InputError, check_choice
 from .._common.processes import Processes, WorkerDied
 from .._common.quiet import hush_libraries
-from ..reporting.output_folder import prepare_output
+from ..reporting.output_folder import claimed_output
 from .case_files import describe_case, describe_refusal, write_cases, write_figures
 from .case_study import LIKELIHOODS, refused_records, run_case
 from .cases import CASES, get_case
@@ -64,24 +64,24 @@ def run_cases(
         check_choice("likelihood", likelihood, LIKELIHOODS)
     if not chosen or not wanted:
         raise InputError("`names` and `likelihoods` must hold at least one each.")
-    folder: Path | None = None if output is None else prepare_output(output, overwrite)
-    begin = time.perf_counter()
-    runs = [(name, likelihood) for name in dict.fromkeys(chosen) for likelihood in dict.fromkeys(wanted)]
-    records: list[dict[str, Any]] = []
-    texts: list[str] = []
-    refusals: list[InputError] = []
-    for found, text, refusal in _outcomes(runs, folder, settings, min(workers, len(runs))):
-        records += found
-        texts.append(text)
-        say(text)
-        if refusal is not None:
-            refusals.append(refusal)
-        if folder is not None:
-            write_cases(folder, records, texts)  # what is done is kept, whatever happens to the next case
-    if len(refusals) == len(runs):
-        raise refusals[0]
-    say(f"{len(texts)} run(s) in {time.perf_counter() - begin:.0f} s.")
-    return records
+    with claimed_output(output, overwrite) as folder:
+        begin = time.perf_counter()
+        runs = [(name, likelihood) for name in dict.fromkeys(chosen) for likelihood in dict.fromkeys(wanted)]
+        records: list[dict[str, Any]] = []
+        texts: list[str] = []
+        refusals: list[InputError] = []
+        for found, text, refusal in _outcomes(runs, folder, settings, min(workers, len(runs))):
+            records += found
+            texts.append(text)
+            say(text)
+            if refusal is not None:
+                refusals.append(refusal)
+            if folder is not None:
+                write_cases(folder, records, texts)  # what is done is kept, whatever happens to the next case
+        if len(refusals) == len(runs):
+            raise refusals[0]
+        say(f"{len(texts)} run(s) in {time.perf_counter() - begin:.0f} s.")
+        return records
 
 
 Outcome = tuple[list[dict[str, Any]], str, InputError | None]

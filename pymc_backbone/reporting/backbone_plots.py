@@ -14,7 +14,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from .._common.checks import InputError
+from .._common.checks import FloatArray, InputError
 from ..likelihood.density import Density
 from .style import (
     FEW,
@@ -36,6 +36,7 @@ from .style import (
 )
 
 MOST_PANELS = 24
+_DRAWN = 10_000  # stretches of a record; a panel has fewer points
 
 
 def plot_records(records: Sequence[Any], *, most: int = MOST_PANELS) -> Figure:
@@ -71,7 +72,8 @@ def plot_records(records: Sequence[Any], *, most: int = MOST_PANELS) -> Figure:
     axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     scale, prefix = engineering(max(float(np.nanmax(np.abs(record.values))) for record in chosen), chosen[0].unit)
     for axis, record in zip(axes.flat, chosen, strict=False):
-        axis.plot(record.time, np.asarray(record.values) * scale, color=MEASURED, linewidth=0.6)
+        time, values = _drawn_samples(np.asarray(record.time), np.asarray(record.values))
+        axis.plot(time, values * scale, color=MEASURED, linewidth=0.6)
         axis.set_title(drawable(record.specimen), fontsize=8, pad=2)
         axis.tick_params(labelsize=8)
     for axis in axes.flat[len(chosen) :]:
@@ -83,6 +85,18 @@ def plot_records(records: Sequence[Any], *, most: int = MOST_PANELS) -> Figure:
     figure.supxlabel("Time [s]", fontsize=10)
     figure.supylabel(f"{chosen[0].quantity.capitalize()} [{prefix}{chosen[0].unit}]", fontsize=10)
     return figure
+
+
+def _drawn_samples(time: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return what is drawn of a record: of more samples than a panel has points, lowest and highest of each stretch."""
+    stride = values.size // _DRAWN
+    if stride < 2:
+        return time, values
+    whole = values[: values.size // stride * stride].reshape(-1, stride)
+    ends = np.sort(np.stack([whole.argmin(axis=1), whole.argmax(axis=1)], axis=1), axis=1)
+    chosen = (ends + stride * np.arange(len(whole))[:, None]).ravel()
+    chosen = np.append(chosen, np.arange(whole.size, values.size))
+    return time[chosen], values[chosen]
 
 
 def plot_backbones(backbones: xr.Dataset) -> Figure:

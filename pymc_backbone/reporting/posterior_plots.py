@@ -109,6 +109,7 @@ def plot_prior_posterior(
             axis.set_yticks([])
             axis.set_ylim((lowest - 0.13) * top, 1.05 * top)
             axis.xaxis.set_major_locator(MaxNLocator(5))
+            axis.ticklabel_format(axis="x", useOffset=False)
             axis.tick_params(labelsize=8)
             axis.spines[["left", "top", "right"]].set_visible(False)
             axis.set_xlabel(axis_label, fontsize=9)
@@ -245,6 +246,7 @@ def plot_pair(
     _stand_on_zero((axis for axis in figure.axes if not axis.collections), 3)
     for axis in figure.axes:
         axis.xaxis.set_major_locator(MaxNLocator(3))
+        axis.ticklabel_format(useOffset=False)
     return figure
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from .._common.checks import OBSERVABLE_UNITS
@@ -194,7 +195,7 @@ def _numbers(entry: Mapping[str, Any]) -> tuple[Raw, ...]:
         number(entry["sd"], 2),
         Raw(f"{number(entry['hdi_low'], digits)} to {number(entry['hdi_high'], digits)}"),
         number(entry["r_hat"], 4),
-        number(entry["ess_bulk"], 4),
+        number(np.round(entry["ess_bulk"]), 4),
     )
 
 
@@ -244,7 +245,7 @@ def _sampling(result: Mapping[str, Any], figures: Mapping[str, Figure]) -> str:
     pairs = [
         (number(max((entry["r_hat"] for entry in entries), default=float("nan")), 4), "largest R-hat (below 1.01)"),
         (
-            number(min((entry["ess_bulk"] for entry in entries), default=float("nan")), 4),
+            number(np.round(min((entry["ess_bulk"] for entry in entries), default=float("nan"))), 4),
             "smallest number of effective draws (above 400)",
         ),
     ]

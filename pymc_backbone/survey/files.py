@@ -17,34 +17,39 @@ import csv
 import io
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from .._common.atomic_files import remove_leftovers, replacing
-from ..reporting.output_folder import PROGRAM, REPORT, package_version, plain, prepare_output, write_files
+from ..reporting.output_folder import PROGRAM, REPORT, claimed_output, package_version, plain, write_files
 from .survey import Survey
 
 PAGE, SUMMARY, TABLE, STRUCTURES = "summary.html", "summary.json", "summary.csv", "structures"
 
 
-def begin_survey(output: str | os.PathLike[str], overwrite: bool, resume: bool, seed: int) -> Path:
-    """Make the folder ready, and keep the seed there so that a killed survey can be resumed; return its path.
+@contextmanager
+def begun_survey(output: str | os.PathLike[str], overwrite: bool, resume: bool, seed: int) -> Iterator[Path]:
+    """Make the folder ready, keep the seed there so that a killed survey can be resumed, and yield its path.
+
+    Until the end no other run may write there.
 
     Raises
     ------
     InputError
-        If the folder cannot be used.
+        If the folder cannot be used, or another run is writing there.
     """
-    folder = Path(os.path.abspath(prepare_output(output, overwrite or (resume and _summary(output) is not None))))
-    remove_leftovers(folder)
-    content = {
-        "program": PROGRAM, "kind": "survey", "version": package_version(), "seed": seed, "structures": [],
-        "interrupted": "The survey did not come to its end.",
-    }  # fmt: skip
-    _write_text(folder / SUMMARY, json.dumps(content, indent=1) + "\n")
-    return folder
+    with claimed_output(output, overwrite or (resume and _summary(output) is not None)) as claimed:
+        folder = Path(os.path.abspath(str(claimed)))
+        remove_leftovers(folder)
+        content = {
+            "program": PROGRAM, "kind": "survey", "version": package_version(), "seed": seed, "structures": [],
+            "interrupted": "The survey did not come to its end.",
+        }  # fmt: skip
+        _write_text(folder / SUMMARY, json.dumps(content, indent=1) + "\n")
+        yield folder
 
 
 def stored_seed(output: str | os.PathLike[str]) -> int | None:
@@ -130,4 +135,4 @@ def _put(text: str, path: Path) -> None:
     path.write_text(text, encoding="utf-8", newline="\n")
 
 
-__all__ = ["begin_survey", "stored_seed", "survey_table", "write_survey"]
+__all__ = ["begun_survey", "stored_seed", "survey_table", "write_survey"]

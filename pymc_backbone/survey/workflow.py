@@ -6,6 +6,7 @@ import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from ..discrepancy.options import Searching
 from ..inference.options import Sampling
 from ..measurement.options import Measuring
 from ..measurement.reading.options import Reading
-from .files import begin_survey, stored_seed, structure_folder, write_survey
+from .files import begun_survey, stored_seed, structure_folder, write_survey
 from .names import folder_names, request_digest, seed_of, structures_of
 from .structure import Job, Structure, blank, prepare_worker, read_entries, run_job
 from .survey import Survey, effects_in_words
@@ -137,57 +138,60 @@ def diagnose_many(
     from ..reporting.output_folder import package_version
 
     version = package_version()
-    folder = None if output is None else begin_survey(output, overwrite, resume, seed)
-    jobs = _jobs(sources, by_name, folder, seed, version)
-    records: dict[str, Structure] = {}
-    if resume and folder is not None:
-        records = _finished_before(jobs, folder)
-    todo = {name: job for name, job in jobs.items() if name not in records}
-    if say is not None and records:
-        say(f"{len(records)} of {len(jobs)} structures are finished already.")
-    is_ours = executor is None
-    chosen = executor if executor is not None else _own_executor(workers, len(todo))
-    where = _in_words(chosen, workers, len(todo))
+    with ExitStack() as held:
+        folder = None if output is None else held.enter_context(begun_survey(output, overwrite, resume, seed))
+        jobs = _jobs(sources, by_name, folder, seed, version)
+        records: dict[str, Structure] = {}
+        if resume and folder is not None:
+            records = _finished_before(jobs, folder)
+        todo = {name: job for name, job in jobs.items() if name not in records}
+        if say is not None and records:
+            say(f"{len(records)} of {len(jobs)} structures are finished already.")
+        is_ours = executor is None
+        chosen = executor if executor is not None else _own_executor(workers, len(todo))
+        where = _in_words(chosen, workers, len(todo))
 
-    def done(name: str, value: Any, attempts: int) -> None:
-        entries = {**blank(jobs[name]), "error": value.reason} if isinstance(value, Lost) else value
-        records[name] = item = Structure.from_entries({**entries, "attempts": attempts})
-        if say is not None:
-            say(f"[{len(records)}/{len(jobs)}] {_line(item)}")
+        def done(name: str, value: Any, attempts: int) -> None:
+            entries = {**blank(jobs[name]), "error": value.reason} if isinstance(value, Lost) else value
+            records[name] = item = Structure.from_entries({**entries, "attempts": attempts})
+            if say is not None:
+                say(f"[{len(records)}/{len(jobs)}] {_line(item)}")
+            tick()
+
+        def tick() -> None:
+            if progress is not None:
+                progress(STAGE, 1.0 - (len(jobs) - len(records)) / max(len(todo), 1))
+
         tick()
-
-    def tick() -> None:
-        if progress is not None:
-            progress(STAGE, 1.0 - (len(jobs) - len(records)) / max(len(todo), 1))
-
-    tick()
-    is_cut = True
-    try:
-        is_cut = run_tasks(chosen, run_job, todo, done, tick)
-    finally:
-        if isinstance(chosen, Processes):
-            chosen.kill() if is_cut else chosen.shutdown()
-        elif is_ours:
-            chosen.shutdown()
-    missing = len(jobs) - len(records)
-    survey = Survey(
-        structures=tuple(records[name] for name in jobs if name in records),
-        seed=seed,
-        version=version,
-        settings={name: value for name, value in common.items() if value is not None and value != []},
-        each=own,
-        workers=where,
-        seconds=time.perf_counter() - begun,
-        total=len(jobs),
-        interrupted=f"Ctrl-C ended the survey; {missing} of {len(jobs)} structures are missing." if is_cut else None,
-        command=command,
-        output=None if folder is None else str(folder),
-    )
-    if folder is not None:
-        write_survey(survey, folder)
-    if say is not None:
-        say(f"\n{survey.sentence}\n{survey.table()}" + (f"\n{survey.interrupted}" if survey.interrupted else ""))
-    return survey
+        is_cut = True
+        try:
+            is_cut = run_tasks(chosen, run_job, todo, done, tick)
+        finally:
+            if isinstance(chosen, Processes):
+                chosen.kill() if is_cut else chosen.shutdown()
+            elif is_ours:
+                chosen.shutdown()
+        missing = len(jobs) - len(records)
+        survey = Survey(
+            structures=tuple(records[name] for name in jobs if name in records),
+            seed=seed,
+            version=version,
+            settings={name: value for name, value in common.items() if value is not None and value != []},
+            each=own,
+            workers=where,
+            seconds=time.perf_counter() - begun,
+            total=len(jobs),
+            interrupted=f"Ctrl-C ended the survey; {missing} of {len(jobs)} structures are missing."
+            if is_cut
+            else None,
+            command=command,
+            output=None if folder is None else str(folder),
+        )
+        if folder is not None:
+            write_survey(survey, folder)
+        if say is not None:
+            say(f"\n{survey.sentence}\n{survey.table()}" + (f"\n{survey.interrupted}" if survey.interrupted else ""))
+        return survey
 
 
 def _settings_of(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -229,8 +228,7 @@ def _without_repeats(
     lines: list[int] = []
     has_time = reading.rate is None and _time_column(table, reading) is not None
     for name, rows in specimens.items():
-        cells = [[column[row] for row in rows] for column in table.cells] if has_time else []
-        same = np.array([here == before for before, here in pairwise(zip(*cells, strict=True))], dtype=bool)
+        same = table.repeats(rows) if has_time else np.zeros(0, dtype=bool)
         if 0 < np.count_nonzero(same) <= _MOST_TWICE * len(rows):
             lines += [table.lines[row] for row in rows[1:][same]]
             rows = rows[np.concatenate([[True], ~same])]

@@ -7,15 +7,18 @@ import csv
 import os
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..._common.checks import FloatArray, InputError
 from ..._common.text import natural_key, printable, shorten
 from .dialect import PLAIN, AmbiguousNumbersError, Dialect, decide
+from .long_tables import NumberCells, head_of, numbers_below
 from .preamble import LONGEST, find_header, stated_rate
 from .units import UNITS, parse_unit, split_header
 
@@ -47,17 +50,21 @@ class Column:
 
 @dataclass(frozen=True)
 class Table:
-    """The cells of one delimited text file, still as text, with the line each row came from."""
+    """The cells of one delimited text file, as text, with the line each row came from.
+
+    Of a long file of nothing but numbers the cells are `NumberCells`.
+    """
 
     path: Path
     columns: tuple[Column, ...]
     header_line: int
-    cells: tuple[tuple[str, ...], ...]
+    cells: tuple[Sequence[str], ...]
     lines: Sequence[int]
     dialect: Dialect
     notes: tuple[str, ...]
     rate: tuple[float, str] | None = None
     """Sampling rate [Hz] stated above the table, and the line that states it."""
+    separator: str = ","
 
     @property
     def name(self) -> str:
@@ -84,7 +91,9 @@ class Table:
 
     def numbers(self, column: Column, rows: Sequence[int] | None = None) -> FloatArray:
         """Return a column as finite floats; on failure find the line and say what stands there."""
-        cells: Sequence[str] = self.cells[column.index]
+        cells = self.cells[column.index]
+        if isinstance(cells, NumberCells):
+            return cells.values if rows is None else cells.values[rows]
         if rows is not None:
             cells = [cells[row] for row in rows]
         try:
@@ -96,6 +105,17 @@ class Table:
             return values
         lines = self.lines if rows is None else [self.lines[row] for row in rows]
         self._blame(column, cells, lines)
+
+    def repeats(self, rows: np.ndarray) -> NDArray[np.bool_]:
+        """Return for each row but the first whether it holds what the row before it holds, cell by cell."""
+        same = np.ones(max(len(rows) - 1, 0), dtype=bool)
+        for cells in self.cells:
+            if isinstance(cells, NumberCells):
+                same &= np.diff(cells.values[rows]) == 0.0
+            else:
+                picked = [cells[row] for row in rows]
+                same &= np.array([here == before for before, here in pairwise(picked)], dtype=bool)
+        return same
 
     def _blame(self, column: Column, cells: Sequence[str], lines: Sequence[int]) -> NoReturn:
         """Raise the error for the first cell of a column that is no finite number."""
@@ -161,6 +181,32 @@ def read_table(path: Path) -> Table:
     """Read a delimited text file with one header line into text cells, or raise `InputError`."""
     name = printable(path.name)
     text, notes = read_text(path, name)
+    return _long_table(path, name, text, notes) or _table_of(path, name, text, notes)
+
+
+def _long_table(path: Path, name: str, text: str, notes: tuple[str, ...]) -> Table | None:
+    """Return the table of a long text that holds nothing but numbers below its head; None of any other."""
+    end = head_of(text)
+    if not end:
+        return None
+    try:
+        head = _table_of(path, name, text[:end], notes)
+        above = [head.numbers(column) for column in head.columns]
+    except InputError:  # which the whole text may show in another light
+        return None
+    first = head.lines[0]
+    is_whole = list(head.lines) == list(range(first, first + len(head.lines)))
+    if head.dialect != PLAIN or not is_whole or not text[:end].splitlines()[-1].strip():
+        return None
+    below = numbers_below(text, end, head.separator, len(head.columns))
+    if below is None:
+        return None
+    cells = tuple(NumberCells(np.concatenate([one, below[:, i]])) for i, one in enumerate(above))
+    return replace(head, cells=cells, lines=range(first, first + len(cells[0])))
+
+
+def _table_of(path: Path, name: str, text: str, notes: tuple[str, ...]) -> Table:
+    """Return the table that a text holds."""
     kept: list[str] = []
     lines: list[int] = []
     every = re.split("\r\n|\n|\r", text)
@@ -201,7 +247,7 @@ def read_table(path: Path) -> Table:
     cells = tuple(zip(*body, strict=True))
     dialect = _dialect(columns, cells, body_lines, name)
     notes += (dialect.note,) if dialect.note else ()
-    return Table(path, columns, lines[0], cells, body_lines, dialect, notes, rate)
+    return Table(path, columns, lines[0], cells, body_lines, dialect, notes, rate, separator)
 
 
 def _dialect(columns: Sequence[Column], cells: Sequence[Sequence[str]], lines: Sequence[int], name: str) -> Dialect:
