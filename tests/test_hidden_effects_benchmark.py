@@ -29,7 +29,7 @@ from timing import Clock, table  # noqa: E402
 MASS, STIFFNESS, DAMPING, AMPLITUDE = 2.0, 800.0, 0.4, 0.01
 LINEAR = {"mass": MASS, "linear_stiffness": STIFFNESS, "viscous_damping": DAMPING}
 FREQUENCY = math.sqrt(STIFFNESS / MASS) / (2.0 * math.pi)
-GENERATOR = ("systems.py", "motion.py", "strengths.py", "tiers.py", "batches.py", "generate.py")
+GENERATOR = ("systems.py", "motion.py", "strengths.py", "contamination.py", "tiers.py", "batches.py", "generate.py")
 
 
 @pytest.mark.parametrize("name", GENERATOR)
@@ -205,6 +205,11 @@ def _found(*effects: str, probability: float = 0.95) -> dict:
     }
 
 
+def _mechanism(name: str) -> dict[str, object]:
+    named = {"mechanism": name, "probability": 0.99, "share_of_gap": 0.9}
+    return {"verdict": "found", "named_level": "mechanism", "missing_effects": [], "mechanisms": [named]}
+
+
 def test_the_scorer_on_batches_with_known_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     cubic, iwan = {"hidden": ["cubic_stiffness"]}, {"hidden": ["iwan"]}
     empty = {"effects": [], "probability": 0.75}
@@ -225,15 +230,18 @@ def test_the_scorer_on_batches_with_known_figures(tmp_path: Path, capsys: pytest
         ),
         ({"hidden": ["iwan", "freeplay"], "tier": "two_effects"}, _found("freeplay", "iwan"), 60.0),
         ({"hidden": ["iwan"]}, None, 60.0),
+        ({"hidden": ["jenkins"], "tier": "contaminated"}, _mechanism("hysteresis"), None),
+        ({"hidden": ["cubic_damping"], "tier": "contaminated"}, _mechanism("rising_damping"), None),
+        ({"hidden": ["jenkins"], "tier": "contaminated"}, _mechanism("spring"), None),
     ]
     for number, (truth, result, distance) in enumerate(cases):
         _write_case(tmp_path / f"batch_{number:04d}", truth, result, distance)
     found = figures.score(outcomes.read_outcomes(tmp_path))
-    total = dict(right=3, listed=1, wrong=2, adequate=3, unexplained=0, ambiguous=0)
+    total = dict(right=3, mechanism=2, listed=1, wrong=3, adequate=3, unexplained=0, ambiguous=0)
     assert found["tiers"]["all"] == total | {"refused": 0, "no result": 1}
     assert (found["false_alarms"]["all"]["hits"], found["false_alarms"]["all"]["count"]) == (1, 2)
     assert found["false_alarms"]["base holds an effect that is not there"]["share"] == 1.0
-    assert (found["wrong"]["hits"], found["wrong"]["count"]) == (2, 9)
+    assert (found["wrong"]["hits"], found["wrong"]["count"]) == (3, 12)
     clear = found["detection"]["clear"]
     assert clear["one effect"]["right"]["share"] == 0.5
     assert clear["base plus hidden"]["right"]["share"] == clear["two effects"]["right"]["share"] == 1.0
@@ -247,7 +255,7 @@ def test_the_scorer_on_batches_with_known_figures(tmp_path: Path, capsys: pytest
     assert found["gaps"]["held_out_levels"]["share_to_1.5"] == 1.0
     assert found["gaps"]["large"]["share"] == 1.0
     assert score.main([str(tmp_path), "--json", str(tmp_path / "figures.json")]) == 0
-    assert "| base_absent | 0 | 0 | 1 |" in capsys.readouterr().out
+    assert "| base_absent | 0 | 0 | 0 | 1 |" in capsys.readouterr().out
     assert json.loads((tmp_path / "figures.json").read_text(encoding="utf-8"))["seconds"]["median"] == 2.0
 
 

@@ -18,9 +18,10 @@ from numpy.typing import ArrayLike
 from .._common.checks import FloatArray, InputError, check_finite_array
 from .._common.threads import with_one_thread
 from .peak_noise import with_peak_noise
+from .rough_turning import rough_noise, rough_turning_points, running_line
 from .smoothing import smooth
 from .template import FLOOR, Fit, fit_with_template
-from .turning import cycle_covariance, rough_noise, rough_turning_points, running_line, turning_covariance
+from .turning import cycle_covariance, turning_covariance
 
 QUANTITIES: tuple[str, ...] = ("amplitude", "frequency", "damping", "offset")
 LOOSENESS = 300.0

@@ -13,8 +13,9 @@ from itertools import product
 import numpy as np
 
 from .._common.checks import FloatArray
+from .rough_turning import running_line
 from .smoothing import log_evidence
-from .turning import cycle_covariance, running_line
+from .turning import cycle_covariance
 
 CORRELATIONS = (-0.9, -0.75, -0.55, -0.3, 0.0, 0.3, 0.55, 0.75, 0.9)
 """Of one turning point and the next, outwards; negative where the zero drifts rather than the scale."""

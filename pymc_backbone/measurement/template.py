@@ -8,6 +8,7 @@ import numpy as np
 
 from .._common.checks import BoolArray, FloatArray, InputError, IntArray
 from . import turning
+from .rough_turning import running_line
 
 REACH = 0.75 * np.pi
 """Half width of the window of a turning point, in radians of the cycle. Wider ones reach the next turning point, where
@@ -55,7 +56,7 @@ def _local_scales(fit_times: FloatArray, fit_values: FloatArray, signs: FloatArr
     halves[1:-1] = (swings[:-1] + swings[1:]) / 4.0
     halves[0] = swings[0] / 2.0 + 0.25 * (swings[0] - swings[1])
     halves[-1] = max(swings[-1] / 2.0 - 0.25 * (swings[-2] - swings[-1]), 0.25 * swings[-1])
-    return turning.running_line(periods, 4), np.maximum(turning.running_line(halves, 2), 1e-3 * halves.max())
+    return running_line(periods, 4), np.maximum(running_line(halves, 2), 1e-3 * halves.max())
 
 
 def fit_with_template(
@@ -106,7 +107,7 @@ def fit_with_template(
         if number == 1:
             # what drowned in noise would only disturb the template
             errors = turning.turning_covariance(fit.influence, fit.first, fit.count, autocovariance, 1)[:, 0, 1, 1]
-            drowned = np.flatnonzero(turning.running_line(amplitudes, 4) < 0.5 * FLOOR * np.sqrt(errors))
+            drowned = np.flatnonzero(running_line(amplitudes, 4) < 0.5 * FLOOR * np.sqrt(errors))
             if drowned.size:
                 keep[max(int(drowned[0]), 7) :] = False
         if not keep.all():

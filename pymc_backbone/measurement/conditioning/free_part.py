@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..._common.checks import FloatArray, InputError, check_finite_array
 from ..._common.text import printable
 from ..reading.record import MINIMUM_SAMPLES, QUANTITIES, Record
-from ..turning import rough_noise
+from ..rough_turning import rough_noise
 from .decimation import Decimation, design_decimation
 from .filters import check_band
 from .lift import end_of_lift

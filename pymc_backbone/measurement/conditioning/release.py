@@ -8,7 +8,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 from scipy.signal import oaconvolve
 
 from ..._common.checks import FloatArray
-from ..turning import rough_noise
+from ..rough_turning import rough_noise
 from .tracking import Track
 
 ComplexArray = NDArray[np.complex128]

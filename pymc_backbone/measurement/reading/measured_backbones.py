@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NoReturn
 
 import numpy as np
 import xarray as xr
@@ -21,30 +19,14 @@ from ..._common.checks import OBSERVABLES, FloatArray, InputError, check_levels
 from ..._common.text import natural_key, printable, shorten
 from .columns import find_specimens
 from .formats.netcdf import open_netcdf
+from .measured_curves import MeasuredCurve, ordered, with_errors
 from .tables import Column, Table, list_tables, read_table
 from .units import require_unit
 
 DEFAULT_LEVELS = 8
-MINIMUM_POINTS_FOR_ERRORS = 6
 NETCDF = ".nc"
 _DIMS = ("specimen", "observable", "level")
 _ERROR_SUFFIXES = ("_error", "_standard_error", "_se", "_sd", "_std")
-
-
-@dataclass(frozen=True)
-class _Curve:
-    """One specimen's table: amplitude ascending, and per observable its values and standard errors."""
-
-    specimen: str
-    source: str
-    unit: str
-    amplitude: FloatArray
-    values: dict[str, FloatArray]
-    errors: dict[str, FloatArray]
-    notes: tuple[str, ...]
-
-    def fail(self, message: str) -> NoReturn:
-        raise InputError(f"{self.source}: {message}")
 
 
 def read_backbones(path: str | os.PathLike[str], *, levels: ArrayLike | None = None) -> xr.Dataset:
@@ -93,7 +75,7 @@ def read_backbones(path: str | os.PathLike[str], *, levels: ArrayLike | None = N
     """
     if Path(path).suffix.lower() == NETCDF:
         return _read_netcdf(Path(path), None if levels is None else check_levels(levels))
-    curves: dict[str, _Curve] = {}
+    curves: dict[str, MeasuredCurve] = {}
     for file in list_tables(path):
         for curve in _curves_of(read_table(file)):
             if curve.specimen in curves:
@@ -101,7 +83,7 @@ def read_backbones(path: str | os.PathLike[str], *, levels: ArrayLike | None = N
                     f"specimen {shorten(curve.specimen)!r} is also in {curves[curve.specimen].source}; rename it."
                 )
             curves[curve.specimen] = curve
-    ordered = [_with_errors(curves[name]) for name in sorted(curves, key=natural_key)]
+    ordered = [with_errors(curves[name]) for name in sorted(curves, key=natural_key)]
     units = sorted({curve.unit for curve in ordered})
     if len(units) > 1:
         other = next(curve for curve in ordered if curve.unit != ordered[0].unit)
@@ -138,7 +120,7 @@ def _read_netcdf(path: Path, levels: FloatArray | None) -> xr.Dataset:
     return data.isel(level=index, level_other=index)
 
 
-def _curves_of(table: Table) -> list[_Curve]:
+def _curves_of(table: Table) -> list[MeasuredCurve]:
     """Return the curves of one table, in SI units, sorted by amplitude."""
     amplitude_column = _find(table, "amplitude")
     frequency_column = _find(table, "frequency")
@@ -174,7 +156,7 @@ def _curves_of(table: Table) -> list[_Curve]:
     curves = []
     for specimen, rows in find_specimens(table).items():
         source = table.name if len(set(rows)) == len(table.lines) else f"{table.name} (specimen {printable(specimen)})"
-        curve = _Curve(
+        curve = MeasuredCurve(
             specimen,
             source,
             unit.si,
@@ -183,7 +165,7 @@ def _curves_of(table: Table) -> list[_Curve]:
             {name: error[rows] for name, error in errors.items()},
             tuple(f"{source}: {note}" for note in notes),
         )
-        curves.append(_sorted(curve))
+        curves.append(ordered(curve))
     return curves
 
 
@@ -241,106 +223,7 @@ def _decrement(table: Table) -> tuple[FloatArray, FloatArray]:
     return 2.0 * np.pi * ratio / root, 2.0 * np.pi * error / root**3
 
 
-def _sorted(curve: _Curve) -> _Curve:
-    """Return the curve by ascending amplitude, points of the same amplitude averaged, folds noted."""
-    n = curve.amplitude.size
-    if n < 2:
-        curve.fail(f"a backbone needs at least 2 points, got {n}; measure more amplitudes.")
-    notes = curve.notes
-    steps = np.sign(np.diff(curve.amplitude))
-    rising = bool((steps > 0.0).any())
-    is_ordered = not (rising and (steps < 0.0).any())
-    order = np.argsort(curve.amplitude, kind="stable")
-    amplitude = curve.amplitude[order]
-    group = np.concatenate([[0], np.cumsum(np.diff(amplitude) > 1e-9 * amplitude[1:])])
-    fold = _fold(curve)
-    if fold:
-        notes += (f"{curve.source}: {fold}",)
-    if not is_ordered and not fold:
-        notes += (f"{curve.source}: points were sorted by amplitude",)
-    count = np.bincount(group)
-    if count.size < n:
-        notes += (f"{curve.source}: {n - count.size} point(s) of repeated amplitude were averaged",)
-    if count.size < 2:
-        curve.fail("all points have the same amplitude; measure more amplitudes.")
-
-    def mean(values: FloatArray) -> FloatArray:
-        return np.bincount(group, values[order]) / count
-
-    return replace(
-        curve,
-        amplitude=mean(curve.amplitude),
-        values={name: mean(value) for name, value in curve.values.items()},
-        errors={name: np.sqrt(np.bincount(group, error[order] ** 2)) / count for name, error in curve.errors.items()},
-        notes=notes,
-    )
-
-
-def _fold(curve: _Curve) -> str:
-    """Return a sentence when the way up and the way down give different frequencies at the same amplitude."""
-    amplitude, frequency = curve.amplitude, curve.values["frequency"]
-    turn = int(np.argmax(amplitude))
-    if not 1 <= turn < amplitude.size - 1:
-        turn = int(np.argmin(amplitude))
-    up, down = slice(None, turn + 1), slice(turn, None)
-    if min(amplitude[up].size, amplitude[down].size) < 2:
-        return ""
-    branches = []
-    for part in (up, down):
-        steps = np.diff(amplitude[part])
-        if not ((steps >= 0.0).all() or (steps <= 0.0).all()):
-            return ""
-        order = np.argsort(amplitude[part])
-        branches.append((amplitude[part][order], frequency[part][order]))
-    (a0, f0), (a1, f1) = branches
-    common = a0[(a0 >= a1[0]) & (a0 <= a1[-1])]
-    if common.size == 0:
-        return ""
-    gap = np.abs(np.interp(common, a0, f0) - np.interp(common, a1, f1))
-    error = curve.errors["frequency"]
-    tolerance = 1e-3 * float(np.median(frequency)) if np.isnan(error).all() else 3.0 * float(np.nanmedian(error))
-    worst = int(np.argmax(gap))
-    if gap[worst] <= tolerance:
-        return ""
-    return (
-        f"the backbone is folded: at amplitude {common[worst]:.3g} {curve.unit} the ways up and down differ by "
-        f"{gap[worst]:.3g} Hz; both were used as one curve, split the file to treat them apart"
-    )
-
-
-def _with_errors(curve: _Curve) -> _Curve:
-    """Return the curve with standard errors estimated from its own scatter where none were given."""
-    errors, notes = dict(curve.errors), list(curve.notes)
-    n = curve.amplitude.size
-    for name, error in curve.errors.items():
-        if not np.isnan(error).all():
-            continue
-        if n < MINIMUM_POINTS_FOR_ERRORS:
-            notes.append(
-                f"{curve.source}: no standard errors of {name} given and too few points ({n}, at least "
-                f"{MINIMUM_POINTS_FOR_ERRORS} are needed) to estimate them: they are unknown (NaN); "
-                f"add a column {name}_error"
-            )
-            continue
-        scatter = _scatter(curve.amplitude, curve.values[name])
-        errors[name] = np.full(n, scatter)
-        notes.append(
-            f"{curve.source}: no standard errors of {name} given; {scatter:.3g} was estimated from the scatter of "
-            f"{n} points about a quadratic in log amplitude"
-        )
-    return replace(curve, errors=errors, notes=tuple(notes))
-
-
-def _scatter(amplitude: FloatArray, values: FloatArray) -> float:
-    """Return the residual standard deviation about a quadratic in log amplitude."""
-    log = np.log(amplitude)
-    u = 2.0 * (log - log[0]) / (log[-1] - log[0]) - 1.0
-    basis = np.vander(u, 3)
-    residual = values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0]
-    return float(np.sqrt(residual @ residual / (values.size - 3)))
-
-
-def _inside(levels: FloatArray, curves: Sequence[_Curve]) -> FloatArray:
+def _inside(levels: FloatArray, curves: Sequence[MeasuredCurve]) -> FloatArray:
     """Return the levels, of which some specimen reaches one; those that none reaches are left empty."""
     low = min(float(curve.amplitude[0]) for curve in curves)
     high = max(float(curve.amplitude[-1]) for curve in curves)
@@ -353,7 +236,7 @@ def _inside(levels: FloatArray, curves: Sequence[_Curve]) -> FloatArray:
     return levels
 
 
-def _default_levels(curves: Sequence[_Curve]) -> FloatArray:
+def _default_levels(curves: Sequence[MeasuredCurve]) -> FloatArray:
     """Return levels evenly spaced in log amplitude over the range all specimens share."""
     lowest = max(curves, key=lambda curve: curve.amplitude[0])
     highest = min(curves, key=lambda curve: curve.amplitude[-1])
@@ -368,7 +251,7 @@ def _default_levels(curves: Sequence[_Curve]) -> FloatArray:
     return levels
 
 
-def _dataset(curves: Sequence[_Curve], levels: FloatArray, unit: str) -> xr.Dataset:
+def _dataset(curves: Sequence[MeasuredCurve], levels: FloatArray, unit: str) -> xr.Dataset:
     """Return the curves interpolated to the levels, in the shape used for measured and simulated backbones alike."""
     observables = [name for name in OBSERVABLES if any(name in curve.values for curve in curves)]
     shape = (len(curves), len(observables), levels.size)
