@@ -18,9 +18,9 @@ _ROUNDS = 2
 _LOOKED_BACK = 3
 _MOST_FOLLOWED = 24  # sets that are followed from the backbones to the waveforms before anything explains these
 _FEW_FOLLOWED = 6  # the same where not even the backbones are explained
-_MOST_EXTENDED = 8
+_MOST_EXTENDED = 4
 _REACH = 12.0  # difference of the logarithm of evidence by the backbones within which the waveforms are asked, too
-_SETTLED = 4
+_SETTLED = 2
 _POSSIBLE_BACKBONE = 3.0  # reduced chi-square up to which a set could explain the backbones
 _REFUTED = 100.0  # chi-square above one that explains, beyond which relatives are not asked
 _CLOSE = 30.0  # chi-square within which a smaller set rivals the best
@@ -55,7 +55,7 @@ class Search(FittedSets):
                 break
             self._extend(parents, size)
             self._look_back()
-        for _ in range(_ROUNDS):
+        for _ in range(_ROUNDS if self._is_explained() else 1):
             if not self._replace():
                 break
             self._look_back()
