@@ -318,8 +318,8 @@ def _check_zero(effect: Effect) -> None:
         try:
             with np.errstate(all="ignore"):
                 value = float(force(x, v, direction, states, nothing))
-        except (ArithmeticError, TypeError, ValueError):
-            return  # not for plain numbers, or none there
+        except (ArithmeticError, LookupError, TypeError, ValueError):
+            return  # not for plain numbers, none there, or of other parameters: compiling it says so
         if value != 0.0 and math.isfinite(value):
             raise InputError(
                 f"the force of effect {effect.name!r} must be zero where all its parameters are, got {value:.4g} N at "

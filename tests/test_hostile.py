@@ -27,6 +27,7 @@ ATTRIBUTES = {"system", "popen", "literal_eval", "read_pickle", "loadmat", "geto
 # Where one of these stands all the same, and why it cannot be reached from a file.
 ALLOWED = {
     ("simulation/forces.py", "exec"): "a switch over the package's own functions, by number",
+    ("simulation/lane_cycles.py", "exec"): "the same switch, its loops over lanes inside",
     ("inference/store/lock.py", "subprocess"): "ps, with a list of words and the number of a process",
     (
         "measurement/reading/formats/isolation.py",
