@@ -397,6 +397,14 @@ def test_mechanisms_are_named_where_certain_and_most_of_the_gap(found, is_named)
     assert decide.is_told_apart(found) is is_named
 
 
+def test_unfinished_are_sets_that_explain_the_backbones_and_were_weighed():
+    open_sets = {("iwan",), ("jenkins",), ("bouc_wen", "freeplay")}
+    search = SimpleNamespace(is_open=lambda names: names in open_sets)
+    weighed = SimpleNamespace(gaps={("iwan",): 0.05, ("jenkins",): 0.6, ("freeplay",): 0.0})
+    ranked = [("bouc_wen", "freeplay"), ("jenkins",), ("freeplay",), ("iwan",)]  # the first was not weighed at all
+    assert decide._unfinished(search, weighed, ranked) == (("iwan",),)
+
+
 def test_what_a_mechanism_explains_is_the_mean_over_the_orders():
     """Chi-square 100 without any, 40 and 70 with one, 10 with both: 60 or 60 first and last, 30 or 30, by hand."""
     search = SimpleNamespace(own={})

@@ -12,7 +12,7 @@ from . import evidence
 from .estimates import estimates_of
 from .evidence import Evidence, LackOfFit
 from .joint_fit import Fit
-from .mechanisms import estimates_with, missing_mechanisms, remainder_of, weigh
+from .mechanisms import Weighed, estimates_with, missing_mechanisms, remainder_of, weigh
 from .search import Search, Set
 from .study import MissingMechanism, Remainder
 from .tolerance import UNEXPLAINED, is_unexplained, prune
@@ -249,8 +249,7 @@ def _departing(search: Search, decision: Decision) -> Decision:
     if not weighed.is_law or weighed.drift_probability > 0.5:
         return replace(known, verdict=Verdict.UNEXPLAINED)
     if weighed.gaps[best] > 1.0 - MOST_OF_THE_GAP:
-        open_sets = [names for names in decision.ranked if search.is_open(names)]
-        unfinished = tuple(names for names in open_sets if weighed.gaps.get(names, 0.0) <= 1.0 - MOST_OF_THE_GAP)
+        unfinished = _unfinished(search, weighed, decision.ranked)
         if unfinished:  # what was not fitted to its end is not refuted
             return replace(known, verdict=Verdict.AMBIGUOUS, listed=unfinished[:_MOST_LISTED], unfinished=unfinished)
         return replace(known, verdict=Verdict.UNEXPLAINED)
@@ -259,6 +258,15 @@ def _departing(search: Search, decision: Decision) -> Decision:
     # the base with a departure is no explanation, and not listed as one
     sets = {names: chance for names, chance in weighed.probabilities.items() if names and names in search.fits}
     return replace(known, verdict=Verdict.AMBIGUOUS, listed=_listed(sets, 1.0 - sum(sets.values())))
+
+
+def _unfinished(search: Search, weighed: Weighed, ranked: Sequence[Set]) -> tuple[Set, ...]:
+    """Return the sets whose fit to the records did not come to rest although they explain the backbones.
+
+    Sets so improbable by their backbones that they were not weighed are none of these.
+    """
+    explaining = [names for names, gap in weighed.gaps.items() if gap <= 1.0 - MOST_OF_THE_GAP]
+    return tuple(names for names in ranked if names in explaining and search.is_open(names))
 
 
 def is_told_apart(mechanisms: Sequence[MissingMechanism]) -> bool:
