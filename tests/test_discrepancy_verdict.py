@@ -14,6 +14,7 @@ from scipy.integrate import solve_ivp
 import pymc_backbone as pb
 from pymc_backbone.discrepancy import decide, mechanisms, words
 from pymc_backbone.discrepancy.question import TOLERANCE
+from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.discrepancy.study import LawProbability, MissingMechanism
 from pymc_backbone.discrepancy.verdict import AdequateBy, NamedLevel, Status, Verdict
 from pymc_backbone.effects import BASE_EFFECTS, LIBRARY
@@ -487,3 +488,29 @@ def test_with_sampling_the_posterior_brackets_the_truth(random_seed):
         assert estimate.hdi_low - 0.5 * reach < value < estimate.hdi_high + 0.5 * reach, name
         assert reach < 0.5 * value
     assert study.settings["likelihood"] == "pooled"
+
+
+@pytest.mark.parametrize(("gap", "is_asked"), [(20.0, True), (0.5, False)])
+def test_the_base_begins_once_more_where_the_best_set_ended(gap, is_asked):
+    """Whether anything is missing hangs on the base: its fit may be lost by less than what refutes a set."""
+
+    def fit_of(cost, q):
+        return SimpleNamespace(
+            cost=cost, state=SimpleNamespace(eta=np.ones(q), own=np.ones((2, 7 + q))), layout=layouts[q]
+        )
+
+    layouts = {0: SimpleNamespace(names=()), 1: SimpleNamespace(names=("a",))}
+    asked = []
+
+    def from_near(layout, states, rival):
+        asked.append((layout.names, states[0].eta.size, rival))
+        return fit_of(100.2, 0)
+
+    search = SimpleNamespace(
+        fits={(): fit_of(100.0 + gap, 0), ("a",): fit_of(100.0, 1)}, count=100, ranked=lambda: [("a",), ()],
+        layout=lambda names: layouts[len(names)], _was_asked=lambda names, other: False,
+        descent=SimpleNamespace(from_near=from_near),
+    )  # fmt: skip
+    Search._look_back(search)
+    assert asked == ([((), 0, 100.0 + gap)] if is_asked else [])
+    assert search.fits[()].cost == (100.2 if is_asked else 100.0 + gap)

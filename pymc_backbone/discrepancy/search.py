@@ -23,6 +23,7 @@ _REACH = 12.0  # difference of the logarithm of evidence by the backbones within
 _SETTLED = 2
 _POSSIBLE_BACKBONE = 3.0  # reduced chi-square up to which a set could explain the backbones
 _REFUTED = 100.0  # chi-square above one that explains, beyond which relatives are not asked
+_CLOSE_TO_BASE = 1.0
 _CLOSE = 30.0  # chi-square within which a smaller set rivals the best
 _NOISE = 0.01  # p-value of the residuals from which they are taken for noise
 
@@ -143,7 +144,8 @@ class Search(FittedSets):
                 continue
             for smaller in combinations(names, max(len(names) - 1, 0)):
                 known = self.fits.get(smaller)
-                if not names or known is None or known.cost < larger.cost + _CLOSE or self._was_asked(smaller, larger):
+                close = _CLOSE if smaller else _CLOSE_TO_BASE  # whether anything is missing hangs on the base
+                if not names or known is None or known.cost < larger.cost + close or self._was_asked(smaller, larger):
                     continue
                 layout = self.layout(smaller)
                 places = [larger.layout.names.index(name) for name in layout.names]
