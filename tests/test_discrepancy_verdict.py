@@ -398,6 +398,21 @@ def test_mechanisms_are_named_where_certain_and_most_of_the_gap(found, is_named)
     assert decide.is_told_apart(found) is is_named
 
 
+def test_sets_of_what_is_certain_hold_each_such_mechanism_and_no_other():
+    search = SimpleNamespace(own={})
+    rising = mechanism_of("rising_damping", 0.97, 0.4, cubic_damping=0.5)
+    sets = [("bouc_wen", "quadratic_stiffness"), ("bouc_wen",), (), ("cubic_damping", "iwan"), ("iwan",)]
+    sets.append(("displacement_dependent_damping", "jenkins"))
+    # a spring is possible only
+    assert decide.certain_sets(search, (HYSTERESIS, SPRING), sets) == [
+        ("bouc_wen",),
+        ("iwan",),
+    ]  # a spring is possible only
+    both = [("cubic_damping", "iwan"), ("displacement_dependent_damping", "jenkins")]  # either of two kinds of damping
+    assert decide.certain_sets(search, (HYSTERESIS, rising), sets) == both
+    assert decide.certain_sets(search, (SPRING,), sets) == []
+
+
 def test_unfinished_are_sets_that_explain_the_backbones_and_were_weighed():
     open_sets = {("iwan",), ("jenkins",), ("bouc_wen", "freeplay")}
     search = SimpleNamespace(is_open=lambda names: names in open_sets)

@@ -8,15 +8,16 @@ from itertools import combinations
 
 import numpy as np
 
+from ..effects import EITHER
 from . import evidence
 from .estimates import estimates_of
 from .evidence import Evidence, LackOfFit
 from .joint_fit import Fit
-from .mechanisms import Weighed, estimates_with, missing_mechanisms, remainder_of, weigh
+from .mechanisms import Weighed, estimates_with, mechanism_of, missing_mechanisms, remainder_of, weigh
 from .search import Search, Set
 from .study import MissingMechanism, Remainder
 from .tolerance import UNEXPLAINED, is_unexplained, prune
-from .verdict import AdequateBy, NamedLevel, Verdict
+from .verdict import MECHANISM_NAMED, AdequateBy, NamedLevel, Verdict
 
 MISSING = 0.01  # p-value of "nothing is missing" below which something is
 NAMED = 0.88  # probability from which a set is named
@@ -228,9 +229,14 @@ def _departing(search: Search, decision: Decision) -> Decision:
     weighed = weigh(search)
     if weighed is None:
         return replace(decision, verdict=Verdict.UNEXPLAINED, below=())
-    best = next((names for names in weighed.ranked() if search.fit_set(names)), ())
-    estimates = estimates_with(search, best, weighed.departing[best])
-    mechanisms = missing_mechanisms(search, weighed.probabilities, best, weighed.gaps, estimates)
+    ranked = weighed.ranked()
+    best = next((names for names in ranked if search.fit_set(names)), ())
+    mechanisms = _told(search, weighed, best)
+    certain = certain_sets(search, mechanisms, ranked)
+    simpler = next((names for names in certain if weighed.gaps[names] <= 1.0 - MOST_OF_THE_GAP), None)
+    if simpler is not None and simpler != best and search.fit_set(simpler):
+        # what is only possible beside the certain takes nothing of what these explain alone
+        best, mechanisms = simpler, _told(search, weighed, simpler)
     lack = evidence.lack_of_fit(search.batch, search.fits[best])
     known = replace(
         decision,
@@ -258,6 +264,24 @@ def _departing(search: Search, decision: Decision) -> Decision:
     # the base with a departure is no explanation, and not listed as one
     sets = {names: chance for names, chance in weighed.probabilities.items() if names and names in search.fits}
     return replace(known, verdict=Verdict.AMBIGUOUS, listed=_listed(sets, 1.0 - sum(sets.values())))
+
+
+def _told(search: Search, weighed: Weighed, best: Set) -> tuple[MissingMechanism, ...]:
+    """Return the mechanisms with what the laws of one set explain."""
+    estimates = estimates_with(search, best, weighed.departing[best])
+    return missing_mechanisms(search, weighed.probabilities, best, weighed.gaps, estimates)
+
+
+def certain_sets(search: Search, mechanisms: Sequence[MissingMechanism], ranked: Sequence[Set]) -> list[Set]:
+    """Return the sets that hold laws of every mechanism that is certain and of no other, most probable first."""
+    certain = [item.mechanism for item in mechanisms if item.probability >= MECHANISM_NAMED]
+    groups = [set(EITHER.get(kind, (kind,))) for kind in certain]
+    held = {names: {mechanism_of(search, name) for name in names} for names in ranked}
+    return [
+        names
+        for names, kinds in held.items()
+        if names and all(group & kinds for group in groups) and kinds <= set().union(*groups)
+    ]
 
 
 def _unfinished(search: Search, weighed: Weighed, ranked: Sequence[Set]) -> tuple[Set, ...]:
