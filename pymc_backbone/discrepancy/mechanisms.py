@@ -46,7 +46,7 @@ class Weighed:
     Attributes
     ----------
     departing : mapping of Set to Departing
-        What the records say of each set.
+        What the backbones say of each set.
     probabilities : mapping of Set to float
         Of each set; what they lack of one is the drift's.
     gaps : mapping of Set to float
@@ -74,10 +74,10 @@ class Weighed:
 def weigh(search: Search) -> Weighed | None:
     """Return the probabilities of all sets within reach if none is exact, and that of a drift with time.
 
-    None where the base cannot be followed over the turning points.
+    None where the base cannot be simulated at the levels.
 
-    Every set is fitted to the turning points with the departure that it needs in their covariance: what it cannot
-    follow exactly does not pull it away from what it can follow.
+    Every set is fitted to the backbones with the departure that it needs in their covariance: what it cannot follow
+    exactly does not pull it away from what it can follow.
     """
     chosen = _specimens(search)
     departures = DepartingSets(search.batch.subset(chosen), search.base.mass)
@@ -296,7 +296,7 @@ def missing_mechanisms(
     best : tuple of str
         The set whose parameters are told.
     gaps : mapping of Set to float
-        What each set leaves: chi-square, or the mean square of the departure that it needs.
+        What each set leaves: the root of chi-square, or the root mean square of the departure that it needs.
     estimates : mapping of str to (float, float)
         Parameters of the best set with standard errors.
     """
