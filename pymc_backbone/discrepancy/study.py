@@ -87,8 +87,8 @@ class MissingMechanism:
         Of all sets together that hold a law of it.
     share_of_gap : float
         By what share of the base's gap it lowers that, the mean over all orders of adding mechanisms; zero where the
-        best set does not hold it. The gap is the root mean square of the departure as a force or, where a set leaves noise,
-        the root of the chi-square beyond the noise.
+        best set does not hold it. The gap is the root mean square of the departure as a force or, where a set leaves
+        noise, the root of the chi-square beyond the noise.
     laws : tuple of LawProbability
         The laws that it may be, most probable first.
     parameters : mapping of str to (float, float)
