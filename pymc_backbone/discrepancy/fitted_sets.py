@@ -152,17 +152,31 @@ class FittedSets:
         """Return the fit of a set from that of a smaller one, to which the score says what the new effect adds."""
         new = next(name for name in names if name not in self._names(parent))
         promised = starts.by_score(layout, new, parent, self.batch)
-        is_explained = parent.cost < EXPLAINED * self.count
-        promised = promised[:1] if is_explained else promised
-        if is_explained and promised and promised[0][0] < _WORTH:
-            near = self.descent.fit(
-                layout, self.batch.deciding, promised[0][1], iterations=1, nuisances=self.batch.nuisances
-            )
-            if near is None or near.cost < parent.cost + _NOTED:
-                return [] if near is None else [near]
-            promised = [(promised[0][0], near.state)]  # one step did not turn the effect off again
-        near = self.descent.from_near(layout, [state for _, state in promised], rival=rival)
+        if not promised:
+            return []
+        best = promised[0]
+        if parent.cost < EXPLAINED * self.count:
+            promised = [best]
+            if best.gain < _WORTH:
+                noted = self._noted(layout, best, parent)
+                return [] if noted is None else [noted]
+        near = self.descent.from_near(layout, [item.moved for item in promised], rival=rival)
+        if near is None or near.cost > parent.cost + _NOTED:  # the step went too far: what is there begins small
+            small = self.descent.from_near(layout, [best.small], rival=rival)
+            near = small if near is None or (small is not None and small.cost < near.cost) else near
         return [] if near is None else [near]
+
+    def _noted(self, layout: Layout, promised: starts.Scored, parent: Fit) -> Fit | None:
+        """Return the fit of a set that gains next to nothing: one step from where it leads, or from where it began."""
+        best = None
+        for state in (promised.moved, promised.small):
+            near = self.descent.fit(
+                layout, self.batch.deciding, state, iterations=1, nuisances=self.batch.nuisances
+            )  # fmt: skip
+            best = near if best is None or (near is not None and near.cost < best.cost) else best
+            if best is not None and best.cost < parent.cost + _NOTED:
+                break
+        return best
 
     def _proposed(self, names: Set, rival: float | None) -> list[Fit]:
         """Return fits from what the backbones propose for a set, until one keeps what they promise."""

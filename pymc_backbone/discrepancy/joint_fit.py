@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,6 +27,7 @@ _LARGEST_DAMPING = 1e8
 _CONVERGED = 0.01
 _MOST_SCATTER = 6.0  # standard deviations: an effect neither vanishes nor turns around in one specimen
 _RACE, _LONG_RACE, _RACE_MARGIN = 6, 25, 60.0
+_AT_REST = 4.0  # fall of the cost that one more step promises, below which a fit is at its minimum
 _LONGEST = 3.0  # factor by which a step may change stiffness and release
 
 
@@ -93,8 +94,14 @@ class Fit:
 
     @cached_property
     def scatter(self) -> Scatter:
-        """What the specimens say about the scatter of the effects, by Laplace's method around this fit."""
+        """What the specimens say about the scatter of the effects, by Laplace's method around this fit.
+
+        Nothing where the fit is not at a minimum: what one step promises from there is no likelihood.
+        """
         if not self.active[NUISANCES:].any():
+            return NO_SCATTER
+        stepped = _stepped(self, 1.0)
+        if stepped is None or not self.cost - stepped.cost < _AT_REST:
             return NO_SCATTER
         return infer_scatter(lambda width: _log_likelihood(self, width / SCATTER))
 
@@ -385,11 +392,24 @@ def information(layout: Layout, system: System, state: State, active: Any, noise
     return own + float(np.log1p(np.maximum(eigenvalues, 0.0)).sum()), covariance
 
 
+class _Stepped(NamedTuple):
+    """Sum of squares after a Newton step, and the logarithm of the determinant of the information there."""
+
+    cost: float
+    log_determinant: float
+
+
 def _log_likelihood(found: Fit, width: float) -> float:
     """Return the logarithm of the likelihood with a scatter ``width`` times that of the fit, all else integrated out.
 
     The fit is not repeated: a Newton step says where it would end, and its decrease is that of the sum of squares.
     """
+    stepped = _stepped(found, width)
+    return -np.inf if stepped is None else -0.5 * (stepped.cost + stepped.log_determinant)
+
+
+def _stepped(found: Fit, width: float) -> _Stepped | None:
+    """Return what a Newton step with a scatter ``width`` times that of the fit leads to; None where there is none."""
     system, state, layout, active = found.system, found.state, found.layout, found.active
     free = active & (np.arange(active.size) >= NUISANCES)
     precision = width**-2.0 - 1.0  # more than the fit had
@@ -403,7 +423,7 @@ def _log_likelihood(found: Fit, width: float) -> float:
     held[:, 1] = state.own[:, 1] <= 0.0
     eliminated = eliminate(moved, active, 0.0, held)
     if eliminated is None:
-        return -np.inf
+        return None
     shared, gradient, solved = eliminated
     inside = (state.eta > layout.low) & (state.eta < layout.high)
     widths = prior_width(layout, state.eta, np.sqrt(np.maximum(np.diag(found.covariance), 0.0)))[inside]
@@ -413,7 +433,8 @@ def _log_likelihood(found: Fit, width: float) -> float:
     for r, (index, scale, reduced, _) in enumerate(solved):
         cost -= float((moved.own_gradient[r, index] * scale) @ reduced[:, -1])
     determinant = sum(item[3] for item in solved) + np.linalg.slogdet(scaled)[1]
-    return float(-0.5 * (cost + determinant) - np.count_nonzero(free) * state.own.shape[0] * np.log(width))
+    determinant += 2.0 * np.count_nonzero(free) * state.own.shape[0] * np.log(width)
+    return _Stepped(float(cost), float(determinant))
 
 
 def _symmetric(matrix: FloatArray) -> FloatArray:

@@ -84,14 +84,16 @@ class Search(FittedSets):
         ``most`` of them before anything explains the records. A set that adds to one that explains already is left to
         the stage after, which starts from there.
         """
-        fitted = 0
-        reach = -np.inf
+        fitted = kept = 0
+        reach = likeliest = -np.inf
         explained: list[Set] = []
         for names, proposal in self.proposals.items():
             if not names or any(set(known) < set(names) for known in explained):
                 continue
             if proposal.log_evidence < reach or fitted >= most:
                 break
+            if kept >= _FEW_FOLLOWED and proposal.log_evidence < likeliest - _REACH:
+                break  # what keeps its promise to the backbones and leaves the records is no lost search
             if self._is_spent:
                 self.is_cut = True
                 break
@@ -100,7 +102,12 @@ class Search(FittedSets):
             self.progress("sets that the backbones propose", min(fitted / most, 1.0))
             found = self.fit_set(names)
             fitted += 1
-            if found is not None and found.cost < EXPLAINED * self.count:
+            if found is None:
+                continue
+            if not self._is_lost(found, proposal.starts[0][0]):
+                kept += 1
+                likeliest = max(likeliest, proposal.log_evidence)
+            if found.cost < EXPLAINED * self.count:
                 explained.append(names)
                 reach = max(reach, proposal.log_evidence - _REACH)
 

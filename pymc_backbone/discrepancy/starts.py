@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -54,7 +55,15 @@ def grid(layout: Layout, effect: str, strengths: Sequence[float]) -> list[FloatA
     return [np.array([strength, *shape]) for strength in leading for shape in itertools.product(*axes)]
 
 
-def by_score(layout: Layout, effect: str, parent: Fit, batch: Batch) -> list[tuple[float, State]]:
+class Scored(NamedTuple):
+    """A start from a fit without an effect: what a linear step gains and where it leads, and where it began."""
+
+    gain: float
+    moved: State
+    small: State
+
+
+def by_score(layout: Layout, effect: str, parent: Fit, batch: Batch) -> list[Scored]:
     """Return starts from a fit without the effect, with the gain a linear step promises; best first.
 
     The effect is put in at a strength too small to matter; the derivative to its strength, with everything else that
@@ -93,8 +102,8 @@ def by_score(layout: Layout, effect: str, parent: Fit, batch: Batch) -> list[tup
         limit = 0.5 * layout.width[where[0]]
         moved = trial.copy()
         moved[where[0]] = np.clip(strength, -limit, limit)
-        found.append((gain, State(moved, own.copy())))
-    found.sort(key=lambda item: -item[0])
+        found.append(Scored(gain, State(moved, own.copy()), State(trial, own.copy())))
+    found.sort(key=lambda item: -item.gain)
     return found[:_KEPT]
 
 
