@@ -399,7 +399,7 @@ def test_mechanisms_are_named_where_certain_and_most_of_the_gap(found, is_named)
 
 
 def test_sets_of_what_is_certain_hold_each_such_mechanism_and_no_other():
-    search = SimpleNamespace(own={})
+    search = SimpleNamespace(mechanism_of=lambda name: LIBRARY[name].mechanism)
     rising = mechanism_of("rising_damping", 0.97, 0.4, cubic_damping=0.5)
     sets = [("bouc_wen", "quadratic_stiffness"), ("bouc_wen",), (), ("cubic_damping", "iwan"), ("iwan",)]
     sets.append(("displacement_dependent_damping", "jenkins"))
@@ -423,7 +423,7 @@ def test_unfinished_are_sets_that_explain_the_backbones_and_were_weighed():
 
 def test_what_a_mechanism_explains_is_the_mean_over_the_orders():
     """Chi-square 100 without any, 40 and 70 with one, 10 with both: 60 or 60 first and last, 30 or 30, by hand."""
-    search = SimpleNamespace(own={})
+    search = SimpleNamespace(mechanism_of=lambda name: LIBRARY[name].mechanism)
     chi_square = {(): 100.0, ("iwan",): 40.0, ("cubic_stiffness",): 70.0, ("cubic_stiffness", "iwan"): 10.0}
     shares = mechanisms.shares_of_gap(search, ("cubic_stiffness", "iwan"), chi_square)
     assert shares == pytest.approx({"hysteresis": 0.6, "spring": 0.3})

@@ -83,6 +83,22 @@ def curve(found: Fit, parameters: FloatArray, levels: FloatArray) -> FloatArray:
     return values
 
 
+def relative_change(batch: Batch, larger: Fit, smaller: Fit) -> dict[str, float]:
+    """Return the largest relative change of frequency and damping over the levels between two fits."""
+    levels = np.asarray(batch.backbones["level"])
+    first = on_levels(batch, larger)
+    second = on_levels(batch, smaller, free_effects=smaller.layout.free.size > 0)
+    worst = {"frequency": 0.0, "damping": 0.0}
+    for r, term in enumerate(batch.levels):
+        inside = levels[(levels >= term.levels[0] * 0.999) & (levels <= term.levels[-1] * 1.001)]
+        a, b = (curve(item, item.parameters(r), inside) for item in (first, second))
+        for row, key in ((0, "frequency"), (1, "damping")):
+            with np.errstate(invalid="ignore", divide="ignore"):
+                change = np.abs(a[row] - b[row]) / np.abs(a[row])
+            worst[key] = max(worst[key], float(np.nanmax(change)) if np.isfinite(change).any() else np.inf)
+    return worst
+
+
 def measured(batch: Batch) -> tuple[FloatArray, FloatArray]:
     """Return measured values and standard errors (specimen, observable, level), in the order of the batch."""
     chosen = batch.backbones.sel(specimen=list(batch.specimens))

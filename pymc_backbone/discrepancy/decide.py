@@ -11,15 +11,14 @@ import numpy as np
 from ..effects import EITHER
 from . import evidence
 from .estimates import estimates_of
-from .evidence import Evidence, LackOfFit
+from .evidence import UNEXPLAINED, Evidence, LackOfFit, is_unexplained
 from .joint_fit import Fit
-from .mechanisms import Weighed, estimates_with, mechanism_of, missing_mechanisms, remainder_of, weigh
+from .mechanisms import Weighed, estimates_with, missing_mechanisms, remainder_of, weigh
 from .search import Search, Set
 from .study import MissingMechanism, Remainder
-from .tolerance import UNEXPLAINED, is_unexplained, prune
+from .tolerance import prune
 from .verdict import MECHANISM_NAMED, AdequateBy, NamedLevel, Verdict
 
-MISSING = 0.01  # p-value of "nothing is missing" below which something is
 NAMED = 0.88  # probability from which a set is named
 LISTED = 0.95  # probability that the sets listed as possible hold together
 DRIFT_POSSIBLE = 0.05  # probability of a drift with time from which nothing is named
@@ -27,7 +26,6 @@ MOST_OF_THE_GAP = 0.85  # share of the gap that named mechanisms explain togethe
 _MOST_LISTED = 16
 _IMITATES = (0.0, 0.01, 0.05, 0.3)  # how probable it is that a set of so many effects imitates what the library lacks
 _WEIGHT_OF_NOISE = 0.1  # how much rarer residuals like noise are where the library lacks what is missing
-_INDEPENDENT = 8.0  # the effects of the library count as so many independent attempts
 
 
 @dataclass(frozen=True)
@@ -98,25 +96,6 @@ class Decision:
     is_single_valued: bool = True
 
 
-def p_nothing_missing(search: Search) -> float:
-    """Return the p-value of the base model: by what its residuals hold, and by what any one effect would gain."""
-    from scipy.stats import chi2
-
-    base = search.fits[()]
-    count = sum(w.size for w in search.batch.deciding)
-    lowest = min(item.cost for item in search.fits.values())
-    # where the noise was taken for too small, gains count in its true size; where for too large, too
-    scale = lowest / count if search.batch.has_records else max(lowest / count, 1.0)
-    p_gain = 1.0
-    for names, found in search.fits.items():
-        if len(names) == 1:
-            gain = max(base.cost - found.cost, 0.0) / scale
-            degrees = found.layout.free.size - base.layout.free.size
-            p_gain = min(p_gain, float(chi2.sf(gain, degrees)))
-    p_gain = min(1.0, _INDEPENDENT * p_gain)
-    return min(1.0, 2.0 * min(p_gain, evidence.lack_of_fit(search.batch, base).p_value))
-
-
 def decide(
     search: Search, drifting: Fit | None, drift_key: Set, tolerance: Mapping[str, float], bonus: float = 0.0
 ) -> Decision:
@@ -137,7 +116,7 @@ def _judged(search: Search, weighed: Decision, tolerance: Mapping[str, float], d
     """Return the verdict: each question in turn, until one is answered."""
     if weighed.best == () and not is_unexplained(weighed.lack, tolerance):
         return replace(weighed, verdict=Verdict.ADEQUATE, adequate_by=AdequateBy.STATISTICS)
-    if weighed.p_missing > MISSING:
+    if weighed.p_missing > evidence.MISSING:
         return replace(
             weighed, best=(), probability=weighed.probabilities[()], verdict=Verdict.ADEQUATE,
             adequate_by=AdequateBy.STATISTICS,
@@ -191,7 +170,7 @@ def _weighed(search: Search, drifting: Fit | None, drift_key: Set, bonus: float)
         verdict=Verdict.AMBIGUOUS,
         best=best,
         probability=probabilities[best],
-        p_missing=p_nothing_missing(search),
+        p_missing=evidence.p_nothing_missing(search.fits, search.batch),
         lack=lack,
         probabilities=probabilities,
         evidences=evidences,
@@ -276,7 +255,7 @@ def certain_sets(search: Search, mechanisms: Sequence[MissingMechanism], ranked:
     """Return the sets that hold laws of every mechanism that is certain and of no other, most probable first."""
     certain = [item.mechanism for item in mechanisms if item.probability >= MECHANISM_NAMED]
     groups = [set(EITHER.get(kind, (kind,))) for kind in certain]
-    held = {names: {mechanism_of(search, name) for name in names} for names in ranked}
+    held = {names: {search.mechanism_of(name) for name in names} for names in ranked}
     return [
         names
         for names, kinds in held.items()

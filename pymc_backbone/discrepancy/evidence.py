@@ -21,6 +21,12 @@ PRIOR_NONE = 0.05
 UNSEEN = 0.5
 """Prior probability that a missing effect is too small to be seen: then the records are as probable as without it."""
 
+MISSING = 0.01
+"""p-value of "nothing is missing" below which something is."""
+UNEXPLAINED = 1e-4
+"""p-value of a set's residuals below which it does not explain the records."""
+_INDEPENDENT = 8.0  # the effects of the library count as so many independent attempts
+
 
 @dataclass(frozen=True)
 class Evidence:
@@ -139,6 +145,31 @@ def lack_of_fit(batch: Batch, found: Fit) -> LackOfFit:
     combined = float(norm.sf(np.sum(z) / np.sqrt(len(z)))) if z else 1.0
     worst = min(1.0, len(z) * float(norm.sf(max(z)))) if z else 1.0
     return LackOfFit(float(np.median(ratios)), min(1.0, 2.0 * min(combined, worst)), float(np.max(shares)))
+
+
+def p_nothing_missing(fits: Mapping[tuple[str, ...], Fit], batch: Batch) -> float:
+    """Return the p-value of the base model: by what its residuals hold, and by what any one effect would gain."""
+    from scipy.stats import chi2
+
+    base = fits[()]
+    count = sum(term.size for term in batch.deciding)
+    lowest = min(item.cost for item in fits.values())
+    # where the noise was taken for too small, gains count in its true size; where for too large, too
+    scale = lowest / count if batch.has_records else max(lowest / count, 1.0)
+    p_gain = 1.0
+    for names, found in fits.items():
+        if len(names) == 1:
+            gain = max(base.cost - found.cost, 0.0) / scale
+            degrees = found.layout.free.size - base.layout.free.size
+            p_gain = min(p_gain, float(chi2.sf(gain, degrees)))
+    p_gain = min(1.0, _INDEPENDENT * p_gain)
+    return min(1.0, 2.0 * min(p_gain, lack_of_fit(batch, base).p_value))
+
+
+def is_unexplained(lack: LackOfFit, tolerance: Mapping[str, float]) -> bool:
+    """Return whether residuals are no noise, and larger than the tolerance on the waveform."""
+    limit = tolerance.get("waveform", 0.0)
+    return lack.p_value < UNEXPLAINED and not lack.share < limit
 
 
 def residuals_scale(term: WaveformTerm) -> float:

@@ -9,7 +9,7 @@ from itertools import combinations
 
 import numpy as np
 
-from ..effects import Effect
+from ..effects import LIBRARY, Effect
 from ..oscillator import Oscillator
 from . import starts
 from .batch import Batch
@@ -48,6 +48,8 @@ class FittedSets:
         Largest set.
     own : mapping of str to Effect
         Candidates that the library does not hold, by name.
+    tolerance : mapping of str to float
+        Relative change of frequency and damping that does not matter.
     """
 
     batch: Batch
@@ -61,6 +63,7 @@ class FittedSets:
     budget: float = BUDGET
     is_cut: bool = False
     own: Mapping[str, Effect] = field(default_factory=dict)
+    tolerance: Mapping[str, float] = field(default_factory=dict)
     asked: dict[tuple[Set, int], State] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -95,6 +98,10 @@ class FittedSets:
             extended = self.base + [self.own.get(name, name) for name in names]
             self.layouts[names] = make_layout(extended, self.batch.amplitude, self.batch.angular_frequency)
         return self.layouts[names]
+
+    def mechanism_of(self, name: str) -> str:
+        """Return the mechanism of an effect."""
+        return (self.own.get(name) or LIBRARY[name]).mechanism or "other"
 
     def _was_asked(self, names: Set, other: Fit) -> bool:
         """Return whether a set was started from this fit of another before, and note that it now is."""

@@ -13,7 +13,7 @@ from scipy.special import logsumexp
 
 from .._common.checks import OBSERVABLES, FloatArray
 from .._common.threads import in_threads
-from ..effects import EITHER, LIBRARY
+from ..effects import EITHER
 from . import evidence
 from .departing import Departing, DepartingSets, Point
 from .descent import is_heavy
@@ -221,10 +221,10 @@ def _log_prior(names: Set, search: Search) -> float:
     laws: dict[str, dict[str, float]] = {}
     for name in search.candidates:
         unknowns = search.layout((name,)).free.size - search.layout(()).free.size
-        laws.setdefault(mechanism_of(search, name), {})[name] = _EACH_UNKNOWN ** (unknowns - 1)
+        laws.setdefault(search.mechanism_of(name), {})[name] = _EACH_UNKNOWN ** (unknowns - 1)
     held: dict[str, list[str]] = {}
     for name in names:
-        held.setdefault(mechanism_of(search, name), []).append(name)
+        held.setdefault(search.mechanism_of(name), []).append(name)
     share = PRIOR_OF_COUNT[min(len(held), len(PRIOR_OF_COUNT) - 1)] / comb(len(laws), len(held))
     for mechanism, chosen in held.items():
         weights = laws[mechanism]
@@ -272,12 +272,6 @@ def _states(search: Search, names: Set, chosen: list[int]) -> list[State]:
     return starts
 
 
-def mechanism_of(search: Search, name: str) -> str:
-    """Return the mechanism of an effect."""
-    effect = search.own.get(name) or LIBRARY[name]
-    return effect.mechanism or "other"
-
-
 def missing_mechanisms(
     search: Search,
     probabilities: Mapping[Set, float],
@@ -300,21 +294,21 @@ def missing_mechanisms(
     estimates : mapping of str to (float, float)
         Parameters of the best set with standard errors.
     """
-    kinds_of = {names: frozenset(mechanism_of(search, name) for name in names) for names in probabilities}
+    kinds_of = {names: frozenset(search.mechanism_of(name) for name in names) for names in probabilities}
     shares = shares_of_gap(search, best, gaps)
 
     def told(mechanism: str, kinds: tuple[str, ...]) -> MissingMechanism:
         laws: dict[str, float] = {}
         for names, probability in probabilities.items():
             for name in names:
-                if mechanism_of(search, name) in kinds:
+                if search.mechanism_of(name) in kinds:
                     laws[name] = laws.get(name, 0.0) + probability
         ranked = sorted(laws, key=lambda key: -laws[key])
         kept = [name for name in ranked if laws[name] >= _TOLD] or ranked[:1]
         owned = {
             parameter.name
             for effect in (search.layout(best).oscillator.effects if estimates else ())
-            if effect.name in best and mechanism_of(search, effect.name) in kinds
+            if effect.name in best and search.mechanism_of(effect.name) in kinds
             for parameter in effect.parameters
         }
         either = sum(probability for names, probability in probabilities.items() if kinds_of[names] & set(kinds))
@@ -339,9 +333,9 @@ def shares_of_gap(search: Search, best: Set, gaps: Mapping[Set, float]) -> dict[
 
     The shares sum to what the set explains of the gap. Empty where a subset could not be fitted.
     """
-    kinds = sorted({mechanism_of(search, name) for name in best})
+    kinds = sorted({search.mechanism_of(name) for name in best})
     subsets = {
-        chosen: tuple(name for name in best if mechanism_of(search, name) in chosen)
+        chosen: tuple(name for name in best if search.mechanism_of(name) in chosen)
         for size in range(len(kinds) + 1)
         for chosen in combinations(kinds, size)
     }
@@ -402,5 +396,5 @@ def remainder_of(weighed: Weighed, best: Set) -> tuple[Remainder, ...]:
 
 
 __all__ = [
-    "Weighed", "estimates_with", "mechanism_of", "missing_mechanisms", "remainder_of", "shares_of_gap", "weigh",
+    "Weighed", "estimates_with", "missing_mechanisms", "remainder_of", "shares_of_gap", "weigh",
 ]  # fmt: skip

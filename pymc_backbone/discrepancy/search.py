@@ -8,6 +8,7 @@ from itertools import combinations
 import numpy as np
 
 from . import evidence, starts
+from .curves import relative_change
 from .descent import is_heavy
 from .fitted_sets import EXPLAINED, FittedSets
 from .joint_fit import NUISANCES, Fit, State
@@ -18,13 +19,16 @@ _ROUNDS = 2
 _LOOKED_BACK = 3
 _MOST_FOLLOWED = 24  # sets that are followed from the backbones to the waveforms before anything explains these
 _FEW_FOLLOWED = 6  # the same where not even the backbones are explained
+_FLOOR = 1.1  # ratio of costs within which sets leave the same
 _MOST_EXTENDED = 4
 _REACH = 12.0  # difference of the logarithm of evidence by the backbones within which the waveforms are asked, too
 _SETTLED = 2
 _POSSIBLE_BACKBONE = 3.0  # reduced chi-square up to which a set could explain the backbones
+_NEEDED = 5.0  # chi-square by which a less simple set of the same mechanisms must be better to be extended
 _REFUTED = 100.0  # chi-square above one that explains, beyond which relatives are not asked
 _CLOSE_TO_BASE = 1.0
 _CLOSE = 30.0  # chi-square within which a smaller set rivals the best
+_SURELY = 0.5  # share of the tolerance within which further effects would not change the answer
 _NOISE = 0.01  # p-value of the residuals from which they are taken for noise
 
 
@@ -38,9 +42,13 @@ class Search(FittedSets):
         if () not in self.fits:
             return
         if self._is_explained():
-            for k, name in enumerate(self.candidates):
+            for k, name in enumerate(sorted(self.candidates, key=lambda name: self._is_costly((name,)))):
                 self.progress("single effects", (k + 1) / len(self.candidates))
+                if self._is_costly((name,)) and self._is_tolerable():
+                    break
                 self.fit_set((name,))
+            if self._is_answered():
+                return
             self._look_again()
         elif self._is_beyond():
             self._follow_backbones(_FEW_FOLLOWED)
@@ -49,6 +57,8 @@ class Search(FittedSets):
         else:
             self._follow_backbones(_MOST_FOLLOWED)
         self._look_back()
+        if self._is_answered():
+            return
         for size in range(2, self.max_effects + 1):
             before = self.best(size - 1)
             parents = self._parents(size - 1)
@@ -62,6 +72,26 @@ class Search(FittedSets):
             self._look_back()
         self._look_forward()
         self._settle()
+
+    def _is_answered(self) -> bool:
+        """Return whether the model as it is will do, whatever else larger sets may show."""
+        if not self._is_explained():
+            return False
+        nothing = all((name,) in self.fits for name in self.candidates) and (
+            evidence.p_nothing_missing(self.fits, self.batch) > evidence.MISSING
+        )
+        return nothing or self._is_tolerable()
+
+    def _is_tolerable(self) -> bool:
+        """Return whether the best set will do, and changes the backbones by less than half the tolerance."""
+        limits = {key: limit for key, limit in self.tolerance.items() if key in ("frequency", "damping")}
+        best = self.best()
+        if not best or not any(limits.values()) or not self._is_explained():
+            return False
+        if evidence.is_unexplained(evidence.lack_of_fit(self.batch, self.fits[best]), self.tolerance):
+            return False
+        change = relative_change(self.batch, self.fits[best], self.fits[()])
+        return all(change[key] < _SURELY * limit for key, limit in limits.items())
 
     def _is_costly(self, names: Set) -> bool:
         """Return whether a set takes much longer than the base does."""
@@ -84,7 +114,7 @@ class Search(FittedSets):
         ``most`` of them before anything explains the records. A set that adds to one that explains already is left to
         the stage after, which starts from there.
         """
-        fitted = kept = 0
+        fitted = 0
         reach = likeliest = -np.inf
         explained: list[Set] = []
         for names, proposal in self.proposals.items():
@@ -92,8 +122,8 @@ class Search(FittedSets):
                 continue
             if proposal.log_evidence < reach or fitted >= most:
                 break
-            if kept >= _FEW_FOLLOWED and proposal.log_evidence < likeliest - _REACH:
-                break  # what keeps its promise to the backbones and leaves the records is no lost search
+            if proposal.log_evidence < likeliest - _REACH and self._is_floor():
+                break
             if self._is_spent:
                 self.is_cut = True
                 break
@@ -104,12 +134,15 @@ class Search(FittedSets):
             fitted += 1
             if found is None:
                 continue
-            if not self._is_lost(found, proposal.starts[0][0]):
-                kept += 1
-                likeliest = max(likeliest, proposal.log_evidence)
+            likeliest = max(likeliest, proposal.log_evidence)
             if found.cost < EXPLAINED * self.count:
                 explained.append(names)
                 reach = max(reach, proposal.log_evidence - _REACH)
+
+    def _is_floor(self) -> bool:
+        """Return whether several sets end at the same distance from the records: what is left is in none of them."""
+        costs = np.sort([item.cost for item in self.fits.values()])
+        return costs.size >= _FEW_FOLLOWED and bool(costs[_FEW_FOLLOWED - 1] < _FLOOR * costs[0])
 
     def _look_again(self) -> None:
         """Fit single effects that have a shape, and lag behind, from their look in the backbones as well."""
@@ -194,12 +227,26 @@ class Search(FittedSets):
         count = sum(w.size for w in self.batch.deciding)
         lowest = min(item.cost for item in self.fits.values())
         explained = [name for name in ranked if self.fits[name].cost < min(EXPLAINED * count, lowest + _CLOSE)]
-        light = [name for name in ranked if not is_heavy(self.layout(name))][: _KEPT_PARENTS + 2 * (size == 1)]
+        plain = [name for name in ranked if not is_heavy(self.layout(name))]
+        light = plain[: _KEPT_PARENTS + 2 * (size == 1)]
         if explained:
+            explained = self._one_of_a_kind(explained)
             # what many parameters explain, two simple effects may explain as well
             simple = light[:_KEPT_PARENTS] if size == 1 and is_heavy(self.layout(explained[0])) else []
             return list(dict.fromkeys([*explained[:_KEPT_PARENTS], *simple]))
         return [name for name in ranked if name in light or name in ranked[:_KEPT_PARENTS]]
+
+    def _one_of_a_kind(self, sets: Sequence[Set]) -> list[Set]:
+        """Return one of those sets that hold the same mechanisms: the simplest that fits nearly as well as any."""
+        groups: dict[tuple[str, ...], list[Set]] = {}
+        for names in sets:
+            groups.setdefault(tuple(sorted(self.mechanism_of(name) for name in names)), []).append(names)
+        chosen = set()
+        for group in groups.values():
+            limit = min(self.fits[names].cost for names in group) + _NEEDED
+            near = [names for names in group if self.fits[names].cost < limit]
+            chosen.add(min(near, key=lambda names: (is_heavy(self.layout(names)), self.layout(names).free.size)))
+        return [names for names in sets if names in chosen]
 
     def _extend(self, parents: Sequence[Set], size: int) -> None:
         sets = []

@@ -18,6 +18,7 @@ from .scatter import SCATTER
 
 _STRENGTHS = (0.02, 0.3)
 _TINY = 1e-4
+_UNMOVED, _FAR_SMALLER, _SMALLER = 1.0, 1e-2, 3  # rise of chi-square by what should be too small to matter
 _SHAPES = (0.12, 0.35, 0.75)
 _SLIPS = (0.03, 0.15, 0.5)  # slip displacement over amplitude
 _MANY = 4  # parameters beyond which each shape has two values only
@@ -85,24 +86,35 @@ def by_score(layout: Layout, effect: str, parent: Fit, batch: Batch) -> list[Sco
         trial = eta.copy()
         trial[where] = point
         system = joint_fit.linearise(layout, batch.deciding, State(trial, own), scatter, active)
+        for _ in range(_SMALLER):
+            if system is None or system.cost < parent.cost + _UNMOVED:
+                break  # long records of little noise are moved by next to nothing
+            trial[where[0]] *= _FAR_SMALLER
+            system = joint_fit.linearise(layout, batch.deciding, State(trial, own), scatter, active)
         if system is None:
             continue
         eliminated = joint_fit.eliminate(system, active, 0.0, held)
         if eliminated is None:
             continue
-        shared, gradient, _ = eliminated
+        shared, gradient, solved = eliminated
         free = [where[0], *(here for here, _ in others)]
         information, slope = shared[np.ix_(free, free)], gradient[free]
         scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
         step = scale * np.linalg.lstsq(information * np.outer(scale, scale), slope * scale, rcond=1e-10)[0]
-        gain = float(slope @ step)
+        gain = float(slope @ step) + parent.cost - system.cost
         strength = trial[where[0]] + step[0]
-        if layout.low[where[0]] >= 0.0 and strength <= 0.0:
-            gain, strength = 0.0, trial[where[0]]
         limit = 0.5 * layout.width[where[0]]
+        share = min(1.0, limit / max(abs(step[0]), 1e-300))
+        if layout.low[where[0]] >= 0.0 and strength <= 0.0:
+            gain, share = 0.0, 0.0
         moved = trial.copy()
-        moved[where[0]] = np.clip(strength, -limit, limit)
-        found.append(Scored(gain, State(moved, own.copy()), State(trial, own.copy())))
+        moved[free] += share * step
+        along = np.zeros(eta.size)
+        along[free] = step
+        follow = own.copy()
+        for r, (index, own_scale, reduced, _) in enumerate(solved):
+            follow[r, index] += share * own_scale * (reduced[:, -1] - reduced[:, :-1] @ along)
+        found.append(Scored(gain, State(moved, follow), State(trial, own.copy())))
     found.sort(key=lambda item: -item.gain)
     return found[:_KEPT]
 

@@ -4,22 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import numpy as np
-
-from .batch import Batch
-from .curves import curve, on_levels
-from .evidence import LackOfFit
-from .joint_fit import Fit
+from .curves import relative_change
 from .search import Search, Set
-
-UNEXPLAINED = 1e-4
-"""p-value of a set's residuals below which it does not explain the records."""
-
-
-def is_unexplained(lack: LackOfFit, tolerance: Mapping[str, float]) -> bool:
-    """Return whether residuals are no noise, and larger than the tolerance on the waveform."""
-    limit = tolerance.get("waveform", 0.0)
-    return lack.p_value < UNEXPLAINED and not lack.share < limit
 
 
 def prune(search: Search, best: Set, tolerance: Mapping[str, float]) -> tuple[Set, Set]:
@@ -45,19 +31,3 @@ def prune(search: Search, best: Set, tolerance: Mapping[str, float]) -> tuple[Se
         below.append(weakest)
         kept = tuple(other for other in kept if other != weakest)
     return kept, tuple(below)
-
-
-def relative_change(batch: Batch, larger: Fit, smaller: Fit) -> dict[str, float]:
-    """Return the largest relative change of frequency and damping over the levels between two fits."""
-    levels = np.asarray(batch.backbones["level"])
-    first = on_levels(batch, larger)
-    second = on_levels(batch, smaller, free_effects=smaller.layout.free.size > 0)
-    worst = {"frequency": 0.0, "damping": 0.0}
-    for r, term in enumerate(batch.levels):
-        inside = levels[(levels >= term.levels[0] * 0.999) & (levels <= term.levels[-1] * 1.001)]
-        a, b = (curve(item, item.parameters(r), inside) for item in (first, second))
-        for row, key in ((0, "frequency"), (1, "damping")):
-            with np.errstate(invalid="ignore", divide="ignore"):
-                change = np.abs(a[row] - b[row]) / np.abs(a[row])
-            worst[key] = max(worst[key], float(np.nanmax(change)) if np.isfinite(change).any() else np.inf)
-    return worst

@@ -11,12 +11,14 @@ from .._common.checks import OBSERVABLES, FloatArray
 from .batch import Batch
 from .curves import curve, level_chi_square, measured, on_levels, one_on_levels, prediction_errors
 from .data_term import level_term
+from .descent import is_heavy
 from .joint_fit import NUISANCES, Fit, State, fit, parameters_of
 from .scatter import SCATTER
 from .study import HeldOut
 
 MOST_HELD_OUT = 6
 """Specimens that are left out in turn, by default."""
+_MOST_HEAVY = 3  # of them where the model takes so much longer
 _RESAMPLES = 2000
 
 
@@ -101,6 +103,8 @@ def held_out_specimens(batch: Batch, before: Fit, after: Fit | None, most: int) 
     count = len(batch.specimens)
     if count < 2:
         return None
+    if after is not None and is_heavy(after.layout):
+        most = min(most, _MOST_HEAVY)
     chosen = np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))
     values, errors = measured(batch)
     levels = np.asarray(batch.backbones["level"])
