@@ -524,7 +524,7 @@ def test_scatter_of_one_sign_moves_into_the_shared_value():
     layout = make_layout(Oscillator(MASS, "cubic_stiffness"), AMPLITUDE, OMEGA)
     eta = np.array([0.1 * STIFFNESS / AMPLITUDE**2])
     own = np.zeros((3, NUISANCES + 1))
-    own[:, -1] = (3.0, 4.0, 5.0)
+    own[:, -1] = (6.0, 7.0, 8.0)  # the last leans on the limit
     moved = _recentred(layout, State(eta, own), SCATTER)
     np.testing.assert_allclose(
         moved.eta * (1.0 + SCATTER * moved.own[:, -1]), eta * (1.0 + SCATTER * own[:, -1]), rtol=1e-12

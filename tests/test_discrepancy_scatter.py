@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from scipy.optimize import least_squares
 
 from pymc_backbone._common.checks import OBSERVABLES
 from pymc_backbone.discrepancy import joint_fit
@@ -99,3 +100,36 @@ def test_no_scatter_is_inferred_from_one_specimen_or_without_effects():
     single = fitted(backbones(np.ones(1)))
     assert np.isnan(single.scatter.value)
     assert single.scatter.log_evidence == 0.0
+
+
+def test_nothing_is_inferred_away_from_a_minimum():
+    """From far away a step promises a fall without end, which is no likelihood; at the minimum it promises nothing."""
+    batch = backbones(factors_of(0.12))
+    layout = make_layout(Oscillator(MASS, ["cubic_stiffness"]), batch.amplitude, batch.angular_frequency)
+    far = fit(layout, batch.levels, start_state(layout, np.array([0.3 * CUBIC]), batch.own), iterations=1)
+    near = fitted(batch)
+    assert far is not None and far.cost > 100.0 * near.cost
+    assert far.scatter.log_evidence == 0.0 and np.isnan(far.scatter.value)
+    assert near.scatter.value == pytest.approx(0.12, rel=0.5)
+
+
+def test_specimens_that_differ_by_a_third_are_fitted_to_the_minimum():
+    """Wide scatter: the fit ends where SciPy's least squares do, with one specimen near the most it may differ."""
+    batch = backbones(factors_of(0.3))
+    found = fitted(batch)
+    layout, terms = found.layout, batch.levels
+
+    def residuals(x: np.ndarray) -> np.ndarray:
+        own = found.state.own.copy()
+        own[:, :2] = x[1:].reshape(-1, 3)[:, :2] * found.state.own[:, :2]
+        own[:, -1] = x[1:].reshape(-1, 3)[:, 2]
+        state = joint_fit.State(np.array([x[0] * CUBIC]), own)
+        each = [
+            term.compare(layout.simulator, joint_fit.parameters_of(layout, state, r), np.zeros(5))[0]
+            for r, term in enumerate(terms)
+        ]
+        return np.concatenate([*each, own[:, -1]])
+
+    start = np.concatenate([[1.0], np.tile([1.0, 1.0, 0.0], len(terms))])
+    other = least_squares(residuals, start, x_scale="jac", xtol=1e-14, ftol=1e-14, max_nfev=60)
+    assert found.cost == pytest.approx(2.0 * other.cost, abs=0.01)

@@ -408,3 +408,35 @@ def test_every_effect_of_the_library_can_be_started_from(name, linear):
     assert promised and promised[0][0] >= promised[-1][0] >= 0.0
     # nothing is missing: what one effect of some shape promises is noise, chi-square with at most a few degrees
     assert promised[0][0] < 40.0
+
+
+def test_what_adds_nothing_ends_where_the_smaller_set_did(cubic):
+    """A larger set holds the smaller one: noted without a full fit, it leaves as much, never more."""
+    alone = cubic.fits[("cubic_stiffness",)].cost
+    larger = [found.cost for names, found in cubic.fits.items() if len(names) == 2 and "cubic_stiffness" in names]
+    assert len(larger) == 2
+    assert all(alone - 15.0 < cost < alone + 1.0 for cost in larger)
+
+
+@pytest.mark.parametrize(("tolerance", "is_enough"), [(0.5, True), (0.0, False), (1e-5, False)])
+def test_search_ends_where_what_is_missing_does_not_matter(cubic, tolerance, is_enough):
+    limits = dict.fromkeys(("frequency", "damping"), tolerance)
+    search = Search(cubic.batch, Oscillator(MASS), CANDIDATES, 2, tolerance=limits)
+    search.run()
+    assert search.best() == ("cubic_stiffness",)
+    assert all(len(names) < 2 for names in search.fits) is is_enough
+
+
+def test_search_ends_where_nothing_is_missing(linear):
+    assert set(linear.fits) == {(), *((name,) for name in CANDIDATES)}
+    assert evidence.p_nothing_missing(linear.fits, linear.batch) > evidence.MISSING
+
+
+def test_one_set_of_each_kind_is_extended():
+    """Of sets that hold the same mechanisms the simplest, unless another leaves clearly less."""
+    costs = {("jenkins",): 103.0, ("iwan",): 101.0, ("bouc_wen",): 100.0, ("cubic_stiffness",): 120.0}
+    search = search_of(batch_of(make_records(np.random.default_rng(22), (), specimens=1)), candidates=())
+    search.fits = {names: SimpleNamespace(cost=cost) for names, cost in costs.items()}
+    assert search._one_of_a_kind([*costs]) == [("jenkins",), ("cubic_stiffness",)]
+    search.fits[("jenkins",)] = SimpleNamespace(cost=110.0)
+    assert search._one_of_a_kind([*costs]) == [("iwan",), ("cubic_stiffness",)]

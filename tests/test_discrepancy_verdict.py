@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -437,6 +438,7 @@ def test_what_a_mechanism_explains_is_the_mean_over_the_orders():
 
 def test_a_mechanism_is_as_probable_as_all_sets_that_hold_a_law_of_it():
     search = SimpleNamespace(own={"rubber": SimpleNamespace(mechanism=None)})
+    search.mechanism_of = partial(Search.mechanism_of, search)
     chances = {(): 0.05, ("iwan",): 0.5, ("jenkins",): 0.3, ("cubic_stiffness", "iwan"): 0.1, ("rubber",): 0.05}
     chi_square = {(): 50.0, ("iwan",): 5.0}
     found = {item.mechanism: item for item in mechanisms.missing_mechanisms(search, chances, ("iwan",), chi_square, {})}

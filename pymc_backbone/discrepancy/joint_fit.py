@@ -25,7 +25,7 @@ DRIFTS = (5, 6)
 _FIRST_DAMPING = 1e-3
 _LARGEST_DAMPING = 1e8
 _CONVERGED = 0.01
-_MOST_SCATTER = 6.0  # standard deviations: an effect neither vanishes nor turns around in one specimen
+_MOST_SCATTER = 8.0  # standard deviations: an effect neither vanishes nor turns around in one specimen
 _RACE, _LONG_RACE, _RACE_MARGIN = 6, 25, 60.0
 _AT_REST = 4.0  # fall of the cost that one more step promises, below which a fit is at its minimum
 _LONGEST = 3.0  # factor by which a step may change stiffness and release
@@ -100,7 +100,7 @@ class Fit:
         """
         if not self.active[NUISANCES:].any():
             return NO_SCATTER
-        stepped = _stepped(self, 1.0)
+        stepped = _stepped(self, 1.0, is_bounded=True)
         if stepped is None or not self.cost - stepped.cost < _AT_REST:
             return NO_SCATTER
         return infer_scatter(lambda width: _log_likelihood(self, width / SCATTER))
@@ -214,18 +214,20 @@ def _is_trusted(state: State, proposal: State) -> bool:
 
 
 def _recentred(layout: Layout, state: State, scatter: float) -> State:
-    """Return the same parameters of every specimen with the shared values in their middle.
+    """Return the same parameters of every specimen with the shared values in their middle, where one is at a limit.
 
     Where scatter has the same sign in all specimens, it belongs to the shared value. Without this a fit could lean on
-    a limit with every specimen and find no way back.
+    a limit with every specimen and find no way back. What a single specimen needs beyond the limit moves the shared
+    value; then nothing is changed.
     """
+    if not np.any(np.abs(state.own[:, NUISANCES:]) >= _MOST_SCATTER):
+        return state
     values = np.clip(state.eta * (1.0 + scatter * state.own[:, NUISANCES:]), layout.low, layout.high)
     eta = values.mean(axis=0)
     own = state.own.copy()
     usable = eta != 0.0
     own[:, NUISANCES:] = np.where(usable, (values / np.where(usable, eta, 1.0) - 1.0) / scatter, own[:, NUISANCES:])
-    np.clip(own[:, NUISANCES:], -_MOST_SCATTER, _MOST_SCATTER, out=own[:, NUISANCES:])
-    return State(eta, own)
+    return state if np.any(np.abs(own[:, NUISANCES:]) > _MOST_SCATTER) else State(eta, own)
 
 
 @dataclass(frozen=True, eq=False)
@@ -324,6 +326,7 @@ def _step(layout: Layout, system: System, state: State, active: Any, damping: fl
     q = layout.free.size
     held = np.zeros((state.own.shape[0], NUISANCES + q), dtype=bool)
     held[:, 1] = (state.own[:, 1] <= 0.0) & (system.own_gradient[:, 1] < 0.0)
+    held[:, DRIFTS[0] :] = _leans(state.own, system.own_gradient)[:, DRIFTS[0] :]
     eliminated = eliminate(system, active, damping, held)
     if eliminated is None:
         return None
@@ -346,6 +349,12 @@ def _step(layout: Layout, system: System, state: State, active: Any, damping: fl
     if not (np.isfinite(step).all() and np.isfinite(own).all()):
         return None
     return step, own
+
+
+def _leans(own: FloatArray, gradient: FloatArray) -> FloatArray:
+    """Return which of the specimens' own values (r, 7 + q) want beyond the most that they may differ."""
+    leans: FloatArray = (np.abs(own) >= _MOST_SCATTER - 1e-9) & (np.sign(own) * gradient > 0.0)
+    return leans
 
 
 def _finish(layout: Layout, system: System, state: State, active: Any, converged: bool) -> Fit:
@@ -408,8 +417,11 @@ def _log_likelihood(found: Fit, width: float) -> float:
     return -np.inf if stepped is None else -0.5 * (stepped.cost + stepped.log_determinant)
 
 
-def _stepped(found: Fit, width: float) -> _Stepped | None:
-    """Return what a Newton step with a scatter ``width`` times that of the fit leads to; None where there is none."""
+def _stepped(found: Fit, width: float, is_bounded: bool = False) -> _Stepped | None:
+    """Return what a Newton step with a scatter ``width`` times that of the fit leads to; None where there is none.
+
+    With ``is_bounded`` specimens do not go beyond the most that a fit lets them differ from the shared values.
+    """
     system, state, layout, active = found.system, found.state, found.layout, found.active
     free = active & (np.arange(active.size) >= NUISANCES)
     precision = width**-2.0 - 1.0  # more than the fit had
@@ -421,6 +433,8 @@ def _stepped(found: Fit, width: float) -> _Stepped | None:
     )  # fmt: skip
     held = np.zeros(state.own.shape, dtype=bool)
     held[:, 1] = state.own[:, 1] <= 0.0
+    if is_bounded:
+        held[:, DRIFTS[0] :] = _leans(state.own, system.own_gradient)[:, DRIFTS[0] :]
     eliminated = eliminate(moved, active, 0.0, held)
     if eliminated is None:
         return None
