@@ -298,19 +298,22 @@ def test_simulated_backbones_stand_beside_the_measured(cubic):
 def test_a_drift_is_not_taken_for_an_effect(random_seed):
     batch = batch_of(drifting_records(np.random.default_rng(random_seed), 0.01))
     search = search_of(batch)
-    drifting = rivals.drift_fit(batch, search.fits[()])
+    found = rivals.drifting_sets(search)
+    drifting = found[()].fit
     # stiffness up by 1 %: frequency by half a per cent over the record; one unit of drift stands for 5 %
     np.testing.assert_allclose(drifting.state.own[:, 5], 0.1, rtol=0.1)
     assert drifting.cost < min(item.cost for item in search.fits.values())
-    decision = decide(search, drifting, rivals.DRIFT_KEY, {}, rivals.drift_bonus(drifting))
+    decision = decide(search, found, {})
     assert decision.verdict == "unexplained" and decision.drift_probability > 0.9
     assert not rivals.drift_check(drifting, decision.drift_probability, True).passed
 
 
 def test_no_drift_is_seen_where_there_is_none(cubic):
-    drifting = rivals.drift_fit(cubic.batch, cubic.fits[()])
+    found = rivals.drifting_sets(cubic)
+    assert list(found) == [()]  # a single effect leaves noise: nothing for a drift to explain beside it
+    drifting = found[()].fit
     assert drifting.cost > 2.0 * cubic.fits[("cubic_stiffness",)].cost
-    decision = decide(cubic, drifting, rivals.DRIFT_KEY, {}, rivals.drift_bonus(drifting))
+    decision = decide(cubic, found, {})
     assert decision.verdict == "found" and decision.best == ("cubic_stiffness",)
     assert decision.drift_probability < 0.02
     assert rivals.drift_check(drifting, decision.drift_probability, True).passed
@@ -393,7 +396,7 @@ def test_deciding_does_not_need_all_subsets_to_be_fitted(cubic):
         search.fit_set(names)
     search.fit_set(("coulomb_friction", "cubic_stiffness"))
     assert ("cubic_stiffness",) not in search.fits
-    decision = decide(search, None, rivals.DRIFT_KEY, {"frequency": 0.001, "damping": 0.03, "waveform": 0.003})
+    decision = decide(search, {}, {"frequency": 0.001, "damping": 0.03, "waveform": 0.003})
     assert set(search.fits) == set(decision.probabilities) == set(decision.evidences)
 
 

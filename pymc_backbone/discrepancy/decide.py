@@ -11,7 +11,7 @@ import numpy as np
 from ..effects import EITHER
 from . import evidence
 from .estimates import estimates_of
-from .evidence import UNEXPLAINED, Evidence, LackOfFit, is_unexplained
+from .evidence import DRIFT, UNEXPLAINED, Drifting, Evidence, LackOfFit, is_unexplained
 from .joint_fit import Fit
 from .mechanisms import Weighed, estimates_with, missing_mechanisms, remainder_of, weigh
 from .search import Search, Set
@@ -55,7 +55,9 @@ class Decision:
     adequate_by : AdequateBy or None
         Why nothing is missing.
     drift_probability : float
-        Of a drift with time.
+        Of the base with a drift in time.
+    drifts : tuple of tuple of str
+        Sets whose fit holds a drift in time beside their effects.
     has_second_mode : bool
         Whether a second mode beats in the records.
     unfinished : tuple of tuple of str
@@ -86,6 +88,7 @@ class Decision:
     below: tuple[str, ...] = ()
     adequate_by: AdequateBy | None = None
     drift_probability: float = 0.0
+    drifts: tuple[Set, ...] = ()
     has_second_mode: bool = False
     unfinished: tuple[Set, ...] = ()
     is_approximate: bool = False
@@ -96,15 +99,15 @@ class Decision:
     is_single_valued: bool = True
 
 
-def decide(
-    search: Search, drifting: Fit | None, drift_key: Set, tolerance: Mapping[str, float], bonus: float = 0.0
-) -> Decision:
+def decide(search: Search, drifting: Mapping[Set, Drifting], tolerance: Mapping[str, float]) -> Decision:
     """Return the verdict on a finished search.
 
-    ``drifting`` is the base with a drift in time, known as ``drift_key``; ``bonus`` is added to its log evidence.
+    ``drifting`` holds the base and other sets with a drift in time. Where that is more probable than the set without
+    it, it becomes the fit of the set.
     """
     _complete(search)
-    decision = _judged(search, _weighed(search, drifting, drift_key, bonus), tolerance, drifting)
+    base = drifting[()].fit if () in drifting else None
+    decision = _judged(search, _weighed(search, drifting), tolerance, base)
     if decision.verdict is Verdict.AMBIGUOUS and decision.best not in decision.listed and not decision.unfinished:
         decision = replace(decision, listed=(decision.best, *decision.listed))
     if decision.verdict is Verdict.ADEQUATE or decision.mechanisms:
@@ -142,27 +145,41 @@ def _is_exact(search: Search, found: Fit) -> bool:
     return evidence.lack_of_fit(search.batch, found).p_value >= UNEXPLAINED
 
 
-def _weighed(search: Search, drifting: Fit | None, drift_key: Set, bonus: float) -> Decision:
+def _weighed(search: Search, drifting: Mapping[Set, Drifting]) -> Decision:
     """Return the probabilities of all sets and of a drift with time, the verdict still open.
 
-    Every probability is multiplied by that of the library holding the answer. The p-value of the residuals bounds it:
-    ``-e p ln p`` is the least Bayes factor for noise against whatever else may have left them [1]_.
+    A set is as probable as it is with and without a drift in time beside it; the base with a drift is a rival of its
+    own. Every probability is multiplied by that of the library holding the answer. The p-value of the residuals bounds
+    it: ``-e p ln p`` is the least Bayes factor for noise against whatever else may have left them [1]_.
 
     References
     ----------
     .. [1] Sellke T., Bayarri M. J., Berger J. O. (2001) Calibration of p values for testing precise null hypotheses.
        The American Statistician 55(1), 62-71. doi:10.1198/000313001300339950
     """
-    fits = dict(search.fits)
-    if drifting is not None:
-        fits[drift_key] = drifting
-    evidences = evidence.probabilities(fits, search.batch, len(search.candidates), {drift_key: bonus})
-    ranked = tuple(names for names in search.ranked() if names in evidences)
+    p_missing = evidence.p_nothing_missing(search.fits, search.batch)
+    fits, bonus = dict(search.fits), {}
+    for names, item in drifting.items():
+        fits[(*names, *DRIFT)], bonus[(*names, *DRIFT)] = item.fit, item.bonus
+    evidences = evidence.probabilities(fits, search.batch, len(search.candidates), bonus)
+    drifts = tuple(
+        names
+        for names in drifting
+        if names and evidences[(*names, *DRIFT)].log_posterior > evidences[names].log_posterior
+    )
+    for names in drifting:
+        if names:
+            evidences[names] = _either(evidences[names], evidences[(*names, *DRIFT)])
+    search.fits.update({names: drifting[names].fit for names in drifts})
+    ranked = tuple(sorted(search.fits, key=lambda names: -evidences[names].log_posterior))
     best = ranked[0]
     lack = evidence.lack_of_fit(search.batch, search.fits[best])
-    left = lack
-    if drifting is not None and evidences[drift_key].log_posterior > evidences[best].log_posterior:
-        left = evidence.lack_of_fit(search.batch, drifting)  # what explains the records best may be no set
+    left, drift_probability = lack, 0.0
+    if () in drifting:
+        rival = evidences[DRIFT]
+        drift_probability = rival.probability
+        if rival.log_posterior > evidences[best].log_posterior:
+            left = evidence.lack_of_fit(search.batch, drifting[()].fit)  # what explains the records best may be no set
     none = evidence.PRIOR_NONE * _WEIGHT_OF_NOISE / least_bayes_factor(left.p_value)
     explained = (1.0 - evidence.PRIOR_NONE) / (1.0 - evidence.PRIOR_NONE + none)
     probabilities = {names: explained * _is_none_other(names) * evidences[names].probability for names in search.fits}
@@ -170,12 +187,22 @@ def _weighed(search: Search, drifting: Fit | None, drift_key: Set, bonus: float)
         verdict=Verdict.AMBIGUOUS,
         best=best,
         probability=probabilities[best],
-        p_missing=evidence.p_nothing_missing(search.fits, search.batch),
+        p_missing=p_missing,
         lack=lack,
         probabilities=probabilities,
         evidences=evidences,
         ranked=ranked,
-        drift_probability=explained * evidences[drift_key].probability if drifting is not None else 0.0,
+        drift_probability=explained * drift_probability,
+        drifts=drifts,
+    )
+
+
+def _either(first: Evidence, second: Evidence) -> Evidence:
+    """Return the evidence of one or the other."""
+    return Evidence(
+        max(first.log_evidence, second.log_evidence),
+        float(np.logaddexp(first.log_posterior, second.log_posterior)),
+        first.probability + second.probability,
     )
 
 

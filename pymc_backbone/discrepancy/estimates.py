@@ -16,7 +16,7 @@ def estimates_of(found: Fit) -> dict[str, tuple[float, float]]:
     q = found.layout.free.size
     if q == 0:
         return {}
-    values, slopes = found.layout.physical(found.state.eta, np.zeros(q), 0.0)
+    values, slopes = found.layout.physical(found.centre, np.zeros(q), 0.0)
     variance = slopes @ np.nan_to_num(found.covariance) @ slopes.T
     errors = np.sqrt(np.maximum(np.diag(variance), 0.0))
     rows = zip(found.layout.names, values, errors, strict=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import comb
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
@@ -23,6 +24,8 @@ UNSEEN = 0.5
 
 MISSING = 0.01
 """p-value of "nothing is missing" below which something is."""
+DRIFT = ("drift with time",)
+"""What stands beside the effects of a set whose frequency and damping change with time as well."""
 UNEXPLAINED = 1e-4
 """p-value of a set's residuals below which it does not explain the records."""
 _INDEPENDENT = 8.0  # the effects of the library count as so many independent attempts
@@ -35,6 +38,13 @@ class Evidence:
     log_evidence: float
     log_posterior: float
     probability: float
+
+
+class Drifting(NamedTuple):
+    """A set whose frequency and damping also change with time in each record: its fit, and what its evidence gains."""
+
+    fit: Fit
+    bonus: float
 
 
 def log_prior(size: int, candidates: int) -> float:

@@ -39,7 +39,7 @@ def mean_specimen(batch: Batch, found: Fit) -> tuple[xr.Dataset, FloatArray]:
     vectors = np.array([brought.parameters(r) for r in range(len(batch.specimens))])
     mean = vectors.mean(axis=0)
     delta = np.zeros(found.layout.free.size)
-    mean[found.layout.free] = found.layout.physical(found.state.eta, delta, 0.0)[0]
+    mean[found.layout.free] = found.layout.physical(found.centre, delta, 0.0)[0]
     reference = curve(found, mean, levels)[rows]
     values, errors = measured(batch)
     moved = np.array([values[r] - curve(found, vectors[r], levels)[rows] + reference for r in range(len(vectors))])

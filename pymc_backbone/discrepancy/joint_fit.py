@@ -13,6 +13,7 @@ from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from .._common.checks import FloatArray
 from .._common.threads import in_threads
@@ -91,6 +92,20 @@ class Fit:
     def cost(self) -> float:
         """Return the sum of squares that was minimised."""
         return float(self.chi_square.sum() + self.penalty)
+
+    @property
+    def centre(self) -> FloatArray:
+        """The shared coordinates (q,) in the middle of those of the specimens: what one more would be expected to have.
+
+        The shared values of the fit itself are a little above it, because a scatter in proportion to them is cheaper.
+        """
+        if not self.active[NUISANCES:].any():
+            return self.state.eta
+        delta = self.state.own[:, NUISANCES:]
+        middle: FloatArray = np.clip(self.state.eta * (1.0 + SCATTER * delta), self.layout.low, self.layout.high).mean(
+            axis=0
+        )
+        return middle
 
     @cached_property
     def scatter(self) -> Scatter:
@@ -351,9 +366,9 @@ def _step(layout: Layout, system: System, state: State, active: Any, damping: fl
     return step, own
 
 
-def _leans(own: FloatArray, gradient: FloatArray) -> FloatArray:
+def _leans(own: FloatArray, gradient: FloatArray) -> npt.NDArray[np.bool_]:
     """Return which of the specimens' own values (r, 7 + q) want beyond the most that they may differ."""
-    leans: FloatArray = (np.abs(own) >= _MOST_SCATTER - 1e-9) & (np.sign(own) * gradient > 0.0)
+    leans: npt.NDArray[np.bool_] = (np.abs(own) >= _MOST_SCATTER - 1e-9) & (np.sign(own) * gradient > 0.0)
     return leans
 
 

@@ -23,6 +23,8 @@ from .study import LawProbability, MissingMechanism, Remainder
 
 PRIOR_OF_COUNT = (0.05, 0.6, 0.3, 0.05)
 """Prior probability that so many mechanisms are missing where no law is exact; none: the library holds none of them."""
+LEAST_SPAN = 1.7
+"""Ratio of amplitudes in one record from which mechanisms are weighed."""
 _EACH_UNKNOWN = 1.0 / 3.0  # how much rarer a law is for each unknown that it has more
 _TWICE = 0.1  # how much rarer a second law of the same mechanism is
 _MOST_SPECIMENS = 3  # a departure is alike in all: more of them say hardly more of it
@@ -33,6 +35,7 @@ _MOST_WEIGHED = 40
 _MOST_HEAVY = 24  # sets that take long, beside single effects
 _LOOKED_BACK = 5  # sets whose subsets begin once more where these ended
 _REACH = 20.0  # logarithm of the odds at first sight from which a set is fitted with the departure
+_DRIFTS = 0.1  # prior probability that frequency and damping change with time as well
 _STANDS_OUT = 3.0  # standard errors of a level value from which the departure of an observable counts
 _EXPLAINED = 0.2  # of the gap that a set leaves up to which it does not matter whose own the rest is
 _SEPARATE = 5.0  # logarithm of the odds from which departures are each specimen's own, and so no law of amplitude
@@ -74,11 +77,14 @@ class Weighed:
 def weigh(search: Search) -> Weighed | None:
     """Return the probabilities of all sets within reach if none is exact, and that of a drift with time.
 
-    None where the base cannot be simulated at the levels.
+    None where the base cannot be simulated at the levels, and where no record spans a factor `LEAST_SPAN` in amplitude:
+    over less a departure draws whatever a law does.
 
     Every set is fitted to the backbones with the departure that it needs in their covariance: what it cannot follow
     exactly does not pull it away from what it can follow.
     """
+    if max(term.levels[-1] / term.levels[0] for term in search.batch.levels) < LEAST_SPAN:
+        return None
     chosen = _specimens(search)
     departures = DepartingSets(search.batch.subset(chosen), search.base.mass)
     departing = _departing(search, departures, chosen)
@@ -87,7 +93,11 @@ def weigh(search: Search) -> Weighed | None:
     if () not in logs:
         return None
     best = max(logs, key=lambda names: logs[names])
-    of_drift = _of_drift(search, departures, departing[()]) if search.batch.has_records else -np.inf
+    of_drift = -np.inf
+    if search.batch.has_records:
+        of_drift = _of_drift(search, departures, departing[()], ())
+        for names in _beside_drift(logs):  # what is left beside a law may go with the time
+            logs[names] = float(np.logaddexp(logs[names], _of_drift(search, departures, departing[names], names)))
     total = float(logsumexp([*logs.values(), of_drift]))
     gaps = _gaps(departing, departures)
     is_law = True
@@ -161,11 +171,24 @@ def _looked_back(search: Search, departures: DepartingSets, departing: Mapping[S
     return {names: item for names, item in found.items() if item.log_evidence > known[names]}
 
 
-def _of_drift(search: Search, departures: DepartingSets, base: Departing) -> float:
-    """Return the logarithm of evidence and prior of the base with a drift in time: in each record, or alike in all."""
-    either = [departures.evidence(search.layout(()), [base.state], drifts=kind) for kind in ("own", "common")]
-    known = [item.log_evidence for item in either if item is not None]
-    return float(logsumexp(known)) - np.log(2.0) + evidence.log_prior(1, len(search.candidates)) if known else -np.inf
+def _beside_drift(logs: Mapping[Set, float]) -> list[Set]:
+    """Return the sets that are asked with a drift beside them: what is in the likeliest ones."""
+    likeliest = sorted(logs, key=lambda names: -logs[names])[:_LOOKED_BACK]
+    parts = (part for names in likeliest for size in range(1, len(names) + 1) for part in combinations(names, size))
+    return [names for names in dict.fromkeys(parts) if names in logs]
+
+
+def _of_drift(search: Search, departures: DepartingSets, found: Departing, names: Set) -> float:
+    """Return the logarithm of evidence and prior of a set with a drift in time: in each record, or alike in all."""
+    jobs = [
+        partial(departures.evidence, search.layout(names), [found.state], drifts=kind) for kind in ("own", "common")
+    ]
+    known = [item.log_evidence for item in in_threads(jobs) if item is not None]
+    if not known:
+        return -np.inf
+    # a drift stands for an effect more; the base with one is no model with a departure
+    prior = _log_prior(names, search) + np.log(_DRIFTS) if names else evidence.log_prior(1, len(search.candidates))
+    return float(logsumexp(known) - np.log(2.0) + prior)
 
 
 def _gaps(departing: Mapping[Set, Departing], departures: DepartingSets) -> dict[Set, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 
@@ -10,15 +11,42 @@ from . import evidence
 from .batch import Batch
 from .curves import measured
 from .data_term import DRIFT, WaveformTerm
+from .descent import is_heavy
+from .evidence import UNEXPLAINED, Drifting
 from .joint_fit import DRIFTS, NUISANCES, Fit, fit
 from .scatter import SCATTER
+from .search import Search, Set
 from .study import Check
 
-DRIFT_KEY = ("drift with time",)
 _LINE = 25.0  # peak of the residuals' periodogram over its median that a line has at least
 _FAR = 4.0  # bins between a line and a harmonic
 _BEATING = 0.02
 _ALIKE = 4.0
+_ASKED = 3  # sets that are asked with a drift beside them where none leaves noise
+
+
+def drifting_sets(search: Search) -> dict[Set, Drifting]:
+    """Return the base with a drift in time, and the sets beside which a drift may be what a further effect imitates.
+
+    These are what is in the most probable set, where that is not a single effect that leaves noise; and where no set
+    leaves noise, what is in the next ones, too. Sets with an equation of their own are asked where nothing simpler is
+    left of them.
+    """
+    best = search.best()
+    is_exact = evidence.lack_of_fit(search.batch, search.fits[best]).p_value >= UNEXPLAINED
+    asked: list[Set] = [()]
+    if len(best) > 1 or not is_exact:
+        for names in [best] if is_exact else search.ranked()[:_ASKED]:
+            within = [part for size in range(1, len(names) + 1) for part in combinations(names, size)]
+            light = [part for part in within if not is_heavy(search.layout(part))]
+            asked += light or within[:1]
+    found = {}
+    for names in dict.fromkeys(asked):
+        start = search.fit_set(names)
+        drifting = None if start is None else drift_fit(search.batch, start)
+        if drifting is not None:
+            found[names] = Drifting(drifting, drift_bonus(drifting))
+    return found
 
 
 def drift_fit(batch: Batch, base: Fit) -> Fit | None:
@@ -67,21 +95,35 @@ def _log_normal(value: np.ndarray, covariance: np.ndarray) -> float:
     return -0.5 * float(value @ np.linalg.solve(covariance, value)) - 0.5 * float(determinant)
 
 
-def drift_check(drifting: Fit | None, probability: float, found: bool) -> Check:
-    """Say whether a change with time explains the records as well as a change with amplitude."""
+def drift_check(drifting: Fit | None, probability: float, found: bool, named: Fit | None = None) -> Check:
+    """Say whether a change with time explains the records as well as a change with amplitude.
+
+    ``named`` is the fit of the named set where it holds a drift beside its effects.
+    """
     name = "amplitude, not time"
     if drifting is None:
         return Check(name, True, "not testable without records: backbones do not say when an amplitude was passed")
-    rate = DRIFT * float(np.abs(drifting.state.own[:, DRIFTS[0]]).mean())
+    if named is not None:
+        return Check(
+            name,
+            False,
+            f"beside the effect the frequency drifts with time ({_rate(named):.2%} over a record), or a second effect "
+            "imitates that: keep the temperature, and release from other amplitudes to tell the two apart",
+        )
     if probability > 0.02 and found:
         return Check(
             name,
             False,
-            f"a frequency and damping that drift with time ({rate:.2%} of the frequency over a record) explain the "
-            f"records as well as an effect of amplitude does (probability {probability:.2f}); release from other "
-            "amplitudes to tell the two apart",
+            f"a frequency and damping that drift with time ({_rate(drifting):.2%} of the frequency over a record) "
+            f"explain the records as well as an effect of amplitude does (probability {probability:.2f}); release from "
+            "other amplitudes to tell the two apart",
         )
     return Check(name, True, "the same amplitude has the same frequency and damping whenever it is passed")
+
+
+def _rate(drifting: Fit) -> float:
+    """Return the relative change of frequency over a record, its mean size over the records."""
+    return DRIFT * float(np.abs(drifting.state.own[:, DRIFTS[0]]).mean())
 
 
 def second_mode_check(batch: Batch, best: Fit) -> Check:
@@ -133,6 +175,8 @@ def alike_check(batch: Batch, best: Fit) -> Check:
         return Check(name, True, "one specimen only: nothing to compare")
     delta = best.state.own[:, NUISANCES:]
     if delta.size:
+        with np.errstate(divide="ignore", invalid="ignore"):  # from the middle of the specimens, in units of a scatter
+            delta = np.nan_to_num((best.state.eta * (1.0 + SCATTER * delta) / best.centre - 1.0) / SCATTER)
         worst = int(np.argmax(np.abs(delta).max(axis=1)))
         size = float(np.abs(delta[worst]).max())
         if size > _ALIKE:
@@ -166,11 +210,11 @@ def data_terms_check(batch: Batch, reduced: float, limit: float) -> Check:
 
 
 __all__ = [
-    "DRIFT_KEY",
     "alike_check",
     "data_terms_check",
     "drift_bonus",
     "drift_check",
     "drift_fit",
+    "drifting_sets",
     "second_mode_check",
 ]  # fmt: skip

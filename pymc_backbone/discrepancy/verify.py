@@ -120,7 +120,7 @@ def held_out_specimens(batch: Batch, before: Fit, after: Fit | None, most: int) 
             solved = fit(model.layout, others.deciding, state, iterations=6, nuisances=batch.nuisances, tolerance=0.3)
             if solved is None:
                 continue
-            alone = State(solved.state.eta, model.state.own[[r]].copy())
+            alone = State(solved.centre, model.state.own[[r]].copy())
             alone.own[0, NUISANCES:] = 0.0
             own = one_on_levels(solved, batch.levels[r], alone, 0)
             predicted_state = State(alone.eta, own[None])

@@ -242,7 +242,8 @@ def sentence(decision: Decision) -> str:
         return " ".join(_of_mechanism(item) for item in decision.mechanisms if item.is_certain)
     if decision.verdict is Verdict.FOUND:
         below = f" ({', '.join(decision.below)} is detectable too, below the tolerance)" if decision.below else ""
-        return f"{best} is missing from the model, with a probability of {percent}{below}."
+        beside = ", while frequency or damping also change with time" if decision.best in decision.drifts else ""
+        return f"{best} is missing from the model, with a probability of {percent}{beside}{below}."
     if decision.verdict is Verdict.AMBIGUOUS:
         listed = [_named(names) for names in decision.listed]
         named = [*listed, "a drift with time"] if is_drift_possible(decision) else listed

@@ -199,22 +199,26 @@ def _searched(question: Question, quick: bool, say: Progress) -> Search:
 
 def _decided(question: Question, search: Search) -> Outcome:
     """Return the verdict on a finished search, its rivals minded: a drift with time, a second mode."""
-    drifting = rivals.drift_fit(question.batch, search.fits[()])
-    bonus = 0.0 if drifting is None else rivals.drift_bonus(drifting)
-    decision = decide(search, drifting, rivals.DRIFT_KEY, question.tolerance, bonus)
+    drifting = rivals.drifting_sets(search)
+    decision = decide(search, drifting, question.tolerance)
     second_mode = Check("no second mode", True, "not testable without records")
     if question.batch.has_records:
         second_mode = rivals.second_mode_check(question.batch, search.fits[decision.best])
         if not second_mode.passed:
             decision = mind_second_mode(decision)
-    return Outcome(search, decision, drifting, second_mode)
+    return Outcome(search, decision, drifting[()].fit if () in drifting else None, second_mode)
 
 
 def _checks(question: Question, outcome: Outcome, verification: Verification) -> tuple[Check, ...]:
     """Return the checks on the data: explanations that are no effect."""
     batch, decision = question.batch, outcome.decision
     return (
-        rivals.drift_check(outcome.drifting, decision.drift_probability, bool(decision.best)),
+        rivals.drift_check(
+            outcome.drifting,
+            decision.drift_probability,
+            bool(decision.best),
+            outcome.model if decision.best in decision.drifts else None,
+        ),
         outcome.second_mode,
         rivals.alike_check(batch, outcome.model),
         rivals.data_terms_check(batch, verification.reduced, _AGREE),
