@@ -199,7 +199,19 @@ class FittedSets:
             found += [] if reached is None else [reached]
             if reached is not None and not self._is_lost(reached, promised):
                 break
+        if not found or min(item.cost for item in found) > EXPLAINED * self.count:
+            found += self._without_base(layout, proposal, rival, ways)
         return found
+
+    def _without_base(self, layout: Layout, proposal: Proposal, rival: float | None, ways: list[float]) -> list[Fit]:
+        """Return the fit of a set from where the effects of the model as it is are absent: they may imitate the set."""
+        held = np.isin(layout.names, self.layout(()).names) & layout.is_strength
+        if not held.any() or held.all():
+            return []
+        _, eta, own = proposal.starts[0]
+        state = self.descent.released(layout, np.where(held, 0.0, eta), own)
+        reached = self.descent.from_afar(layout, state, rival, ways)
+        return [] if reached is None else [reached]
 
     def _is_lost(self, found: Fit, promised: float) -> bool:
         """Return whether a fit ended far above what the backbones promise: then another start may do better."""

@@ -28,7 +28,7 @@ _LARGEST_DAMPING = 1e8
 _CONVERGED = 0.01
 _MOST_SCATTER = 8.0  # standard deviations: an effect neither vanishes nor turns around in one specimen
 _RACE, _LONG_RACE, _RACE_MARGIN = 6, 25, 60.0
-_AT_REST = 4.0  # fall of the cost that one more step promises, below which a fit is at its minimum
+_AT_REST = 50.0  # fall of the cost that one more step promises, up to which it says what a fit at rest would
 _LONGEST = 3.0  # factor by which a step may change stiffness and release
 
 
@@ -181,17 +181,9 @@ def fit(
     damping, converged, quiet = _FIRST_DAMPING, False, 0
     past, evaluations = [system.cost], 1
     for _ in range(iterations if system.cost > goal else 0):
-        step = _step(layout, system, state, active, damping)
-        accepted = None
-        if step is not None:
-            proposal = State(np.clip(state.eta + step[0], layout.low, layout.high), state.own + step[1])
-            proposal.own[:, 1] = np.maximum(proposal.own[:, 1], 0.0)
-            np.clip(proposal.own[:, DRIFTS[0] :], -_MOST_SCATTER, _MOST_SCATTER, out=proposal.own[:, DRIFTS[0] :])
-            if scatter > 0.0:
-                proposal = _recentred(layout, proposal, scatter)
-            if np.isfinite(proposal.own).all() and _is_trusted(state, proposal):
-                accepted = linearise(layout, terms, proposal, scatter, active)
-                evaluations += 1
+        tried = _tried(layout, terms, state, system, active, damping, scatter)
+        evaluations += tried.evaluations
+        proposal, accepted = tried.state, tried.system
         if accepted is not None and accepted.cost < system.cost + 1e-9:
             gain = system.cost - accepted.cost
             state, system = proposal, accepted
@@ -215,6 +207,58 @@ def fit(
                 converged = True
                 break
     return replace(_finish(layout, system, state, active, converged), evaluations=evaluations)
+
+
+class _Tried(NamedTuple):
+    """Where a step of the fit leads, the normal equations there (None where it leads nowhere), and what it cost."""
+
+    state: State
+    system: System | None
+    evaluations: int
+
+
+def _tried(
+    layout: Layout, terms: Sequence[DataTerm], state: State, system: System, active: Any, damping: float, scatter: float
+) -> _Tried:
+    """Return where the step with this damping leads, limits and valleys minded."""
+    step = _step(layout, system, state, active, damping)
+    if step is None:
+        return _Tried(state, None, 0)
+    proposal = State(np.clip(state.eta + step[0], layout.low, layout.high), state.own + step[1])
+    proposal.own[:, 1] = np.maximum(proposal.own[:, 1], 0.0)
+    np.clip(proposal.own[:, DRIFTS[0] :], -_MOST_SCATTER, _MOST_SCATTER, out=proposal.own[:, DRIFTS[0] :])
+    if scatter > 0.0:
+        proposal = _recentred(layout, proposal, scatter)
+    if not np.isfinite(proposal.own).all() or not _is_trusted(state, proposal):
+        return _Tried(state, None, 0)
+    reached = linearise(layout, terms, proposal, scatter, active)
+    if reached is None or reached.cost < system.cost or not layout.free.size:
+        return _Tried(proposal, reached, 1)
+    followed = _followed(proposal, reached, active)
+    if followed is None or not _is_trusted(state, followed):
+        return _Tried(proposal, reached, 1)
+    again = linearise(layout, terms, followed, scatter, active)
+    if again is None or again.cost >= reached.cost:
+        return _Tried(proposal, reached, 2)
+    return _Tried(followed, again, 2)
+
+
+def _followed(state: State, system: System, active: Any) -> State | None:
+    """Return a point with each specimen's stiffness, damping and release brought after the effects.
+
+    Valleys are bent: a step that goes along one in the effects leaves it in the phase, and comes back by these alone.
+    """
+    index = np.flatnonzero(active[:NUISANCES])
+    own = state.own.copy()
+    for r in range(own.shape[0]):
+        block, slope = system.own[r][np.ix_(index, index)], system.own_gradient[r, index]
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(block), 1e-300))
+        try:
+            own[r, index] += scale * np.linalg.solve(block * np.outer(scale, scale), slope * scale)
+        except np.linalg.LinAlgError:
+            return None
+    own[:, 1] = np.maximum(own[:, 1], 0.0)
+    return State(state.eta, own) if np.isfinite(own).all() else None
 
 
 def _is_trusted(state: State, proposal: State) -> bool:
