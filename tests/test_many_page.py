@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import dataclasses
 import io
+import re
 from urllib.parse import unquote
 
 import numpy as np
@@ -46,7 +47,7 @@ def usual(rng) -> list[Structure]:
 def test_nothing_stands_out_among_equals(usual):
     """Negative control."""
     assert stand_out(usual) == {} and majority(usual) == (("coulomb_friction",), 12, 12)
-    assert survey_of(usual).sentence == "12 of 12 decided structures lack coulomb friction."
+    assert survey_of(usual).sentence == "12 of 12 decided structures lack Coulomb friction."
 
 
 def test_what_stands_out_is_ranked_and_said(usual, rng):
@@ -61,6 +62,33 @@ def test_what_stands_out_is_ranked_and_said(usual, rng):
     assert set(found) == {"beam_03", "beam_05", "other", "bare", "elsewhere"}
     assert "frequency is +8." in found["beam_03"][0] and "lacks freeplay; 7 of 9" in found["other"][0]
     assert "lacks nothing" in found["bare"][0]
+
+
+def test_structures_that_lack_more_than_the_usual_lack_the_usual_too(rng):
+    """Two lack friction, one friction and a spring: three lack friction."""
+    both = structure("both", rng, missing_effects=("coulomb_friction", "cubic_stiffness"))
+    survey = survey_of([structure("a", rng), structure("b", rng), both])
+    assert survey.sentence == (
+        "3 of 3 decided structures lack Coulomb friction, 1 of them other effects too; 1 stand out."
+    )
+    assert survey.standing_out["both"] == (
+        "lacks Coulomb friction + cubic stiffness; 2 of 3 lack Coulomb friction alone",
+    )
+    other = structure("other", rng, effect="freeplay")
+    survey = survey_of([structure("a", rng), structure("b", rng), other])
+    assert survey.sentence.startswith("2 of 3 decided structures lack Coulomb friction; ")
+    assert survey.standing_out["other"] == ("lacks freeplay; 2 of 3 lack Coulomb friction",)
+
+
+def test_few_structures_have_a_range_and_no_spread(rng, usual):
+    """9, 12 and 12.02 Hz: a median absolute deviation would say 12 Hz within 0.2 %."""
+    few = [structure(name, rng, frequency=value) for name, value in (("a", 9.0), ("b", 12.0), ("c", 12.02))]
+    page = survey_html(survey_of(few))
+    assert "median frequency; 9 to 12.02 Hz over the structures" in page and "\N{PLUS-MINUS SIGN}" not in page
+    row = re.search(r"<tr[^>]*><td[^>]*><span>frequency</span></td>.*?</tr>", page, re.DOTALL)
+    assert row is not None and "&ndash;" in row[0]
+    row = re.search(r"<tr[^>]*><td[^>]*><span>frequency</span></td>.*?</tr>", survey_html(survey_of(usual)), re.DOTALL)
+    assert row is not None and "&ndash;" not in row[0]
 
 
 def test_a_value_that_is_badly_known_does_not_stand_out():
