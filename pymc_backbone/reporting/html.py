@@ -143,6 +143,14 @@ def bullets(sentences: Iterable[object]) -> str:
     return f"<ul>{items}</ul>" if items else ""
 
 
+def noted(notes: Sequence[str]) -> str:
+    """Return what was assumed or done: warnings and records left out in the open, the rest folded where it is long."""
+    loud = [note for note in notes if "warning: " in note or note.startswith("left out: ")]
+    quiet = [note for note in notes if note not in loud]
+    folded = details(f"Notes: what was assumed or done ({len(quiet)})", bullets(quiet), is_open=0 < len(quiet) <= 5)
+    return (f"<h3>Look at these records</h3>{bullets(loud)}" if loud else "") + folded
+
+
 def tiles(pairs: Sequence[tuple[object, object]]) -> str:
     """Return key figures: value and what it is."""
     inside = "".join(f'<div class="tile"><b>{escape(a)}</b><span>{escape(b)}</span></div>' for a, b in pairs)

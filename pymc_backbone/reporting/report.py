@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from .._common.text import in_words
 from ..discrepancy.study import Study
 from ..discrepancy.verdict import NamedLevel, Status, Verdict
-from .html import Raw, bullets, details, escape, image, number, page, paragraph, prose, section, table, tiles
+from .html import Raw, bullets, details, escape, image, noted, number, page, paragraph, prose, section, table, tiles
 from .report_gap import amplitudes, curves, held_out_gap, interval, where
 from .report_model import candidates, convergence, detectable, equations, mechanisms, parameters
 from .words import (
@@ -136,7 +136,7 @@ def _data(study: Study, figures: Mapping[str, Figure]) -> str:
         "Data",
         table(columns, rows),
         paragraph(f"Specimens: {', '.join(named)}.", "soft"),
-        details(f"Notes: what was assumed or done ({len(notes)})", bullets(notes), is_open=0 < len(notes) <= 5),
+        noted(notes),
         details("The records", picture),
     )
 

@@ -11,7 +11,22 @@ from matplotlib.figure import Figure
 from .._common.checks import OBSERVABLE_UNITS
 from .._common.text import in_words
 from ..inference.fit_verdict import P_LIMIT, GoodnessOfFit, probability
-from .html import Raw, bullets, details, escape, image, number, page, paragraph, prose, section, table, tiles, unit
+from .html import (
+    Raw,
+    bullets,
+    details,
+    escape,
+    image,
+    noted,
+    number,
+    page,
+    paragraph,
+    prose,
+    section,
+    table,
+    tiles,
+    unit,
+)
 from .report import settings_table
 from .terminal import FOUND_NOTHING, POPULATION_WORDS, meaningful_digits
 
@@ -264,7 +279,7 @@ def _data(result: Mapping[str, Any], figures: Mapping[str, Figure]) -> str:
     return section(
         "Data",
         paragraph(f"Specimens: {', '.join(result['specimens'])}.", "soft"),
-        details(f"Notes: what was assumed or done ({len(notes)})", bullets(notes), is_open=0 < len(notes) <= 5),
+        noted(notes),
         details("Records, backbones and densities", *pictures),
     )
 
