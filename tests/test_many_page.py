@@ -158,6 +158,24 @@ def test_names_are_in_the_figures_where_values_stand_out(usual):
     drawn_without_overlap(drawn)
 
 
+def test_names_of_points_that_lie_together_are_above_each_other(usual):
+    """Five of twelve within a thousandth of each other, at the bottom and at the top of the panel."""
+    for others in (0.009, 0.002):
+        close = {f"beam_{i:02d}": 0.004 + 1e-7 * i for i in range(5)}
+        items = [
+            dataclasses.replace(item, frequency=12.0, damping_ratio=close.get(item.name, others)) for item in usual
+        ]
+        drawn = plot_damping_against_frequency(items, list(close))
+        assert drawn is not None
+        drawn.canvas.draw()
+        boxes = [text.get_window_extent() for text in drawn.axes[0].texts]
+        assert len(boxes) == 5
+        assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
+        inside = drawn.bbox
+        assert all(inside.x0 <= box.x0 and box.x1 <= inside.x1 for box in boxes)
+        assert all(inside.y0 <= box.y0 and box.y1 <= inside.y1 for box in boxes)
+
+
 def test_table_has_a_row_for_each_and_no_formula(usual):
     items = [*usual, Structure("=1+1", error="@cmd: it failed")]
     rows = list(csv.DictReader(io.StringIO(survey_table(survey_of(items)))))

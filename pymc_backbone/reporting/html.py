@@ -93,8 +93,8 @@ def escape(value: object) -> str:
 
 
 def prose(text: object) -> Raw:
-    """Return a sentence: escaped, and a per cent sign stays with its number."""
-    return Raw(escape(text).replace(" %", "&nbsp;%"))
+    """Return a sentence: escaped, with a sign for plus and minus, and a per cent sign that stays with its number."""
+    return Raw(escape(text).replace(" %", "&nbsp;%").replace("+-", "&plusmn;"))
 
 
 def number(value: float, digits: int = 4) -> Raw:
