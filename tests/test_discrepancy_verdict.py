@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 
 import pymc_backbone as pb
 from pymc_backbone._common.text import capitalised, in_words
-from pymc_backbone.discrepancy import candidate_table, decide, mechanisms, verdict_words
+from pymc_backbone.discrepancy import candidate_table, decide, mechanisms, rivals, verdict_words
 from pymc_backbone.discrepancy.question import TOLERANCE
 from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.discrepancy.study import LawProbability, MissingMechanism
@@ -368,6 +368,22 @@ def test_what_no_known_set_holds_of_the_probability_is_said():
     assert "something else" not in verdict_words.sentence(drifts)
     most = dict(zip(sets, (0.6, 0.3, 0.08), strict=True))
     assert "something else" not in verdict_words.sentence(replace(unsure, probabilities=most))
+
+
+@pytest.mark.parametrize(("verdict", "best"), [("unexplained", ("iwan",)), ("adequate", ())])
+def test_backbones_alone_leave_no_share_of_a_motion(verdict, best):
+    decision = decision_of(verdict, best=best, adequate_by=AdequateBy.STATISTICS if not best else None, p_missing=1e-5)
+    assert "1.20% of the motion" in verdict_words.sentence(decision)
+    unknown = replace(decision, lack=SimpleNamespace(share=np.nan, p_value=1e-9))
+    text = verdict_words.sentence(unknown)
+    assert "nan" not in text and "of the motion" not in text
+
+
+@pytest.mark.parametrize(("count", "said"), [(1, "passes each amplitude once only"), (2, "whenever it is passed")])
+def test_one_decay_cannot_show_that_an_amplitude_always_has_one_frequency(count, said):
+    drifting = SimpleNamespace(state=SimpleNamespace(own=np.zeros((count, 12))))
+    check = rivals.drift_check(drifting, 0.0, True)
+    assert check.passed and said in check.message
 
 
 def test_agreement_is_not_claimed_against_the_test_of_it():

@@ -139,7 +139,8 @@ def _of_unexplained(decision: Decision) -> str:
             "Something is missing, but what no set of known effects explains differs between records at the same "
             "amplitude: it goes with the time or the record, and no law of amplitude is named."
         )
-    left = f"what the best set ({named(decision.best)}) leaves is not noise ({decision.lack.share:.2%} of the motion)"
+    share = f" ({decision.lack.share:.2%} of the motion)" if np.isfinite(decision.lack.share) else ""
+    left = f"what the best set ({named(decision.best)}) leaves is not noise{share}"
     drifts = "a drift with time explains the records better than any effect of amplitude"
     why = drifts if decision.drift_probability > 0.5 else left
     return f"Something is missing, and no set of known effects explains it: {why}.{_certain(decision)}"

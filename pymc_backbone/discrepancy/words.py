@@ -27,7 +27,8 @@ def reasons(batch: Batch, found: Fit, names: Set) -> tuple[str, ...]:
     summaries = {effect.name: effect.summary.rstrip(".") for effect in found.layout.oscillator.effects}
     for name in names:
         parts = [sentence for sentence in (_power_law(batch, brought, name, row) for row in (0, 1, 2)) if sentence]
-        text = "; ".join(parts) if parts else "too small to be seen in the backbones; the waveforms show it"
+        unseen = "the waveforms show it" if batch.has_records else "all levels together show it"
+        text = "; ".join(parts) if parts else f"too small to be seen at single levels; {unseen}"
         summary = f" {summaries[name]}." if summaries[name] else ""
         sentences.append(f"{capitalised(in_words(name))}: {text}.{summary}")
     return tuple(sentences)
