@@ -108,7 +108,7 @@ def test_one_missing_effect_is_found(effect, rng):
     assert study.where and study.where[0].standard_errors > 3.0
     assert study.held_out_specimens.after < 2.5 and study.held_out_specimens.before > 3.0
     assert study.shrink_low <= study.shrink <= study.shrink_high and study.shrink > 2.0
-    assert study.reasons[0].startswith(f"{effect}: ")
+    assert study.reasons[0].startswith(f"{capitalised(in_words(effect))}: ")
     for name, value in truth_of((effect,)).items():
         group = next(item for item in study.parameters.values() if name in item)
         estimate = group[name]
