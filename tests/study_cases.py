@@ -29,8 +29,8 @@ from pymc_backbone.simulation.backbones import simulate_population
 
 SENTENCES = {
     "adequate": "Nothing is missing: base model and measurement agree within measurement error at every amplitude.",
-    "found": "Dry friction (coulomb_friction) is missing, with probability 97 %.",
-    "ambiguous": "Something is missing, but coulomb_friction and jenkins cannot be told apart with these records.",
+    "found": "Coulomb friction is missing from the model, with a probability of 97 %.",
+    "ambiguous": "Something is missing, but these records do not tell apart: Coulomb friction; Jenkins.",
     "unexplained": "Something is missing, and no effect of the library or set of up to three explains it.",
 }
 
@@ -245,10 +245,13 @@ def _candidates(verdict: str) -> tuple[Candidate, ...]:
     others = [name for name in LIBRARY if name not in ("linear_stiffness", "viscous_damping", "coulomb_friction")]
     shares = {"adequate": (0.98, 0.01), "found": (0.02, 0.97), "ambiguous": (1e-9, 0.55), "unexplained": (1e-9, 0.6)}
     nothing, friction = shares[verdict]
+    of_friction = "possible" if verdict == "adequate" else "best"
     rows = [
-        Candidate((), nothing, 0.0, 1.02 if verdict == "adequate" else 41.0, 1.1, "rejected", "base model"),
         Candidate(
-            ("coulomb_friction",), friction, 812.4, 1.01, 0.97, "possible", "fits", {"friction_force": (0.12, 0.003)}
+            (), nothing, 0.0, *((1.02, 1.1, "best") if verdict == "adequate" else (41.0, 1.1, "rejected")), "base"
+        ),
+        Candidate(
+            ("coulomb_friction",), friction, 812.4, 1.01, 0.97, of_friction, "fits", {"friction_force": (0.12, 0.003)}
         ),
     ]
     if verdict == "ambiguous":
@@ -270,7 +273,7 @@ def _candidates(verdict: str) -> tuple[Candidate, ...]:
                 else "leaves damping below the measurement at low amplitudes",
             )
         )
-    reason = "no better than coulomb_friction"
+    reason = "no better than Coulomb friction"
     rows += [Candidate(("coulomb_friction", name), 0.003, 809.0, 1.0, 0.96, "rejected", reason) for name in others[:6]]
     rows.sort(key=lambda row: -row.probability)
     best = rows[0]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -401,3 +402,15 @@ def test_a_reader_that_stops_early_is_no_error():
     error = process.stderr.read()
     process.stderr.close()
     assert process.wait(timeout=60) == 0 and error == ""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a shell closes the streams")
+@pytest.mark.parametrize("closed", ["2>&-", ">&- 2>&-"])
+def test_a_process_without_standard_error_does_its_work(closed, tmp_path):
+    """As under a service, or Windows' pythonw: it ended in a fault of the program, or without a word."""
+    record = str(demo.demo_folder() / "specimen_01.csv")
+    words = [sys.executable, "-m", "pymc_backbone", "extract", record, "--out", str(tmp_path / "out")]
+    shell = ["/bin/sh", "-c", f"{shlex.join(words)} {closed}"]
+    done = subprocess.run(shell, capture_output=True, text=True, cwd=ROOT, check=False, timeout=300)
+    assert done.returncode == 0 and (tmp_path / "out" / "result.json").exists(), done.stdout
+    assert ("Backbones and figures are in" in done.stdout) == (closed == "2>&-")

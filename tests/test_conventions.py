@@ -170,6 +170,8 @@ def test_a_population_predicts_but_has_no_specimen_to_leave_out(rng, random_seed
     with pytest.raises(InputError, match=r"no log-likelihood of single specimens.*build one of specimens"):
         pb.add_log_likelihood(draws, model)
     assert "log_likelihood" not in draws.children
+    with pytest.raises(TypeError, match=r"^log likelihood not found"):
+        az.loo(draws)
     prior = pm.sample_prior_predictive(4, model=model, random_seed=random_seed)
     for tree, group in ((draws, "posterior"), (prior, "prior")):
         found = pb.add_predictions(tree, model)[f"{group}_predictive"]["backbone"]

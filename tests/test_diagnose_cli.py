@@ -141,7 +141,11 @@ def test_folder_and_summary(capsys, searched, tmp_path):
     assert [effect.name for effect in searched["oscillator"].effects][-1] == "freeplay"
     assert searched["quick"] is True and searched["levels"] == 6 and searched["random_seed"] == 3
     assert "tolerance" not in searched  # the search's own default
-    assert text.startswith("FOUND: Dry friction") and str(out / "report.html") in text and "coulomb friction" in text
+    assert (
+        text.startswith("FOUND: Coulomb friction is missing")
+        and str(out / "report.html") in text
+        and "coulomb" not in text
+    )
     assert "naming" in error and "%" in error  # progress, on standard error alone
     result = read_result(out)
     assert set(result) == set(DIAGNOSIS_KEYS)

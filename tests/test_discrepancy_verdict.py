@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
 
@@ -13,7 +14,8 @@ import xarray as xr
 from scipy.integrate import solve_ivp
 
 import pymc_backbone as pb
-from pymc_backbone.discrepancy import decide, mechanisms, words
+from pymc_backbone._common.text import capitalised, in_words
+from pymc_backbone.discrepancy import candidate_table, decide, mechanisms, rivals, verdict_words
 from pymc_backbone.discrepancy.question import TOLERANCE
 from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.discrepancy.study import LawProbability, MissingMechanism
@@ -58,6 +60,9 @@ def check_whole(study):
         assert 0.0 < item.probability <= 1.0 + 1e-9 and 0.0 <= item.share_of_gap <= 1.0
         assert item.laws and all(0.0 < law.probability <= item.probability + 1e-9 for law in item.laws)
     assert (study.ambiguous_sets == ()) == (study.verdict != "ambiguous")
+    status = {item.effects: item.status for item in study.candidates}
+    assert Status.REJECTED not in {status[names] for names in study.ambiguous_sets}
+    assert not any("_" in text for text in (study.sentence, *study.reasons, *study.advice))
     assert (study.adequate_by is None) == (study.verdict != "adequate")
     assert (study.extended is None) == (study.after is None)
     assert len(study.checks) == 4 and all(item.message for item in study.checks)
@@ -98,12 +103,12 @@ def test_one_missing_effect_is_found(effect, rng):
     study = study_of(make_records(rng, (effect,), decibels=52.0), max_effects=1)
     check_whole(study)
     assert study.verdict == "found" and study.missing_effects == (effect,), study.sentence
-    assert study.probability > 0.9 and effect in study.sentence
+    assert study.probability > 0.9 and study.sentence.startswith(capitalised(in_words(effect)))
     assert study.extended.effects[-1].name == effect
     assert study.where and study.where[0].standard_errors > 3.0
     assert study.held_out_specimens.after < 2.5 and study.held_out_specimens.before > 3.0
     assert study.shrink_low <= study.shrink <= study.shrink_high and study.shrink > 2.0
-    assert study.reasons[0].startswith(f"{effect}: ")
+    assert study.reasons[0].startswith(f"{capitalised(in_words(effect))}: ")
     for name, value in truth_of((effect,)).items():
         group = next(item for item in study.parameters.values() if name in item)
         estimate = group[name]
@@ -147,7 +152,7 @@ def test_a_weak_effect_is_named_but_below_the_tolerance(rng):
     # frequency changes by 3/8 of 0.16 %, less than the default tolerance, and by several standard errors
     assert study.tolerance["frequency"] == TOLERANCE["frequency"] == 0.001
     assert study.verdict == "adequate" and study.adequate_by == "tolerance"
-    assert study.below_tolerance == ("cubic_stiffness",) and "cubic_stiffness" in study.sentence
+    assert study.below_tolerance == ("cubic_stiffness",) and "cubic stiffness" in study.sentence
     strict = study_of(records, tolerance=0)
     check_whole(strict)
     assert strict.verdict in ("found", "ambiguous") and strict.below_tolerance == ()
@@ -310,12 +315,15 @@ def decision_of(verdict: str, **options) -> decide.Decision:
 
 def test_words_of_each_verdict():
     for verdict, options, said in (
-        ("found", {}, "cubic_stiffness is missing from the model, with a probability of 97 %"),
+        ("found", {}, "Cubic stiffness is missing from the model, with a probability of 97 %"),
+        ("found", {"best": ("coulomb_friction", "iwan")}, "Coulomb friction + Iwan are missing from the model"),
+        ("found", {"drifts": (("cubic_stiffness",),)}, "97 %, while frequency or damping also change with time."),
+        ("found", {"below": ("iwan", "quadratic_damping")}, "(Iwan and quadratic damping are detectable too, below"),
         ("ambiguous", {"listed": (("cubic_stiffness",), ("freeplay",))}, "tell apart: cubic stiffness; freeplay."),
         (
             "ambiguous",
             {"listed": (("cubic_stiffness",), ("freeplay", "iwan"), ("jenkins",), ("bouc_wen",), ("iwan",))},
-            "tell apart: cubic stiffness; freeplay + iwan; jenkins; and 2 more.",
+            "tell apart: cubic stiffness; freeplay + Iwan; Jenkins; and 2 more.",
         ),
         ("ambiguous", {"listed": (("freeplay",),), "drift_probability": 0.2}, "freeplay; a drift with time"),
         ("ambiguous", {"listed": (("cubic_stiffness",),)}, "is the only explanation that remains"),
@@ -327,18 +335,18 @@ def test_words_of_each_verdict():
                 "mechanisms": (SPRING, CLEARANCE),
             },
             "do not tell mechanisms apart: hardening or softening of the spring 70 %, clearance or contact 30 % "
-            "(cubic_stiffness; freeplay).",
+            "(cubic stiffness; freeplay).",
         ),
         (
             "found",
             {"named_level": NamedLevel.MECHANISM, "mechanisms": (HYSTERESIS, CLEARANCE)},
             "Friction-like hysteresis is missing (99.6 %, 93 % of the gap); which law these records do not tell: "
-            "iwan 46 %, jenkins 31 %, bouc wen 20 %.",
+            "Iwan 46 %, Jenkins 31 %, Bouc-Wen 20 %.",
         ),
         ("unexplained", {}, "no set of known effects explains it"),
         ("unexplained", {"drift_probability": 0.9}, "a drift with time explains the records better"),
         ("adequate", {"adequate_by": AdequateBy.STATISTICS, "best": ()}, "Nothing is missing"),
-        ("adequate", {"adequate_by": AdequateBy.TOLERANCE, "below": ("iwan",)}, "iwan is detectable"),
+        ("adequate", {"adequate_by": AdequateBy.TOLERANCE, "below": ("iwan",)}, "Iwan is detectable, but changes"),
         (
             "adequate",
             {"adequate_by": AdequateBy.TOLERANCE, "drift_probability": 0.9},
@@ -346,7 +354,74 @@ def test_words_of_each_verdict():
         ),
     ):
         decision = decision_of(verdict, **{"best": ("cubic_stiffness",), **options})
-        assert said in words.sentence(decision)
+        text = verdict_words.sentence(decision)
+        assert said in text and "_" not in text
+
+
+def test_what_no_known_set_holds_of_the_probability_is_said():
+    """20, 2.9 and 0.26 % leave 76 %; where the sets hold nearly all of it, nothing is said."""
+    sets = (("coulomb_friction",), ("jenkins",), ("freeplay",))
+    few = dict(zip(sets, (0.202, 0.029, 0.0026), strict=True))
+    unsure = decision_of("ambiguous", best=sets[0], probability=0.202, listed=sets, probabilities=few)
+    assert "With 77 % it is something else, which no known effect does." in verdict_words.sentence(unsure)
+    drifts = replace(unsure, drift_probability=0.7)
+    assert "something else" not in verdict_words.sentence(drifts)
+    most = dict(zip(sets, (0.6, 0.3, 0.08), strict=True))
+    assert "something else" not in verdict_words.sentence(replace(unsure, probabilities=most))
+
+
+@pytest.mark.parametrize(("verdict", "best"), [("unexplained", ("iwan",)), ("adequate", ())])
+def test_backbones_alone_leave_no_share_of_a_motion(verdict, best):
+    decision = decision_of(verdict, best=best, adequate_by=AdequateBy.STATISTICS if not best else None, p_missing=1e-5)
+    assert "1.20% of the motion" in verdict_words.sentence(decision)
+    unknown = replace(decision, lack=SimpleNamespace(share=np.nan, p_value=1e-9))
+    text = verdict_words.sentence(unknown)
+    assert "nan" not in text and "of the motion" not in text
+
+
+@pytest.mark.parametrize(("count", "said"), [(1, "passes each amplitude once only"), (2, "whenever it is passed")])
+def test_one_decay_cannot_show_that_an_amplitude_always_has_one_frequency(count, said):
+    drifting = SimpleNamespace(state=SimpleNamespace(own=np.zeros((count, 12))))
+    check = rivals.drift_check(drifting, 0.0, True)
+    assert check.passed and said in check.message
+
+
+def test_agreement_is_not_claimed_against_the_test_of_it():
+    """A base that no set is more probable than, at a p-value that is rare where nothing is missing."""
+    rare = decision_of("adequate", best=(), adequate_by=AdequateBy.STATISTICS, p_missing=0.0017)
+    text = verdict_words.sentence(rare)
+    assert "within measurement error" not in text and "1.20% of the motion, is rare" in text and "p = 0.0017" in text
+    assert "within measurement error (p = 0.3)" in verdict_words.sentence(replace(rare, p_missing=0.3))
+
+
+@pytest.mark.parametrize(
+    ("names", "probability", "is_open", "status"),
+    [
+        ("a", 0.202, False, Status.BEST),
+        ("b", 0.029, False, Status.POSSIBLE),
+        ("c", 0.0026, False, Status.POSSIBLE),  # the verdict lists it
+        ("d", 0.0026, False, Status.REJECTED),
+        ("c", 0.0026, True, Status.NOT_CONVERGED),
+    ],
+)
+def test_no_set_is_rejected_that_the_verdict_lists(names, probability, is_open, status):
+    decision = decision_of("ambiguous", best=("a",), listed=(("a",), ("b",), ("c",)))
+    assert candidate_table.status_of((names,), probability, decision, is_open=is_open) is status
+
+
+def test_the_table_says_how_much_less_probable_a_set_is():
+    chances = {("a",): 0.2, ("b",): 0.15, ("c",): 0.02, ("b", "c"): 0.3}
+    decision = decision_of("ambiguous", best=("a",), probabilities=chances)
+
+    def said(*names: str) -> str:
+        status = candidate_table.status_of(names, chances[names], decision, is_open=False)
+        return candidate_table._reason(names, chances[names], -3.0, decision, status)
+
+    assert said("b") == "explains the records about as well"
+    assert said("c") == "remains possible, 10 times less probable than the best set"
+    assert "most probable set without" in said("a")  # another is more probable by itself
+    sure = replace(decision, probabilities={("a",): 0.9, ("b",): 0.1})
+    assert candidate_table._reason(("a",), 0.9, 0.0, sure, Status.BEST) == "the most probable set"
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib.colors import to_hex
 from scipy import stats
 
 import pymc_backbone as pb
@@ -235,6 +236,15 @@ def test_difference_is_said_as_an_engineer_would(measured_value, predicted, word
     entry = FitEntry("S1", "frequency", 0.001, measured_value, 0.01, predicted, predicted, predicted, 0.0, 9.0)
     fit = GoodnessOfFit("specimen", 0.0, 9.0, 9, (), (entry,))
     assert words in fit.describe(entry)
+
+
+def test_figure_of_a_batch_says_that_each_specimen_has_a_colour(rng):
+    data = measured(rng, friction=FRICTION)
+    figure = pb.plots.plot_fit(data, check(LINEAR, data, "pooled", rng))
+    assert figure.legends[0].get_texts()[0].get_text() == "measured, 95 % error; a colour each"
+    drawn = [line for line in figure.axes[0].lines if line.get_marker() == "o" and len(line.get_xdata())]
+    colours = {to_hex(line.get_color()) for line in drawn}
+    assert len(colours) == data.sizes["specimen"]
 
 
 def test_figure_of_the_fit_shows_what_was_measured_and_the_median(rng):

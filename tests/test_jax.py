@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib
+import importlib.util
+import inspect
 import sys
 
 import numpy as np
@@ -66,13 +68,16 @@ def test_values_and_gradients_in_jax_are_those_of_the_compiled_model(jax, kind, 
     assert float(many[0]) == pytest.approx(float(value), abs=1e-3) != float(many[1])
 
 
-@pytest.mark.filterwarnings("ignore")  # JAX's own, and NumPyro's
-def test_a_sampler_of_jax_finds_the_same_posterior(jax, rng, random_seed):
-    pytest.importorskip("numpyro", reason="NumPyro is not installed: an optional sampler")
+@pytest.mark.filterwarnings("ignore")  # JAX's own, and the samplers'
+@pytest.mark.parametrize("library", ["numpyro", "blackjax"])
+def test_a_sampler_of_jax_finds_the_same_posterior(jax, library, rng, random_seed):
+    installed = pytest.importorskip(library, reason=f"{library} is not installed: an optional sampler")
+    if library == "blackjax" and "progress_bar" not in inspect.signature(installed.window_adaptation).parameters:
+        pytest.skip("this BlackJAX takes no `progress_bar`, which PyMC gives it: it needs BlackJAX before 1.4")
     model = build_model(DUFFING, noisy(rng, 2), BOUNDS, likelihood="pooled")
     with model:
         drawn = pm.sample(
-            draws=400, tune=400, chains=2, nuts_sampler="numpyro", random_seed=random_seed, progressbar=False,
+            draws=400, tune=400, chains=2, nuts_sampler=library, random_seed=random_seed, progressbar=False,
             initvals={name: value for name, value in TRUTH.items()},
         )  # fmt: skip
     expected = sample(model, draws=2000, tune=500, chains=2, random_seed=random_seed, progressbar=False)
@@ -99,7 +104,17 @@ def test_a_function_has_no_gradient_in_jax_either(jax, rng):
         jax.grad(log_density)(point)
 
 
+@pytest.mark.skipif(importlib.util.find_spec("jax") is not None, reason="JAX is installed")
+@pytest.mark.parametrize("library", ["numpyro", "blackjax"])
+def test_without_jax_pymc_says_that_it_is_missing(library, rng):
+    with (
+        build_model(DUFFING, noisy(rng, 2), BOUNDS, likelihood="pooled"),
+        pytest.raises(ModuleNotFoundError, match=r"^No module named 'jax'$"),
+    ):
+        pm.sample(draws=10, tune=10, chains=1, nuts_sampler=library, progressbar=False)
+
+
 def test_sample_says_how_to_reach_the_samplers_of_jax(rng):
     model = build_model(DUFFING, noisy(rng, 2), BOUNDS, likelihood="pooled")
-    with pytest.raises(InputError, match=r"pymc.sample\(nuts_sampler=...\)"):
+    with pytest.raises(InputError, match=r"'blackjax' up to 1.3, install it with JAX and call pymc.sample\(nuts"):
         sample(model, nuts_sampler="blackjax")

@@ -42,7 +42,7 @@ def diagnose(capsys, *arguments: object) -> tuple[int, str, str]:
 def test_summary_and_files(capsys, hand_made, folders, tmp_path):
     out = tmp_path / "out"
     code, text, error = diagnose(capsys, "--many", folders, *MASS, "--seed", 3, "--workers", 0, "--out", out)
-    assert code == 0 and "[3/3] beam_10: found: coulomb friction" in text and str(out / "summary.html") in text
+    assert code == 0 and "[3/3] beam_10: found: Coulomb friction" in text and str(out / "summary.html") in text
     assert "diagnosing the structures" in error
     command = json.loads((out / "summary.json").read_text())["command"]
     assert command.startswith("pymc-backbone diagnose --many ") and cli.build_parser().parse_args(command.split()[1:])
@@ -72,7 +72,7 @@ def test_a_structure_that_fails_is_named_and_the_exit_code_says_so(capsys, hand_
     )
     last = error.splitlines(keepends=True)[-1]
     assert code == 2 and is_one_sentence(last) and "1 of 4 structures" in last and "poison" in last
-    assert "poison: failed: its process was ended by SIGKILL" in text and text.count("found: coulomb") == 3
+    assert "poison: failed: its process was ended by SIGKILL" in text and text.count("found: Coulomb") == 3
 
 
 def test_settings_of_single_structures(capsys, monkeypatch, folders, tmp_path):

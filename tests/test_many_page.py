@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import dataclasses
 import io
+import re
 from urllib.parse import unquote
 
 import numpy as np
@@ -46,7 +47,7 @@ def usual(rng) -> list[Structure]:
 def test_nothing_stands_out_among_equals(usual):
     """Negative control."""
     assert stand_out(usual) == {} and majority(usual) == (("coulomb_friction",), 12, 12)
-    assert survey_of(usual).sentence == "12 of 12 decided structures lack coulomb friction."
+    assert survey_of(usual).sentence == "12 of 12 decided structures lack Coulomb friction."
 
 
 def test_what_stands_out_is_ranked_and_said(usual, rng):
@@ -61,6 +62,33 @@ def test_what_stands_out_is_ranked_and_said(usual, rng):
     assert set(found) == {"beam_03", "beam_05", "other", "bare", "elsewhere"}
     assert "frequency is +8." in found["beam_03"][0] and "lacks freeplay; 7 of 9" in found["other"][0]
     assert "lacks nothing" in found["bare"][0]
+
+
+def test_structures_that_lack_more_than_the_usual_lack_the_usual_too(rng):
+    """Two lack friction, one friction and a spring: three lack friction."""
+    both = structure("both", rng, missing_effects=("coulomb_friction", "cubic_stiffness"))
+    survey = survey_of([structure("a", rng), structure("b", rng), both])
+    assert survey.sentence == (
+        "3 of 3 decided structures lack Coulomb friction, 1 of them other effects too; 1 stand out."
+    )
+    assert survey.standing_out["both"] == (
+        "lacks Coulomb friction + cubic stiffness; 2 of 3 lack Coulomb friction alone",
+    )
+    other = structure("other", rng, effect="freeplay")
+    survey = survey_of([structure("a", rng), structure("b", rng), other])
+    assert survey.sentence.startswith("2 of 3 decided structures lack Coulomb friction; ")
+    assert survey.standing_out["other"] == ("lacks freeplay; 2 of 3 lack Coulomb friction",)
+
+
+def test_few_structures_have_a_range_and_no_spread(rng, usual):
+    """9, 12 and 12.02 Hz: a median absolute deviation would say 12 Hz within 0.2 %."""
+    few = [structure(name, rng, frequency=value) for name, value in (("a", 9.0), ("b", 12.0), ("c", 12.02))]
+    page = survey_html(survey_of(few))
+    assert "median frequency; 9 to 12.02 Hz over the structures" in page and "\N{PLUS-MINUS SIGN}" not in page
+    row = re.search(r"<tr[^>]*><td[^>]*><span>frequency</span></td>.*?</tr>", page, re.DOTALL)
+    assert row is not None and "&ndash;" in row[0]
+    row = re.search(r"<tr[^>]*><td[^>]*><span>frequency</span></td>.*?</tr>", survey_html(survey_of(usual)), re.DOTALL)
+    assert row is not None and "&ndash;" not in row[0]
 
 
 def test_a_value_that_is_badly_known_does_not_stand_out():
@@ -128,6 +156,24 @@ def test_names_are_in_the_figures_where_values_stand_out(usual):
     drawn = plot_damping_against_frequency(usual, ["beam_03"])
     assert drawn is not None and len(drawn.axes[0].texts) == 1
     drawn_without_overlap(drawn)
+
+
+def test_names_of_points_that_lie_together_are_above_each_other(usual):
+    """Five of twelve within a thousandth of each other, at the bottom and at the top of the panel."""
+    for others in (0.009, 0.002):
+        close = {f"beam_{i:02d}": 0.004 + 1e-7 * i for i in range(5)}
+        items = [
+            dataclasses.replace(item, frequency=12.0, damping_ratio=close.get(item.name, others)) for item in usual
+        ]
+        drawn = plot_damping_against_frequency(items, list(close))
+        assert drawn is not None
+        drawn.canvas.draw()
+        boxes = [text.get_window_extent() for text in drawn.axes[0].texts]
+        assert len(boxes) == 5
+        assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
+        inside = drawn.bbox
+        assert all(inside.x0 <= box.x0 and box.x1 <= inside.x1 for box in boxes)
+        assert all(inside.y0 <= box.y0 and box.y1 <= inside.y1 for box in boxes)
 
 
 def test_table_has_a_row_for_each_and_no_formula(usual):

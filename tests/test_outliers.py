@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.util
+import re
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,7 @@ from pymc_backbone.measurement.cycles import Cycles, extract_cycles
 from pymc_backbone.measurement.outliers import find_outliers
 from pymc_backbone.measurement.reading.record import Record
 from pymc_backbone.measurement.reading.writing import write_records
+from pymc_backbone.reporting.output_folder import read_result
 
 from .test_cli import run_cli
 from .test_conditioning import FREQUENCY, friction, simulated, warnings_of
@@ -145,7 +148,7 @@ def test_friction_and_converters_make_no_spikes() -> None:
 # ---- records that are no free decay -------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("strength", "words"), [(0.4, "grows again"), (0.9, "were dropped")])
+@pytest.mark.parametrize(("strength", "words"), [(0.4, "grows again"), (0.9, "warning: the record holds two releases")])
 def test_a_second_pluck_is_cut_off_and_said(strength: float, words: str, rng: np.random.Generator) -> None:
     time, (x, _, _) = simulated("linear", 0.01, 40, 50)
     second = strength * np.where(time > 2.0, np.interp(time - 2.0, time, x), 0.0)
@@ -155,6 +158,88 @@ def test_a_second_pluck_is_cut_off_and_said(strength: float, words: str, rng: np
     assert result.time[-1] < 2.3 if strength < 0.5 else result.time[0] > 2.0
     frequency = extract_cycles(result).frequency
     np.testing.assert_allclose(frequency, FREQUENCY * np.sqrt(1.0 - 0.01**2), rtol=5e-3)
+
+
+def plucked(first: float, second: float, at: float, rng: np.random.Generator, damping: float = 0.01) -> Record:
+    """Return a record of 6 s of a structure at 12 Hz that is held and let go twice, the second time at ``at`` [s]."""
+    time = np.arange(3600) / 600.0
+    omega = 2.0 * np.pi * 12.0
+    since = np.where(time < at, time, time - at)
+    values = np.where(time < at, first, second) * np.exp(-damping * omega * since) * np.cos(omega * since)
+    return Record("s", time, values + 1e-6 * rng.standard_normal(time.size))
+
+
+@pytest.mark.parametrize(
+    ("second", "at", "damping", "words"),
+    [
+        (4e-3, 2.5, 0.01, "a second release or impact, or beating modes): only the part before is used"),
+        (8e-3, 2.5, 0.01, "the record holds two releases: a free decay of 28 cycles, from 0.0047 to "),
+        (4e-3, 4.5, 0.03, "the structure moves again from about 4."),
+    ],
+)
+def test_a_second_release_is_warned_of_with_what_was_done(
+    second: float, at: float, damping: float, words: str, rng: np.random.Generator
+) -> None:
+    result = condition(plucked(5e-3, second, at, rng, damping))
+    (warning,) = [note for note in result.notes if note.startswith("warning: ")]
+    assert words in warning and "is used" in warning and "`start" in warning and "`stop" in warning
+    is_first = second < 5e-3
+    assert result.time[-1] < at if is_first else result.time[0] > at
+
+
+def test_the_part_that_a_warning_offers_is_the_first_decay(rng: np.random.Generator) -> None:
+    record = plucked(5e-3, 8e-3, 2.5, rng)
+    (warning,) = [note for note in condition(record).notes if note.startswith("warning: ")]
+    start, stop = (float(re.search(rf"`{name}=([-\d.e]+)`", warning)[1]) for name in ("start", "stop"))
+    first = condition(record, start=start, stop=stop)
+    assert first.time[0] < 0.1 and 2.2 < first.time[-1] < 2.5
+    assert not [note for note in first.notes if note.startswith("warning: ")]
+
+
+@pytest.mark.parametrize("before", ["rest", "held", "driven", "swept"])
+def test_what_is_no_decay_before_a_release_is_no_second_one(before: str, rng: np.random.Generator) -> None:
+    """Negative control: at rest, held with a trembling hand, driven at resonance, swept through it."""
+    time = np.arange(1800) / 600.0
+    omega = 2.0 * np.pi * 12.0
+    build_up = 1.0 - np.exp(-0.02 * omega * time)
+    lead = {
+        "rest": np.zeros(time.size),
+        "held": 5e-3 + 2e-4 * np.sin(2.0 * np.pi * 3.0 * time) * (1.0 + 0.5 * np.sin(2.0 * np.pi * 0.4 * time)),
+        "driven": 5e-3 * build_up * np.cos(omega * (time - time[-1])),
+        "swept": 4e-3 / np.hypot(1.0, (time - 1.5) / 0.3) * np.cos(omega * time),
+    }[before]
+    free = 5e-3 * np.exp(-0.01 * omega * time) * np.cos(omega * time)
+    values = np.concatenate([lead, free])
+    result = condition(Record("s", np.arange(values.size) / 600.0, values + 1e-6 * rng.standard_normal(values.size)))
+    assert not [note for note in result.notes if "two releases" in note or "moves again" in note]
+    assert result.time[0] > 2.9
+
+
+@pytest.mark.parametrize("second", [4e-3, 8e-3])
+@pytest.mark.parametrize("command", ["extract", "update", "diagnose"])
+def test_a_second_release_is_told_by_each_command(
+    command: str, second: float, tmp_path: Path, rng: np.random.Generator, capsys
+) -> None:
+    """On the terminal, in result.json, and unfolded in the report."""
+    records = [plucked(5e-3, 5e-3, 99.0, rng), plucked(5e-3, second, 2.5, rng)]
+    records = [dataclasses.replace(record, specimen=name) for record, name in zip(records, "ab", strict=True)]
+    write_records(records, tmp_path / "records")
+    out = tmp_path / "out"
+    options = {
+        "extract": [],
+        "update": ["--mass", "1", "--draws", "200", "--tune", "200", "--chains", "2"],
+        "diagnose": ["--mass", "1", "--quick", "--candidates", "cubic_stiffness", "--max-effects", "1"],
+    }[command]
+    code, text, _ = run_cli(capsys, command, str(tmp_path / "records"), *options, "--out", str(out))
+    words = "two releases" if second > 5e-3 else "a second release or impact"
+    (line,) = [line for line in text.splitlines() if words in line]
+    assert code == 0 and line.startswith("b: warning: ") and "--start" in line
+    result = read_result(out)
+    assert [note for note in result["notes"] if words in note and note.startswith("b: warning: ")]
+    if command != "extract":
+        page = (out / "report.html").read_text(encoding="utf-8")
+        unfolded = re.sub(r"<details.*?</details>", "", page, flags=re.DOTALL)
+        assert words in unfolded
 
 
 def van_der_pol(begin: float, cycles: int) -> tuple[FloatArray, FloatArray]:

@@ -145,7 +145,7 @@ def promised():
 def test_a_plan_in_words():
     said = sentences(promised(), PRESENT, "m")
     assert said[0] == (
-        "how probably one of cubic_stiffness and no missing effect is left after 2 ring-downs from 0.015 m (1.5 times "
+        "how probably one of cubic stiffness and no missing effect is left after 2 ring-downs from 0.015 m (1.5 times "
         "the present release), 4 s each: 91 % (8 s of recording); after the same test again: 20 %."
     )
     assert "4 times less noise, with 0.4 kg added" in said[1]
@@ -181,7 +181,7 @@ def test_the_command_reads_a_folder_and_writes_what_it_says(folder, tmp_path, ca
     assert base.mass == result["mass"] and tuple(contenders) == (CUBIC, NOTHING) and present == PRESENT
     assert given["affordable"] == Affordable(largest=0.02, records=3)
     shown = capsys.readouterr().out
-    assert "91 %" in shown and "the same again" in shown and "A: cubic_stiffness" in shown and "if B" in shown
+    assert "91 %" in shown and "the same again" in shown and "A: cubic stiffness" in shown and "if B" in shown
     assert json.loads(target.read_text())["repeat"]["probability"] == 0.2
     assert main(["plan", str(folder), "--out", str(target)]) == 2
     assert "exists already" in capsys.readouterr().err

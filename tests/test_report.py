@@ -13,8 +13,10 @@ import xarray as xr
 from matplotlib import pyplot
 
 from pymc_backbone._common.checks import InputError
+from pymc_backbone._common.text import in_words
 from pymc_backbone.discrepancy.locate import mean_gap
-from pymc_backbone.discrepancy.verdict import NamedLevel, Verdict
+from pymc_backbone.discrepancy.study import Candidate
+from pymc_backbone.discrepancy.verdict import NamedLevel, Status, Verdict
 from pymc_backbone.effects import LIBRARY
 from pymc_backbone.reporting.candidate_plots import plot_candidates
 from pymc_backbone.reporting.html import number, table, unit
@@ -23,7 +25,7 @@ from pymc_backbone.reporting.report import report_html
 from pymc_backbone.reporting.report_model import parameters
 from pymc_backbone.reporting.study_files import DIAGNOSIS_KEYS, write_study
 from pymc_backbone.reporting.study_plots import study_figures
-from pymc_backbone.reporting.words import percent
+from pymc_backbone.reporting.words import percent, remaining
 from pymc_backbone.survey.structure import Structure, summary_of
 from pymc_backbone.survey.survey import effects_in_words
 
@@ -120,7 +122,7 @@ def test_a_named_mechanism_comes_first_and_no_law_is_named(studies, tmp_path):
     assert "probability of friction-like hysteresis" in page and "agree on its mechanism" in page
     assert page.index("<h2>Mechanisms</h2>") < page.index("<h2>Candidates</h2>")
     row = page[page.index("<h2>Mechanisms</h2>") : page.index("<h2>Candidates</h2>")]
-    assert "<details" in row and "jenkins 38 %" in row and "94 %" in row
+    assert "<details" in row and "Jenkins 38 %" in row and "94 %" in row
     said = summary_of(result)
     assert said["mechanisms"] == ("hysteresis",) and said["missing_effects"] == ()
     assert effects_in_words(Structure("a", verdict="found", mechanisms=("hysteresis",))) == "hysteresis"
@@ -128,6 +130,50 @@ def test_a_named_mechanism_comes_first_and_no_law_is_named(studies, tmp_path):
     write_study(studies["found"], tmp_path / "law")
     result = read_result(tmp_path / "law")
     assert result["named_level"] == "law" and result["mechanisms"] and summary_of(result)["mechanisms"] == ()
+
+
+def test_what_remains_possible_adds_up_to_certainty(studies):
+    """Sets that hold 20, 2.9 and 0.26 %: the page says that 77 % are elsewhere, and calls none of them rejected."""
+    sets = (("coulomb_friction",), ("jenkins",), ("iwan",))
+    chances = dict(zip(sets, (0.202, 0.029, 0.0026), strict=True))
+    study = studies[Verdict.AMBIGUOUS]
+    rows = [dataclasses.replace(c, probability=chances.get(c.effects, 0.0)) for c in study.candidates]
+    study = dataclasses.replace(study, ambiguous_sets=sets, candidates=tuple(rows), probability=0.202)
+    text = Page(report_html(study, {}, version="0.0")).text.replace("\N{NO-BREAK SPACE}", " ")
+    assert "equally well" not in text
+    for told in ("Coulomb friction: 20.2 %", "Jenkins: 2.9 %", "Iwan: 0.26 %", "any other explanation: 76.6 %"):
+        assert told in text
+    assert remaining(studies[Verdict.FOUND]) == []
+    shares = [float(line.split(": ")[1].split()[0]) for line in remaining(study)]
+    assert sum(shares) == pytest.approx(100.0, abs=0.1)  # of three digits each
+
+
+def test_the_probability_on_top_is_that_of_the_set_it_names(studies):
+    """The best set, with what is below the tolerance, need not be the first of the table."""
+    study = studies[Verdict.FOUND]
+    table = (Candidate(("coulomb_friction", "iwan"), 0.6, 1.0, 1.0, 1.0, Status.POSSIBLE, "fits"), *study.candidates)
+    text = Page(report_html(dataclasses.replace(study, candidates=table), {}, version="0.0")).text
+    assert "97 %probability of Coulomb friction" in text and "probability of Coulomb friction + Iwan" not in text
+
+
+@pytest.mark.parametrize(
+    ("p_value", "said"), [(0.41, "agree within measurement error"), (0.0017, "Such a gap is rare")]
+)
+def test_an_adequate_model_agrees_only_where_the_test_says_so(studies, p_value, said):
+    study = dataclasses.replace(studies[Verdict.ADEQUATE], missing_p_value=p_value, sentence="Adequate.")
+    text = Page(report_html(study, {}, version="0.0")).text
+    assert said in text and ("within measurement error" in text) == (p_value > 0.01)
+
+
+def test_effects_are_in_words_wherever_people_read(studies):
+    """Underscores stay where something is typed: settings, the command."""
+    for study in studies.values():
+        study = dataclasses.replace(study, settings={})
+        page = re.sub(r"<pre>.*?</pre>", "", report_html(study, {}, version="0.0"), flags=re.DOTALL)
+        text = Page(page).text
+        assert not [name for name in LIBRARY if "_" in name and name in text]
+        assert "coulomb" not in text and "jenkins" not in text
+    assert "Coulomb friction" in Page(report_html(studies[Verdict.FOUND], {}, version="0.0")).text
 
 
 def test_result_is_strict_json(studies, tmp_path):
@@ -168,7 +214,7 @@ def test_page_is_whole_and_holds_everything_inside(studies, verdict):
     words = page.text.replace("\N{NO-BREAK SPACE}", " ")
     assert study.sentence in words and verdict.capitalize() in words
     for item in study.candidates:
-        assert all(name.replace("_", " ") in words for name in item.effects)
+        assert all(in_words(name) in words for name in item.effects)
         assert item.reason in words
     for sentence in (*study.reasons, *study.advice, *study.notes, *(check.message for check in study.checks)):
         assert sentence in words

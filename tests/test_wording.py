@@ -9,8 +9,10 @@ from pathlib import Path
 import pytest
 
 import pymc_backbone
+from pymc_backbone._common.text import capitalised, in_words
 from pymc_backbone.cli import main as cli
 from pymc_backbone.cli.wording import commands_of, option_names, with_options
+from pymc_backbone.effects import LIBRARY
 
 from .test_cli import MASS, is_one_sentence, run_cli
 
@@ -80,3 +82,14 @@ def test_errors_of_update_name_its_options(capsys, options, words):
     code, _, error = run_cli(capsys, "update", "records", *MASS, *options)
     assert code == 2 and is_one_sentence(error) and words in error
     assert "`" not in error.partition("must be one of")[0]
+
+
+def test_names_of_effects_are_those_of_people_and_can_be_told_apart():
+    """No underscore is left, people keep their capital letter, and no two names are the same in words."""
+    names = [*LIBRARY, *(parameter.name for effect in LIBRARY.values() for parameter in effect.parameters)]
+    words = {name: in_words(name) for name in names}
+    assert not any("_" in text for text in words.values())
+    assert len(set(words.values())) == len(set(names))
+    assert words["bouc_wen_alpha"] == "Bouc-Wen alpha" and words["iwan"] == "Iwan"
+    assert words["displacement_dependent_damping"] == "displacement-dependent damping"
+    assert capitalised(words["cubic_stiffness"]) == "Cubic stiffness" and capitalised("") == ""

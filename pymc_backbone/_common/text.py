@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import re
 
+_PEOPLE = {"bouc-wen": "Bouc-Wen", "coulomb": "Coulomb", "iwan": "Iwan", "jenkins": "Jenkins"}
+"""Names of people in the names of effects and parameters."""
+_HYPHENATED = ("bouc-wen", "displacement-dependent")
+"""Words of such names that belong together."""
+
 
 def printable(text: str) -> str:
     """Return text on one line with unprintable characters escaped."""
@@ -13,6 +18,32 @@ def printable(text: str) -> str:
 def shorten(text: str, limit: int = 40) -> str:
     """Return text of at most ``limit`` characters for a message."""
     return text if len(text) <= limit else text[: limit - 3] + "..."
+
+
+def in_words(name: str) -> str:
+    """Return the name of an effect, a parameter or a quantity as people write it, in the middle of a sentence.
+
+    What is typed, such as an option's value or a key of a file, keeps its underscores.
+
+    Examples
+    --------
+    >>> in_words("coulomb_friction"), in_words("bouc_wen_stiffness"), in_words("quadratic_damping")
+    ('Coulomb friction', 'Bouc-Wen stiffness', 'quadratic damping')
+    """
+    for joined in _HYPHENATED:
+        name = name.replace(joined.replace("-", "_"), joined)
+    return " ".join(_PEOPLE.get(word, word) for word in name.split("_"))
+
+
+def capitalised(text: str) -> str:
+    """Return text with a capital first letter, the others as they are.
+
+    Examples
+    --------
+    >>> capitalised("quadratic damping + Coulomb friction")
+    'Quadratic damping + Coulomb friction'
+    """
+    return text[:1].upper() + text[1:]
 
 
 def natural_key(text: str) -> tuple[tuple[int, int, str], ...]:

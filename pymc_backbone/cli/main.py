@@ -143,6 +143,7 @@ def run() -> NoReturn:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit code."""
+    _open_closed_streams()
     interrupt = _Interrupt()
     names: dict[str, str] = {}
     try:
@@ -262,6 +263,13 @@ def _demo(given: argparse.Namespace) -> None:
 
         result = demo.run_demo(given.output, overwrite=given.overwrite, progress=progress, say=say)
     _cli_common.print_result(given, result)
+
+
+def _open_closed_streams() -> None:
+    """Lead to nowhere what a process writes that was started without standard output or standard error."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))
 
 
 def _stop(message: str, code: int) -> int:

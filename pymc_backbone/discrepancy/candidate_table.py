@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from .._common.text import in_words
 from .curves import level_chi_square, on_levels
 from .decide import Decision
 from .estimates import estimates_of
-from .joint_fit import Fit
 from .search import Search, Set
 from .study import Candidate
 from .verdict import Status
 
 _LISTED_LEFT = 20  # sets in the table that were compared by their backbones only
 _POSSIBLE = 0.01  # probability from which a set is called possible
+_ABOUT = 0.5  # of the best set's probability, from which a set explains the records about as well
 
 
 def candidates_of(search: Search, decision: Decision) -> tuple[Candidate, ...]:
@@ -23,9 +24,7 @@ def candidates_of(search: Search, decision: Decision) -> tuple[Candidate, ...]:
         probability = decision.probabilities.get(names, 0.0)
         weighed = decision.evidences.get(names)
         reduced = float(found.chi_square.sum() / count)
-        status = Status.POSSIBLE if probability > _POSSIBLE else Status.REJECTED
-        status = Status.NOT_CONVERGED if status is Status.REJECTED and search.is_open(names) else status
-        status = Status.BEST if names == decision.best else status
+        status = status_of(names, probability, decision, is_open=search.is_open(names))
         rows.append(
             Candidate(
                 effects=names,
@@ -36,7 +35,7 @@ def candidates_of(search: Search, decision: Decision) -> tuple[Candidate, ...]:
                 if status is not Status.REJECTED or len(names) < 2
                 else float("nan"),
                 status=status,
-                reason=_reason(names, found, decision, best_cost, status),
+                reason=_reason(names, probability, best_cost - found.cost, decision, status),
                 parameters=estimates_of(found),
             )
         )
@@ -46,6 +45,20 @@ def candidates_of(search: Search, decision: Decision) -> tuple[Candidate, ...]:
         for names, reason in search.failed.items()
     ]
     return (*rows, *failed, *_by_backbones_alone(search))
+
+
+def status_of(names: Set, probability: float, decision: Decision, *, is_open: bool) -> Status:
+    """Return what became of a set: none is rejected that the verdict lists, however little of the probability it has.
+
+    ``is_open`` says that the fit of the set did not come to rest.
+    """
+    if names == decision.best:
+        return Status.BEST
+    if probability > _POSSIBLE:
+        return Status.POSSIBLE
+    if is_open:
+        return Status.NOT_CONVERGED
+    return Status.POSSIBLE if names in decision.listed else Status.REJECTED
 
 
 def _by_backbones_alone(search: Search) -> list[Candidate]:
@@ -72,20 +85,37 @@ def _by_backbones_alone(search: Search) -> list[Candidate]:
     ]
 
 
-def _reason(names: Set, found: Fit, decision: Decision, best_cost: float, status: Status) -> str:
-    if status is Status.BEST:
+def _of_best(decision: Decision) -> str:
+    """Return why the set that the verdict is said of is the best, which need not be the most probable by itself."""
+    if decision.probabilities.get(decision.best, 0.0) >= max(decision.probabilities.values(), default=0.0):
         return "the most probable set"
+    if decision.below:
+        return "the most probable set together with those that differ from it by what is below the tolerance only"
+    if not decision.best:
+        return f"a gap as large as this is no rare chance without any missing effect (p = {decision.p_missing:.2g})"
+    return "the most probable set without what is only possible in it"
+
+
+def _reason(names: Set, probability: float, gain: float, decision: Decision, status: Status) -> str:
+    """Return why a set has its status; ``gain`` is the chi-square of the best set minus that of this one."""
+    if status is Status.BEST:
+        return _of_best(decision)
     extra = set(names) - set(decision.best)
-    gain = best_cost - found.cost
     if status is Status.NOT_CONVERGED:
         return "could explain the backbones, but its fit to the records did not come to rest"
     if set(decision.best) < set(names):
-        return f"adds {', '.join(sorted(extra))}, which improves chi-square by {max(gain, 0.0):.3g} only"
+        return f"adds {', '.join(map(in_words, sorted(extra)))}, which improves chi-square by {max(gain, 0.0):.3g} only"
     if set(names) < set(decision.best):
-        lost = ", ".join(sorted(set(decision.best) - set(names)))
+        lost = ", ".join(map(in_words, sorted(set(decision.best) - set(names))))
         return f"without {lost} chi-square is larger by {-gain:.3g}"
     if status is Status.POSSIBLE:
-        return "explains the records about as well"
+        chance = decision.probabilities.get(decision.best, 0.0)
+        if probability > _ABOUT * chance:
+            return "explains the records about as well"
+        odds = chance / max(probability, 1e-300)
+        return (
+            f"remains possible, {odds:.2g} times less probable than the best set" if odds < 1e4 else "remains possible"
+        )
     if gain < 0.0:
         return f"chi-square is larger by {-gain:.3g}"
     return f"chi-square is smaller by {gain:.3g}, less than its extra parameters are worth"

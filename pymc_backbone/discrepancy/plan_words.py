@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from .._common.text import in_words
 from .design import Contender, Design, Plan, PlannedTest
 
 _HOPELESS = 0.5
@@ -9,7 +10,7 @@ _HOPELESS = 0.5
 
 def name_of(contender: Contender) -> str:
     """Return a set in words."""
-    return " + ".join(contender.effects) if contender.effects else "no missing effect"
+    return " + ".join(map(in_words, contender.effects)) if contender.effects else "no missing effect"
 
 
 def describe(design: Design, present: Design, unit: str) -> str:

@@ -118,6 +118,9 @@ def drift_check(drifting: Fit | None, probability: float, found: bool, named: Fi
             f"explain the records as well as an effect of amplitude does (probability {probability:.2f}); release from "
             "other amplitudes to tell the two apart",
         )
+    if len(drifting.state.own) == 1:
+        said = "a change with time explains this decay no better, but one decay passes each amplitude once only"
+        return Check(name, True, f"{said}; a second release from another amplitude would show it")
     return Check(name, True, "the same amplitude has the same frequency and damping whenever it is passed")
 
 

@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from .._common.checks import OBSERVABLES, FloatArray
-from ..effects import MECHANISMS
+from .._common.text import capitalised, in_words
 from . import starts
 from .batch import Batch
 from .curves import curve, measured, on_levels
-from .decide import DRIFT_POSSIBLE, Decision
+from .decide import Decision
 from .estimates import without
 from .joint_fit import Fit, State, parameters_of
 from .search import Search, Set
-from .study import Check, Detectable, MissingMechanism
-from .verdict import AdequateBy, NamedLevel, Verdict
+from .study import Detectable
+from .verdict_words import is_drift_possible, named
 
 _DETECTED = 5.0  # standard deviations at which an effect is named nine times in ten
-_SPOKEN = 5  # sets or laws that the sentence holds
-_HEADED = 3  # sets in the headline, where a list of them follows
-_UNLIKELY = 0.02  # probability of a law below which the sentence does not hold it
 _SEPARATED = 5.0  # logarithm of the odds that decides
 
 
@@ -32,8 +27,10 @@ def reasons(batch: Batch, found: Fit, names: Set) -> tuple[str, ...]:
     summaries = {effect.name: effect.summary.rstrip(".") for effect in found.layout.oscillator.effects}
     for name in names:
         parts = [sentence for sentence in (_power_law(batch, brought, name, row) for row in (0, 1, 2)) if sentence]
-        text = "; ".join(parts) if parts else "too small to be seen in the backbones; the waveforms show it"
-        sentences.append(f"{name}: {text}. {summaries[name]}." if summaries[name] else f"{name}: {text}.")
+        unseen = "the waveforms show it" if batch.has_records else "all levels together show it"
+        text = "; ".join(parts) if parts else f"too small to be seen at single levels; {unseen}"
+        summary = f" {summaries[name]}." if summaries[name] else ""
+        sentences.append(f"{capitalised(in_words(name))}: {text}.{summary}")
     return tuple(sentences)
 
 
@@ -139,7 +136,7 @@ def advice(search: Search, decision: Decision) -> tuple[str, ...]:
     levels = np.asarray(search.batch.backbones["level"])
     unit = str(search.batch.backbones.attrs.get("amplitude_unit", "m"))
     _, errors = measured(search.batch)
-    pair = f"{_named(decision.best)} and {_named(rival)}"
+    pair = f"{named(decision.best)} and {named(rival)}"
     reached = None
     for factor in (1.5, 2.0, 3.0, 5.0, 1 / 1.5, 0.5, 1 / 3.0, 0.2):
         wide = np.sort(levels * factor)
@@ -182,114 +179,3 @@ def _distance(search: Search, ours: Fit, theirs: Fit, outside: FloatArray, error
             difference = (a[row] - b[row]) / max(float(typical[o]), 1e-300)
             total += float(np.nansum(difference**2))
     return total
-
-
-def is_drift_possible(decision: Decision) -> bool:
-    """Return whether a change with time explains the records too well for an effect to be named."""
-    return decision.drift_probability >= DRIFT_POSSIBLE
-
-
-def _named(names: Set) -> str:
-    return " + ".join(names) if names else "no missing effect"
-
-
-def _chance(probability: float) -> str:
-    """Return a probability in per cent, never rounded to certainty."""
-    if probability > 0.999:
-        return "more than 99.9 %"
-    return f"{100.0 * probability:.3g} %" if probability > 0.99 else f"{100.0 * probability:.0f} %"
-
-
-def _of_mechanism(item: MissingMechanism) -> str:
-    """Return the sentence that names a mechanism, with the laws that it may be."""
-    laws = [law for law in item.laws if law.probability > _UNLIKELY]
-    if len(laws) > 1:
-        told = ", ".join(f"{_spoken(law.effect)} {100.0 * law.probability:.0f} %" for law in laws[:_SPOKEN])
-        which = f"which law these records do not tell: {told}"
-    else:
-        which = f"its law is {_spoken(laws[0].effect)} or one like it, not exactly"
-    share = f"{_chance(item.probability)}, {100.0 * item.share_of_gap:.0f} % of the gap"
-    return f"{MECHANISMS[item.mechanism].capitalize()} is missing ({share}); {which}."
-
-
-def _spoken(name: str) -> str:
-    return name.replace("_", " ")
-
-
-def _certain(decision: Decision) -> str:
-    """Return the sentence on what is certain all the same; empty where nothing is."""
-    certain = [item for item in decision.mechanisms if item.is_certain]
-    if not certain or decision.drift_probability > DRIFT_POSSIBLE or not decision.is_single_valued:
-        return ""
-    kinds = [f"{MECHANISMS[item.mechanism]} ({100.0 * item.share_of_gap:.0f} % of the gap)" for item in certain]
-    return f" Certain all the same: {', '.join(kinds)}."
-
-
-def _of_inexact(decision: Decision, named: Sequence[str]) -> str:
-    """Return the sentence where no set is exact and no mechanism can be named."""
-    sets = "; ".join(named[:_SPOKEN])
-    rest = f"; and {len(named) - _SPOKEN} more" if len(named) > _SPOKEN else ""
-    kinds = ", ".join(f"{MECHANISMS[item.mechanism]} {_chance(item.probability)}" for item in decision.mechanisms)
-    told = "Something is missing, but no set is exact and these records do not tell mechanisms apart"
-    return f"{told}: {kinds} ({sets}{rest})."
-
-
-def sentence(decision: Decision) -> str:
-    """Return the verdict in one sentence."""
-    percent = f"{100.0 * decision.probability:.0f} %" if decision.probability < 0.995 else "more than 99 %"
-    best = _named(decision.best)
-    if decision.named_level is NamedLevel.MECHANISM:
-        return " ".join(_of_mechanism(item) for item in decision.mechanisms if item.is_certain)
-    if decision.verdict is Verdict.FOUND:
-        below = f" ({', '.join(decision.below)} is detectable too, below the tolerance)" if decision.below else ""
-        beside = ", while frequency or damping also change with time" if decision.best in decision.drifts else ""
-        return f"{best} is missing from the model, with a probability of {percent}{beside}{below}."
-    if decision.verdict is Verdict.AMBIGUOUS:
-        listed = [_named(names) for names in decision.listed]
-        named = [*listed, "a drift with time"] if is_drift_possible(decision) else listed
-        if decision.has_second_mode:
-            named = [*named, "a second mode"]
-        if decision.is_approximate and not decision.unfinished:
-            return _of_inexact(decision, named)
-        if len(named) == 1 and decision.best and not decision.unfinished:
-            return (
-                f"Something is missing; of the known effects {best} is the only explanation that remains, but with a "
-                f"probability of {percent} it is too uncertain for a name."
-            )
-        if decision.unfinished:
-            sets = "; ".join(listed[:_SPOKEN])
-            return (
-                "Something is missing; no fit explains the records, but those of sets that could explain the backbones "
-                f"did not come to rest: {sets}."
-            )
-        # as the list below writes them, which holds the others
-        rest = f"; and {len(named) - _HEADED} more" if len(named) > _HEADED else ""
-        sets = "; ".join(named[:_HEADED]).replace("_", " ")
-        return f"Something is missing, but these records do not tell apart: {sets}{rest}.{_certain(decision)}"
-    if decision.verdict is Verdict.UNEXPLAINED and decision.has_second_mode and decision.drift_probability <= 0.5:
-        partial = f"; beside it the best explanation is {best}" if decision.best else ""
-        return f"Something is in the records that the model does not have: a second mode beats with it{partial}."
-    if decision.verdict is Verdict.UNEXPLAINED and not decision.is_single_valued:
-        return (
-            "Something is missing, but what no set of known effects explains differs between records at the same "
-            "amplitude: it goes with the time or the record, and no law of amplitude is named."
-        )
-    if decision.verdict is Verdict.UNEXPLAINED:
-        why = (
-            "a drift with time explains the records better than any effect of amplitude"
-            if decision.drift_probability > 0.5
-            else f"what the best set ({best}) leaves is not noise ({decision.lack.share:.2%} of the motion)"
-        )
-        return f"Something is missing, and no set of known effects explains it: {why}.{_certain(decision)}"
-    if decision.adequate_by is AdequateBy.TOLERANCE:
-        what = _named(decision.below) if decision.below else "a drift with time"
-        return f"The model is adequate: {what} is detectable, but changes the backbones by less than the tolerance."
-    return f"Nothing is missing: model and records agree within measurement error (p = {decision.p_missing:.2g})."
-
-
-def with_checks(text: str, verdict: Verdict, checks: Sequence[Check]) -> str:
-    """Return the sentence of the verdict, with a warning where a check on the data speaks against it."""
-    failed = [check.check for check in checks if not check.passed]
-    if not failed or verdict not in (Verdict.ADEQUATE, Verdict.FOUND):
-        return text
-    return f"{text} But a check on the data failed ({', '.join(failed)}): look at it first."

@@ -18,7 +18,7 @@ from ..measurement.conditioning.conditioned import ConditionedRecord
 from ..measurement.options import Measuring
 from ..measurement.reading.record import Record
 from ..oscillator import Oscillator
-from . import plan_words, rivals, words
+from . import plan_words, rivals, verdict_words, words
 from .candidate_table import candidates_of
 from .curves import simulate
 from .decide import Decision, decide, mind_second_mode
@@ -244,7 +244,7 @@ def _study(
     drawn = {key: inference.convergence[key] for key in ("draws", "tune") if key in inference.convergence}
     return Study(
         verdict=decision.verdict,
-        sentence=words.with_checks(words.sentence(decision), decision.verdict, checks),
+        sentence=verdict_words.with_checks(verdict_words.sentence(decision), decision.verdict, checks),
         base=question.base,
         extended=None if extended is None else extended.layout.oscillator,
         missing_effects=decision.best if decision.named_level is NamedLevel.LAW else (),
@@ -314,7 +314,7 @@ def _advice(question: Question, outcome: Outcome, plan: Plan | None) -> tuple[st
     if plan is None or present is None:
         return said
     unit = str(question.batch.backbones.attrs.get("amplitude_unit", "m"))
-    drift = said[:1] if words.is_drift_possible(outcome.decision) else ()
+    drift = said[:1] if verdict_words.is_drift_possible(outcome.decision) else ()
     return (*drift, *plan_words.sentences(plan, present, unit))
 
 

@@ -30,8 +30,8 @@ from .targets import is_differentiable
 
 # What of PyMC's own arguments `sample` sets itself, and what to do instead.
 _OWN = {
-    "nuts_sampler": "`step` chooses the sampler, 'nuts' PyMC's own and 'nutpie' nutpie's; for 'numpyro' or 'blackjax' "
-    "call pymc.sample(nuts_sampler=...)",
+    "nuts_sampler": "`step` chooses the sampler, 'nuts' PyMC's own and 'nutpie' nutpie's; for 'numpyro', or "
+    "'blackjax' up to 1.3, install it with JAX and call pymc.sample(nuts_sampler=...)",
     "initvals": "starts are found from the data; call pymc.sample(initvals=...) for starts of your own",
     "compute_convergence_checks": "`findings` says what they would",
 }
@@ -140,11 +140,16 @@ def sample(
         return _run(kept.seed(seed), kept, *arguments, tell)
 
 
+def _is_terminal() -> bool:
+    """Whether somebody sees standard error; a process without a console has none."""
+    return sys.stderr is not None and sys.stderr.isatty()
+
+
 def _told(
     progress: Callable[[str, float], None] | None, progressbar: bool | str | None
 ) -> AbstractContextManager[Callable[[str, float], None] | None]:
     """Return what is told of stages and fractions: what was given, or the log where no bar can be shown."""
-    if progress is not None or progressbar is not None or sys.stderr.isatty():
+    if progress is not None or progressbar is not None or _is_terminal():
         return nullcontext(progress)
     return Progress(lambda line: logger.info("%s", line.strip()))
 
@@ -198,7 +203,7 @@ def _run(
         settings = {"draws": draws, "tune": tune, "chains": chains, "step": step, "random_seed": random_seed, **own}
         starts = kept.starts(model, finder, settings)
     before = read_counts()
-    shown = (tell is None and sys.stderr.isatty()) if progressbar is None else bool(progressbar)
+    shown = (tell is None and _is_terminal()) if progressbar is None else bool(progressbar)
     told("compiling the sampler", float("nan"))
     recorder = None
     if step == "nutpie":

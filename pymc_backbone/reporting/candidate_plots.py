@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, NullFormatter
 
 from .._common.checks import FloatArray
+from .._common.text import in_words
 from ..discrepancy.study import Study
 from ..discrepancy.verdict import Status
 from .style import (
@@ -164,7 +165,7 @@ def plot_detectable(study: Study) -> Figure:
         axis.set_xlim(0.4 * min(drawn), 2.5 * max(drawn))
     axis.xaxis.set_major_formatter(lambda tick, _: f"{tick:g}")
     axis.xaxis.set_minor_formatter(NullFormatter())
-    axis.set_yticks(np.arange(len(rows)), [item.effect.replace("_", " ") for item in rows], fontsize=8)
+    axis.set_yticks(np.arange(len(rows)), [in_words(item.effect) for item in rows], fontsize=8)
     axis.set_ylim(len(rows) - 0.4, -0.6)
     axis.set_xlabel("Largest change over the levels [%]", fontsize=9)
     axis.tick_params(axis="x", labelsize=8)

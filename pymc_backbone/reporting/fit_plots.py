@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -85,7 +86,13 @@ def plot_fit(backbones: xr.Dataset, fit: GoodnessOfFit, *, most: int = MOST_SPEC
         label_axes(axes[-1, column], amplitude_label, observable)  # before the axis is logarithmic
         _differences(axes[-1, column], fit, observable, scale, names, colours)
         axes[-1, column].set_ylabel("Difference / its standard deviation", fontsize=8)
-    axes[0, 0].errorbar([], [], [], color=MEASURED, fmt="o", markersize=3, linewidth=0.9, label="measured, 95 % error")
+    if is_own:
+        style = {"color": MEASURED, "fmt": "o", "markersize": 3, "linewidth": 0.9}
+        axes[0, 0].errorbar([], [], [], label="measured, 95 % error", **style)
+    else:  # each specimen has a colour of its own
+        mark: dict[str, Any] = {"marker": "o", "markersize": 3} if len(names) <= FEW else {}
+        what = "measured, 95 % error" if len(names) <= FEW else "measured"
+        axes[0, 0].plot([], [], color=colours[len(names) // 2], linewidth=0.9, label=f"{what}; a colour each", **mark)
     axes[0, 0].plot([], [], color=SIMULATED, linewidth=1.6, label="posterior predictive, median")
     axes[0, 0].fill_between([], [], [], color=SIMULATED, alpha=0.22, label="posterior predictive, 95 %")
     legend_below(axes[0, 0], 3)

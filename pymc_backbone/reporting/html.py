@@ -93,8 +93,8 @@ def escape(value: object) -> str:
 
 
 def prose(text: object) -> Raw:
-    """Return a sentence: escaped, and a per cent sign stays with its number."""
-    return Raw(escape(text).replace(" %", "&nbsp;%"))
+    """Return a sentence: escaped, with a sign for plus and minus, and a per cent sign that stays with its number."""
+    return Raw(escape(text).replace(" %", "&nbsp;%").replace("+-", "&plusmn;"))
 
 
 def number(value: float, digits: int = 4) -> Raw:
@@ -141,6 +141,14 @@ def bullets(sentences: Iterable[object]) -> str:
     """Return a list of sentences, or nothing if there are none."""
     items = "".join(f"<li>{prose(sentence)}</li>" for sentence in sentences)
     return f"<ul>{items}</ul>" if items else ""
+
+
+def noted(notes: Sequence[str]) -> str:
+    """Return what was assumed or done: warnings and records left out in the open, the rest folded where it is long."""
+    loud = [note for note in notes if "warning: " in note or note.startswith("left out: ")]
+    quiet = [note for note in notes if note not in loud]
+    folded = details(f"Notes: what was assumed or done ({len(quiet)})", bullets(quiet), is_open=0 < len(quiet) <= 5)
+    return (f"<h3>Look at these records</h3>{bullets(loud)}" if loud else "") + folded
 
 
 def tiles(pairs: Sequence[tuple[object, object]]) -> str:

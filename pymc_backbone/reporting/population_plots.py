@@ -14,6 +14,7 @@ from matplotlib.ticker import MaxNLocator
 from scipy.special import ndtr
 
 from .._common.checks import FloatArray, InputError
+from .._common.text import in_words
 from ..oscillator import Oscillator
 from .style import MEASURED, QUIET, SIMULATED, drawable, evenly, legend_below, panels, parameter_axis
 
@@ -135,7 +136,7 @@ def _draw_correlations(axis: Axes, draws: xr.Dataset, names: Sequence[str], prob
     from arviz_stats import hdi
 
     pairs: list[tuple[str, Any]] = [
-        (f"{_short(a)} and\n{_short(b)}", draws["correlation"].sel(parameter=a, parameter_other=b))
+        (f"{in_words(a)} and\n{in_words(b)}", draws["correlation"].sel(parameter=a, parameter_other=b))
         for a, b in combinations(names, 2)
     ]
     for row, (_, values) in enumerate(pairs):
@@ -149,7 +150,3 @@ def _draw_correlations(axis: Axes, draws: xr.Dataset, names: Sequence[str], prob
     axis.spines[["top", "right"]].set_visible(False)
     axis.grid(axis="x", alpha=0.25, linewidth=0.5)
     axis.set_xlabel(f"Correlation over the population, {100.0 * probability:g} % HDI")
-
-
-def _short(name: str) -> str:
-    return name.replace("_", " ")

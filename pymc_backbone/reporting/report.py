@@ -8,12 +8,22 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from .._common.text import in_words
 from ..discrepancy.study import Study
-from ..discrepancy.verdict import NamedLevel, Verdict
-from .html import Raw, bullets, details, escape, image, number, page, paragraph, prose, section, table, tiles
+from ..discrepancy.verdict import NamedLevel, Status, Verdict
+from .html import Raw, bullets, details, escape, image, noted, number, page, paragraph, prose, section, table, tiles
 from .report_gap import amplitudes, curves, held_out_gap, interval, where
 from .report_model import candidates, convergence, detectable, equations, mechanisms, parameters
-from .words import ADEQUATE_BY, NAMED_MEANS, VERDICT_MEANS, VERDICT_WORDS, mechanism_name, percent, set_name
+from .words import (
+    NAMED_MEANS,
+    VERDICT_MEANS,
+    VERDICT_WORDS,
+    adequate_because,
+    mechanism_name,
+    percent,
+    remaining,
+    set_name,
+)
 
 
 def report_html(study: Study, figures: Mapping[str, Figure], *, version: str, command: str = "") -> str:
@@ -61,8 +71,7 @@ def _header(study: Study) -> str:
     kicker = f"Missing effect in {count} {'specimen' if count == 1 else 'specimens'}"
     level = study.named_level or (NamedLevel.LAW if study.verdict == Verdict.FOUND else None)
     means = NAMED_MEANS[level] if level is not None else VERDICT_MEANS.get(study.verdict, "")
-    if study.adequate_by is not None:
-        means = f"{means} {ADEQUATE_BY.get(study.adequate_by, '')}"
+    means = f"{means} {adequate_because(study)}".rstrip()
     parts = [
         f'<header>\n<span class="word">{escape(VERDICT_WORDS.get(study.verdict, study.verdict))}</span>'
         f'<span class="kicker">{escape(kicker)}</span>',
@@ -70,9 +79,9 @@ def _header(study: Study) -> str:
         paragraph(means, "soft"),
     ]
     if study.ambiguous_sets:
-        parts.append("<h3>Cannot be told apart</h3>" + bullets(map(set_name, study.ambiguous_sets)))
+        parts.append("<h3>What remains possible</h3>" + bullets(remaining(study)))
     if study.below_tolerance:
-        names = ", ".join(name.replace("_", " ") for name in study.below_tolerance)
+        names = ", ".join(map(in_words, study.below_tolerance))
         parts.append(paragraph(f"Detectable, but smaller than the tolerance: {names}."))
     parts.append(tiles(_key_figures(study)))
     return "\n".join(parts) + "\n</header>\n"
@@ -80,7 +89,7 @@ def _header(study: Study) -> str:
 
 def _key_figures(study: Study) -> list[tuple[object, object]]:
     levels = np.asarray(study.backbones["level"], dtype=float)
-    best = study.candidates[0].effects if study.candidates else ()
+    best = next((item.effects for item in study.candidates if item.status == Status.BEST), ())
     figures: list[tuple[object, object]] = []
     if study.named_level == NamedLevel.MECHANISM:
         figures += [
@@ -118,7 +127,7 @@ def _reasons(study: Study) -> str:
 
 
 def _data(study: Study, figures: Mapping[str, Figure]) -> str:
-    rows = [(check.check.replace("_", " "), Raw(_passed(check.passed)), check.message) for check in study.checks]
+    rows = [(in_words(check.check), Raw(_passed(check.passed)), check.message) for check in study.checks]
     columns = (("check", "head"), ("result", ""), ("finding", "text"))
     notes = [str(note) for note in study.notes]
     named = [str(name) for name in study.backbones["specimen"].values]
@@ -127,7 +136,7 @@ def _data(study: Study, figures: Mapping[str, Figure]) -> str:
         "Data",
         table(columns, rows),
         paragraph(f"Specimens: {', '.join(named)}.", "soft"),
-        details(f"Notes: what was assumed or done ({len(notes)})", bullets(notes), is_open=0 < len(notes) <= 5),
+        noted(notes),
         details("The records", picture),
     )
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.figure import Figure
 
+from .._common.text import in_words
 from ..discrepancy.study import Candidate, Detectable, Study
 from ..discrepancy.verdict import Verdict
 from ..effects import LIBRARY
@@ -53,7 +54,7 @@ def mechanisms(study: Study) -> str:
     columns = (("mechanism", "head"), ("probability", "n"), ("share of the gap", "n"), ("laws and sets", "text"))
     rows = []
     for item in study.mechanisms:
-        laws = ", ".join(f"{law.effect.replace('_', ' ')} {percent(law.probability)}" for law in item.laws)
+        laws = ", ".join(f"{in_words(law.effect)} {percent(law.probability)}" for law in item.laws)
         sets = [
             f"{set_name(found.effects)}: {percent(found.probability)}"
             for found in study.candidates
@@ -90,7 +91,7 @@ def _remainder(study: Study) -> str:
 def _candidate_row(candidate: Candidate, units: Mapping[str, str]) -> tuple[object, ...]:
     reason = escape(candidate.reason)
     values = [
-        f"{escape(name.replace('_', ' '))} {number(value, 3)} &plusmn; {number(error, 2)}"
+        f"{escape(in_words(name))} {number(value, 3)} &plusmn; {number(error, 2)}"
         + ("" if units.get(name, "1") == "1" else f" {unit(units[name])}")
         for name, (value, error) in candidate.parameters.items()
     ]
@@ -126,13 +127,13 @@ def parameters(study: Study, figures: Mapping[str, Figure]) -> str:
             digits = meaningful_digits(estimate.hdi_low, estimate.hdi_high, estimate.sd)
             rows.append(
                 (
-                    name.replace("_", " "),
+                    in_words(name),
                     number(estimate.mean, digits),
                     number(estimate.sd, 2),
                     *([number(fitted.get(name, (np.nan, np.nan))[1], 2)] if is_sampled else []),
                     Raw(f"{number(estimate.hdi_low, digits)} to {number(estimate.hdi_high, digits)}"),
                     unit(estimate.unit),
-                    effect.replace("_", " "),
+                    in_words(effect),
                 )
             )
     sds = (("sd, posterior", "n"), ("sd, fit", "n")) if is_sampled else (("sd, fit", "n"),)
@@ -194,7 +195,7 @@ def _detectable_row(item: Detectable) -> tuple[object, ...]:
         Raw(f"{number(100.0 * abs(change), 2)} %") if np.isfinite(change) else number(change)
         for change in (item.frequency, item.damping)
     ]
-    name, parameter = item.effect.replace("_", " "), item.parameter.replace("_", " ")
+    name, parameter = in_words(item.effect), in_words(item.parameter)
     strength = number(item.value, 3)
     if item.unit != "1":
         strength = Raw(f"{strength} {unit(item.unit)}")

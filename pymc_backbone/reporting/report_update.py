@@ -9,8 +9,24 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from .._common.checks import OBSERVABLE_UNITS
+from .._common.text import in_words
 from ..inference.fit_verdict import P_LIMIT, GoodnessOfFit, probability
-from .html import Raw, bullets, details, escape, image, number, page, paragraph, prose, section, table, tiles, unit
+from .html import (
+    Raw,
+    bullets,
+    details,
+    escape,
+    image,
+    noted,
+    number,
+    page,
+    paragraph,
+    prose,
+    section,
+    table,
+    tiles,
+    unit,
+)
 from .report import settings_table
 from .terminal import FOUND_NOTHING, POPULATION_WORDS, meaningful_digits
 
@@ -166,10 +182,8 @@ def _population(result: Mapping[str, Any], figures: Mapping[str, Figure]) -> str
     for name, of in population["parameters"].items():
         for key, what in POPULATION_WORDS.items():
             prior = f"{number(of[key]['prior_low'], 3)} to {number(of[key]['prior_high'], 3)}"
-            rows.append((f"{name.replace('_', ' ')}, {what}", *_numbers(of[key]), unit(units[name]), Raw(prior)))
-    pairs = [
-        (" and ".join(entry["between"]).replace("_", " "), *_numbers(entry)) for entry in population["correlations"]
-    ]
+            rows.append((f"{in_words(name)}, {what}", *_numbers(of[key]), unit(units[name]), Raw(prior)))
+    pairs = [(" and ".join(map(in_words, entry["between"])), *_numbers(entry)) for entry in population["correlations"]]
     count = len(result["specimens"])
     family = "Uniform, with edges that are inferred" if population["family"] == "uniform" else "Normal"
     note = (
@@ -204,7 +218,7 @@ def _parameters(result: Mapping[str, Any], figures: Mapping[str, Figure]) -> str
     is_own = not result.get("population")  # whether the parameters' priors are intervals
     for name, entry in result["parameters"].items():
         prior = Raw(f"{number(entry['prior_low'], 3)} to {number(entry['prior_high'], 3)}")
-        row = (name.replace("_", " "), *_numbers(entry), unit(entry["unit"]), prior)
+        row = (in_words(name), *_numbers(entry), unit(entry["unit"]), prior)
         rows.append(row if is_own else row[:-1])
     columns = (
         ("parameter", "head"),
@@ -222,7 +236,7 @@ def _parameters(result: Mapping[str, Any], figures: Mapping[str, Figure]) -> str
         "pooled": "Mean and sd are those of what is known of the one parameter set; they hold no scatter between "
         "specimens.",
     }[result["fit"]["likelihood"]]
-    fixed = ", ".join(f"{name.replace('_', ' ')} = {value:.6g}" for name, value in result["fixed"].items())
+    fixed = ", ".join(f"{in_words(name)} = {value:.6g}" for name, value in result["fixed"].items())
     return section(
         "Parameters" if is_own else "Parameters of each specimen",
         table(columns if is_own else columns[:-1], rows[: 3 * MOST_ROWS]),
@@ -265,7 +279,7 @@ def _data(result: Mapping[str, Any], figures: Mapping[str, Figure]) -> str:
     return section(
         "Data",
         paragraph(f"Specimens: {', '.join(result['specimens'])}.", "soft"),
-        details(f"Notes: what was assumed or done ({len(notes)})", bullets(notes), is_open=0 < len(notes) <= 5),
+        noted(notes),
         details("Records, backbones and densities", *pictures),
     )
 

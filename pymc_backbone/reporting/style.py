@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from .._common.checks import OBSERVABLE_UNITS, FloatArray
+from .._common.text import capitalised, in_words
 
 FEW = 12  # up to so many specimens, each backbone is drawn with its error bars
 COLUMN = 4.8  # inches: the width of a figure of a report, two of which stand side by side
@@ -66,7 +67,7 @@ def observable_label(name: str, *, short: bool = False) -> str:
 def parameter_axis(name: str, values: FloatArray, units: Mapping[str, str] | None) -> tuple[float, str]:
     """Factor that brings a parameter's values near one to a thousand, and the label that says so."""
     unit = (units or {}).get(name, "")
-    text = name.replace("_", " ").capitalize().replace("Bouc wen", "Bouc-Wen")
+    text = capitalised(in_words(name))
     largest = float(np.max(np.abs(values), initial=0.0))
     exponent = int(np.floor(np.log10(largest))) if largest > 0.0 and np.isfinite(largest) else 0
     exponent = 0 if -3 < exponent < 5 else 3 * (exponent // 3)

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .._common.text import in_words
+from ..discrepancy.evidence import MISSING
 from ..discrepancy.verdict import AdequateBy, NamedLevel, Status, Verdict
 from ..effects import MECHANISMS
 
@@ -23,7 +25,7 @@ VERDICT_MEANS: dict[str, str] = {
     Verdict.ADEQUATE: "The base model describes these records; no effect needs to be added.",
     Verdict.FOUND: "One set of effects, or one mechanism, explains the gap between base model and measurement, and the "
     "others do not.",
-    Verdict.AMBIGUOUS: "Several sets of effects explain the gap equally well; these records cannot tell them apart.",
+    Verdict.AMBIGUOUS: "Several explanations of the gap remain possible; these records do not decide between them.",
     Verdict.UNEXPLAINED: "There is a gap that no effect known to the program explains; "
     "the best set explains a part of it.",
 }
@@ -46,20 +48,44 @@ STATUS_WORDS: dict[str, str] = {
 }
 
 
+LEAST_TOLD = 0.01
+"""Probability from which it is told what the sets that are listed do not hold of it."""
+
+
 def added_effects(study: Study) -> tuple[str, ...]:
     """Return the names of the effects that the extended model has beyond the base."""
     base = {effect.name for effect in study.base.effects}
     return tuple(effect.name for effect in (study.extended or study.base).effects if effect.name not in base)
 
 
+def adequate_because(study: Study) -> str:
+    """Return why the base is adequate, in a sentence; empty where it is not."""
+    if study.adequate_by is None:
+        return ""
+    if study.adequate_by == AdequateBy.STATISTICS and study.missing_p_value <= MISSING:
+        return (
+            "Such a gap is rare where nothing is missing, and yet no set of known effects is more probable than none."
+        )
+    return ADEQUATE_BY.get(study.adequate_by, "")
+
+
+def remaining(study: Study) -> list[str]:
+    """Return the sets that an ambiguous verdict leaves, each with its probability, and what they do not hold of it."""
+    chances = {candidate.effects: candidate.probability for candidate in study.candidates}
+    known = [chances.get(names, float("nan")) for names in study.ambiguous_sets]
+    lines = [f"{set_name(names)}: {percent(p)}" for names, p in zip(study.ambiguous_sets, known, strict=True)]
+    rest = 1.0 - sum(known)
+    return [*lines, f"any other explanation: {percent(rest)}"] if lines and rest > LEAST_TOLD else lines
+
+
 def mechanism_name(mechanism: str) -> str:
     """Return a mechanism in words."""
-    return MECHANISMS.get(mechanism, mechanism.replace("_", " "))
+    return MECHANISMS.get(mechanism, in_words(mechanism))
 
 
 def set_name(effects: Sequence[str], nothing: str = "nothing (base model)") -> str:
     """Return a set of effects as words; the empty set as ``nothing``."""
-    return " + ".join(name.replace("_", " ") for name in effects) or nothing
+    return " + ".join(map(in_words, effects)) or nothing
 
 
 def percent(probability: float) -> str:

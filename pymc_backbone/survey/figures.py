@@ -18,6 +18,9 @@ from .structure import Structure
 
 MOST_NAMED = 5  # structures that a panel names
 _WIDTH, _HEIGHT = 4.8, 3.1
+_DRAWN = 0.75  # share of the panel's height within the axes
+_LINE = 0.07  # height of a name, over that of the axes
+_BESIDE = 0.3  # width of a name, over that of the axes
 _LETTERS = 18  # of a structure's name below the axis
 _ORDERED = ("frequency", "damping_ratio")
 _COLOURS: dict[str, str] = {
@@ -121,13 +124,21 @@ def _structure_axis(axis: Axes, order: Sequence[str]) -> None:
 
 
 def _name(axis: Axes, points: Sequence[tuple[float, float, str]], middle: float | FloatArray) -> None:
-    """Write names beside points, towards the middle of the panel."""
+    """Write names beside points, towards the middle of the panel; of points that lie together above each other."""
+    (left, right), (bottom, top) = axis.get_xlim(), axis.get_ylim()
+    width, height = right - left, top - bottom
+    written: list[tuple[float, float]] = []
     for x, y, name in points:
         is_right = x > middle
+        line = 0
+        while any(abs(x - a) < _BESIDE * width and abs(y + line * _LINE * height - b) < _LINE * height
+                  for a, b in written):  # fmt: skip
+            line += 1 if y < top - 0.3 * height else -1
+        written.append((x, y + line * _LINE * height))
         axis.annotate(
             drawable(name, 24),
             (x, y),
-            xytext=(-6 if is_right else 6, 3),
+            xytext=(-6 if is_right else 6, 3 + line * _LINE * _HEIGHT * _DRAWN * 72.0),
             textcoords="offset points",
             ha="right" if is_right else "left",
             fontsize="small",

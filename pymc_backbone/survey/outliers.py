@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .._common.checks import FloatArray
+from .._common.text import in_words
 from ..discrepancy.verdict import Verdict
 from ..reporting.words import set_name
 from .structure import Structure
@@ -124,6 +125,12 @@ def majority(structures: Sequence[Structure]) -> tuple[tuple[str, ...], int, int
     return (tuple(sorted(chosen)), count, len(decided)) if 2 * count > len(decided) else None
 
 
+def share_with_more(structures: Sequence[Structure], usual: Sequence[str]) -> int:
+    """Return how many of the decided structures lack all of a set of effects, and others beside it."""
+    decided = [set(item.named) for item in structures if item.verdict in (Verdict.ADEQUATE, Verdict.FOUND)]
+    return sum(set(usual) < named for named in decided) if usual else 0
+
+
 def stand_out(structures: Sequence[Structure]) -> dict[str, tuple[str, ...]]:
     """Return why structures stand out, in sentences without a full stop; the most conspicuous first.
 
@@ -165,7 +172,8 @@ def _verdict_reason(item: Structure, most: tuple[tuple[str, ...], int, int] | No
     if most is None or not item.is_done:
         return ""
     usual, count, decided = most
-    said = f"{count} of {decided} lack {words(usual)}"
+    alone = " alone" if set(usual) & set(item.named) else ""
+    said = f"{count} of {decided} lack {words(usual)}{alone}"
     if item.verdict == Verdict.AMBIGUOUS:
         sets = [frozenset(names) for names in item.ambiguous_sets]
         return "" if frozenset(usual) in sets else f"none of its possible sets is the usual one ({said})"
@@ -173,7 +181,7 @@ def _verdict_reason(item: Structure, most: tuple[tuple[str, ...], int, int] | No
 
 
 def _value_reason(quantity: Quantity, value: float, score: float) -> str:
-    name, median = quantity.name.replace("_", " "), quantity.median
+    name, median = in_words(quantity.name), quantity.median
     unit = "" if quantity.unit in ("1", "-") else f" {quantity.unit}"
     if value * median > 0.0:
         ratio = value / median
@@ -188,4 +196,4 @@ def _relative_error(item: Structure, name: str) -> float:
     return abs(sd / mean) if mean and sd is not None else 0.0
 
 
-__all__ = ["LEAST", "Quantity", "far", "majority", "quantities", "stand_out"]
+__all__ = ["LEAST", "Quantity", "far", "majority", "quantities", "share_with_more", "stand_out"]

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from .._common.text import in_words
 from ..reporting.html import (
     Raw,
     bullets,
@@ -65,8 +66,9 @@ def _header(survey: Survey, found: Sequence[Quantity]) -> str:
         figures.append((len(survey.failed), "could not be diagnosed"))
     for quantity in found:
         if quantity.name in ("frequency", "damping_ratio") and len(quantity.structures) > 1:
-            words = f"median {quantity.name.replace('_', ' ')}, {_spread(quantity)} from structure to structure"
             unit_name = "" if quantity.unit == "1" else f" {quantity.unit}"
+            low, high = number(float(np.min(quantity.values))), number(float(np.max(quantity.values)))
+            words = f"median {in_words(quantity.name)}; {low} to {high}{unit_name} over the structures"
             figures.append((Raw(f"{number(quantity.median)}{unit_name}"), words))
     return "\n".join(part for part in [*parts, tiles(figures)] if part) + "\n</header>\n"
 
@@ -142,7 +144,7 @@ def _row(item: Structure) -> tuple[object, ...]:
 def _figures(survey: Survey, found: Sequence[Quantity]) -> str:
     order = [item.name for item in survey.structures]
     pictures = [
-        image(plot_quantity(quantity, order), f"{quantity.name.replace('_', ' ')} of each structure")
+        image(plot_quantity(quantity, order), f"{in_words(quantity.name)} of each structure")
         for quantity in drawn_quantities(found)
     ]
     if len(survey.done) > 1:
@@ -163,17 +165,20 @@ def _quantities(found: Sequence[Quantity]) -> str:
     columns = (("quantity", "head"), ("structures", "n"), ("median", "n"), ("spread", "n"), ("smallest", "n"))
     rows = [
         (
-            item.name.replace("_", " "),
+            in_words(item.name),
             len(item.structures),
             number(item.median),
-            number(item.spread, 2) if len(item.structures) > 1 else number(float("nan")),
+            number(item.spread if len(item.structures) >= LEAST else float("nan"), 2),
             number(float(np.min(item.values))),
             number(float(np.max(item.values))),
             unit(item.unit),
         )
         for item in found
     ]
-    note = "Spread: 1.4826 times the median absolute deviation, a standard deviation that outliers do not move."
+    note = (
+        "Spread: 1.4826 times the median absolute deviation, a standard deviation that outliers do not move; of "
+        f"{LEAST} structures at least, because that of fewer says little."
+    )
     return section(
         "Quantities", table((*columns, ("largest", "n"), ("unit", "")), rows), paragraph(note, "soft") if rows else ""
     )
@@ -193,9 +198,9 @@ def _reproduce(survey: Survey) -> str:
             "summary.csv a row for each structure."
         )
     )
-    rows = [(name.replace("_", " "), _words(value)) for name, value in survey.settings.items()]
+    rows = [(in_words(name), _words(value)) for name, value in survey.settings.items()]
     rows += [
-        (f"{name}: {key.replace('_', ' ')}", _words(value))
+        (f"{name}: {in_words(key)}", _words(value))
         for name, values in survey.each.items()
         for key, value in values.items()
     ]
@@ -213,10 +218,6 @@ def _linked(item: Structure) -> Raw | str:
 
 def _pill(verdict: str) -> Raw:
     return Raw(f'<span class="word small {escape(verdict)}">{escape(VERDICT_WORDS.get(verdict, verdict))}</span>')
-
-
-def _spread(quantity: Quantity) -> str:
-    return f"\N{PLUS-MINUS SIGN}{100.0 * quantity.spread / abs(quantity.median):.2g} %" if quantity.median else "?"
 
 
 __all__ = ["survey_html"]

@@ -10,7 +10,7 @@ from typing import Any
 
 from ..discrepancy.verdict import Verdict
 from ..reporting.terminal import aligned, short
-from .outliers import majority, stand_out, words
+from .outliers import majority, share_with_more, stand_out, words
 from .structure import Structure
 
 SURVEY_KEYS = {
@@ -113,7 +113,9 @@ class Survey:
         most = majority(self.structures)
         if most is not None:
             effects, count, decided = most
-            first = f"{count} of {decided} decided structures lack {words(effects)}"
+            more = share_with_more(self.structures, effects)
+            beside = f", {more} of them other effects too" if more else ""
+            first = f"{count + more} of {decided} decided structures lack {words(effects)}{beside}"
         else:
             named = [f"{number} {name}" for name, number in self.counts.items() if number and name != "failed"]
             first = (

@@ -13,6 +13,7 @@ import numpy as np
 
 from .._common.checks import InputError, check_positive
 from .._common.options import settings_of
+from .._common.text import in_words
 from ..discrepancy.options import Searching
 from ..inference.options import Sampling
 from ..measurement.options import Measuring
@@ -245,9 +246,7 @@ def describe_study(study: Study) -> str:
     if study.mechanisms:
         heads: list[tuple[str, ...]] = [("mechanism", "laws", "probability", "share of the gap")]
         for kind in study.mechanisms:
-            laws = ", ".join(
-                f"{law.effect.replace('_', ' ')} {percent(law.probability)}" for law in kind.laws[:TOP_LAWS]
-            )
+            laws = ", ".join(f"{in_words(law.effect)} {percent(law.probability)}" for law in kind.laws[:TOP_LAWS])
             name = mechanism_name(kind.mechanism)
             heads.append((name, laws, percent(kind.probability), percent(kind.share_of_gap)))
         lines += ["", aligned(heads)]

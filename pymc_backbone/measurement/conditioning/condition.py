@@ -18,6 +18,7 @@ from .noise import NoiseSpectrum, amplitude_floor, noise_in_band, noise_of, nois
 from .plausibility import MINIMUM_CYCLES, check_cycles, check_decays, check_stops_growing
 from .release import end_of_drive, end_of_motion, envelope, regrowth
 from .second_mode import SecondMode, find_second_mode
+from .second_release import later_motion
 from .tracking import Track, track
 
 __all__ = ["ConditionedRecord", "condition"]
@@ -218,13 +219,27 @@ class _Conditioning:
             end, low, high = grown
             self.notes.append(
                 f"warning: the amplitude grows again from {low:.3g} to {high:.3g} after {self.begin + end:.5g} "
-                f"s (second "
-                "impact or beating modes): only the part before is used; choose another part with `start` and "
-                "`stop`, or a mode with `band`"
+                "s (a second release or impact, or beating modes): only the part before is used; choose another part "
+                "with `start` and `stop`, or a mode with `band`"
             )
             path = check_cycles(path.until(end), self.name, "before the amplitude grows again")
+        else:
+            self._note_later_motion(values, end, float(path.amplitude[0]), spectrum.total)
         self.free.samples.check_gaps(path.frequency, self.begin + end, self.name)
         return spectrum, path, end
+
+    def _note_later_motion(self, values: FloatArray, end: float, used: float, noise: float) -> None:
+        """Say where motion begins again after the end of the decay that is used."""
+        first = int(np.ceil(end * self.rate))
+        found = later_motion(values[first:], self.rate, self.frequency, used, noise)
+        if found is None:
+            return
+        at, amplitude = found
+        self.notes.append(
+            f"warning: the structure moves again from about {self.begin + (first + at) / self.rate:.5g} s on, with an "
+            f"amplitude up to {amplitude:.3g} {self.record.unit} (a second release or impact): only the decay before "
+            "is used; choose another part with `start` and `stop`"
+        )
 
     def _spectrum(self, values: FloatArray, path: Track, band_pass: BandPass | None) -> NoiseSpectrum:
         """Return the spectrum of the noise of the measured quantity."""

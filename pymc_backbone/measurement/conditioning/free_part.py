@@ -18,6 +18,7 @@ from .lost_samples import MOST, Jump, find_jump, mended, repeats
 from .noise import quantum
 from .plausibility import check_clipping, check_moves, check_per_cycle
 from .release import end_of_drive, end_of_rest, leading_rest
+from .second_release import earlier_decay
 from .spikes import Spike, without_spikes
 from .time_grid import to_uniform
 from .tracking import dominant_frequency
@@ -169,7 +170,19 @@ class FreePart:
 
     def _without(self, values: FloatArray, index: int, state: str) -> FloatArray:
         """Return the values from an index on and note what is dropped."""
-        self.notes.append(dropped(index / self.rate, state))
+        before, after = values[:index], values[index:]
+        later = float(np.max(np.abs(after - np.median(after))))
+        decay = earlier_decay(before - np.median(before), self.rate, self.frequency, later, rough_noise(values))
+        if decay is None:
+            self.notes.append(dropped(index / self.rate, state))
+        else:
+            begin, end = (round(self.begin + at / self.rate, 9) + 0.0 for at in (decay.first, decay.last))
+            self.notes.append(
+                f"warning: the record holds two releases: a free decay of {decay.cycles:.0f} cycles, from "
+                f"{decay.high:.3g} to {decay.low:.3g} {self.record.unit}, comes before the release at "
+                f"{self.begin + index / self.rate:.5g} s, from which on the record is used; for the first one use "
+                f"`start={begin:.5g}` and `stop={end:.5g}`"
+            )
         self.begin += index / self.rate
         return values[index:]
 

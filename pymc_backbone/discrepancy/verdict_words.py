@@ -1,0 +1,167 @@
+"""The verdict in words: what is missing, what remains possible, and with what probability."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from .._common.text import capitalised, in_words
+from ..effects import MECHANISMS
+from .decide import DRIFT_POSSIBLE, Decision
+from .evidence import MISSING
+from .search import Set
+from .study import Check, MissingMechanism
+from .verdict import AdequateBy, NamedLevel, Verdict
+
+_SPOKEN = 5  # sets or laws that the sentence holds
+_HEADED = 3  # sets in the headline, where a list of them follows
+_REST = 0.1  # probability of no known set from which the sentence speaks of it
+_UNLIKELY = 0.02  # probability of a law below which the sentence does not hold it
+
+
+def is_drift_possible(decision: Decision) -> bool:
+    """Return whether a change with time explains the records too well for an effect to be named."""
+    return decision.drift_probability >= DRIFT_POSSIBLE
+
+
+def named(names: Set) -> str:
+    """Return a set of effects in words."""
+    return " + ".join(map(in_words, names)) if names else "no missing effect"
+
+
+def _below(decision: Decision) -> str:
+    """Return the effects below the tolerance as the subject of a sentence, with its verb."""
+    *first, last = map(in_words, decision.below)
+    return f"{', '.join(first)} and {last} are" if first else f"{last} is"
+
+
+def _chance(probability: float) -> str:
+    """Return a probability in per cent, never rounded to certainty."""
+    if probability > 0.999:
+        return "more than 99.9 %"
+    return f"{100.0 * probability:.3g} %" if probability > 0.99 else f"{100.0 * probability:.0f} %"
+
+
+def _of_mechanism(item: MissingMechanism) -> str:
+    """Return the sentence that names a mechanism, with the laws that it may be."""
+    laws = [law for law in item.laws if law.probability > _UNLIKELY]
+    if len(laws) > 1:
+        told = ", ".join(f"{in_words(law.effect)} {100.0 * law.probability:.0f} %" for law in laws[:_SPOKEN])
+        which = f"which law these records do not tell: {told}"
+    else:
+        which = f"its law is {in_words(laws[0].effect)} or one like it, not exactly"
+    share = f"{_chance(item.probability)}, {100.0 * item.share_of_gap:.0f} % of the gap"
+    return f"{MECHANISMS[item.mechanism].capitalize()} is missing ({share}); {which}."
+
+
+def _none_of_these(decision: Decision) -> str:
+    """Return the sentence on the probability that no known set has, nor a drift with time; empty where it is small."""
+    if decision.is_approximate or decision.has_second_mode:
+        return ""
+    rest = 1.0 - sum(decision.probabilities.values()) - decision.drift_probability
+    return f" With {_chance(rest)} it is something else, which no known effect does." if rest > _REST else ""
+
+
+def _certain(decision: Decision) -> str:
+    """Return the sentence on what is certain all the same; empty where nothing is."""
+    certain = [item for item in decision.mechanisms if item.is_certain]
+    if not certain or decision.drift_probability > DRIFT_POSSIBLE or not decision.is_single_valued:
+        return ""
+    kinds = [f"{MECHANISMS[item.mechanism]} ({100.0 * item.share_of_gap:.0f} % of the gap)" for item in certain]
+    return f" Certain all the same: {', '.join(kinds)}."
+
+
+def _of_inexact(decision: Decision, told: Sequence[str]) -> str:
+    """Return the sentence where no set is exact and no mechanism can be named."""
+    sets = "; ".join(told[:_SPOKEN])
+    rest = f"; and {len(told) - _SPOKEN} more" if len(told) > _SPOKEN else ""
+    kinds = ", ".join(f"{MECHANISMS[item.mechanism]} {_chance(item.probability)}" for item in decision.mechanisms)
+    return (
+        "Something is missing, but no set is exact and these records do not tell mechanisms apart: "
+        f"{kinds} ({sets}{rest})."
+    )
+
+
+def sentence(decision: Decision) -> str:
+    """Return the verdict in one sentence, or a few."""
+    if decision.named_level is NamedLevel.MECHANISM:
+        return " ".join(_of_mechanism(item) for item in decision.mechanisms if item.is_certain)
+    if decision.verdict is Verdict.FOUND:
+        verb = "is" if len(decision.best) == 1 else "are"
+        below = f" ({_below(decision)} detectable too, below the tolerance)" if decision.below else ""
+        beside = ", while frequency or damping also change with time" if decision.best in decision.drifts else ""
+        what = capitalised(named(decision.best))
+        return f"{what} {verb} missing from the model, with a probability of {_of_best(decision)}{beside}{below}."
+    if decision.verdict is Verdict.AMBIGUOUS:
+        return _of_ambiguous(decision)
+    if decision.verdict is Verdict.UNEXPLAINED:
+        return _of_unexplained(decision)
+    return _of_adequate(decision)
+
+
+def _of_best(decision: Decision) -> str:
+    return f"{100.0 * decision.probability:.0f} %" if decision.probability < 0.995 else "more than 99 %"
+
+
+def _of_ambiguous(decision: Decision) -> str:
+    """Return the sentence where several explanations remain, or one that is too uncertain for a name."""
+    listed = [named(names) for names in decision.listed]
+    told = [*listed, "a drift with time"] if is_drift_possible(decision) else listed
+    if decision.has_second_mode:
+        told = [*told, "a second mode"]
+    if decision.is_approximate and not decision.unfinished:
+        return _of_inexact(decision, told)
+    if len(told) == 1 and decision.best and not decision.unfinished:
+        return (
+            f"Something is missing; of the known effects {named(decision.best)} is the only explanation that remains, "
+            f"but with a probability of {_of_best(decision)} it is too uncertain for a name.{_none_of_these(decision)}"
+        )
+    if decision.unfinished:
+        return (
+            "Something is missing; no fit explains the records, but those of sets that could explain the backbones "
+            f"did not come to rest: {'; '.join(listed[:_SPOKEN])}."
+        )
+    # as the list below writes them, which holds the others
+    rest = f"; and {len(told) - _HEADED} more" if len(told) > _HEADED else ""
+    sets = "; ".join(told[:_HEADED])
+    told_apart = f"Something is missing, but these records do not tell apart: {sets}{rest}."
+    return f"{told_apart}{_none_of_these(decision)}{_certain(decision)}"
+
+
+def _of_unexplained(decision: Decision) -> str:
+    """Return the sentence where no set of known effects is the explanation."""
+    if decision.has_second_mode and decision.drift_probability <= 0.5:
+        partial = f"; beside it the best explanation is {named(decision.best)}" if decision.best else ""
+        return f"Something is in the records that the model does not have: a second mode beats with it{partial}."
+    if not decision.is_single_valued:
+        return (
+            "Something is missing, but what no set of known effects explains differs between records at the same "
+            "amplitude: it goes with the time or the record, and no law of amplitude is named."
+        )
+    share = f" ({decision.lack.share:.2%} of the motion)" if np.isfinite(decision.lack.share) else ""
+    left = f"what the best set ({named(decision.best)}) leaves is not noise{share}"
+    drifts = "a drift with time explains the records better than any effect of amplitude"
+    why = drifts if decision.drift_probability > 0.5 else left
+    return f"Something is missing, and no set of known effects explains it: {why}.{_certain(decision)}"
+
+
+def _of_adequate(decision: Decision) -> str:
+    """Return the sentence where nothing needs to be added; what speaks against it is said too."""
+    if decision.adequate_by is AdequateBy.TOLERANCE:
+        what = _below(decision) if decision.below else "a drift with time is"
+        verb = "change" if len(decision.below) > 1 else "changes"
+        return f"The model is adequate: {what} detectable, but {verb} the backbones by less than the tolerance."
+    if decision.p_missing > MISSING:
+        return f"Nothing is missing: model and records agree within measurement error (p = {decision.p_missing:.2g})."
+    share = f", {decision.lack.share:.2%} of the motion," if np.isfinite(decision.lack.share) else ""
+    rare = f"what it leaves{share} is rare where nothing is missing (p = {decision.p_missing:.2g})"
+    return f"The model is adequate: no set of known effects is more probable than none. But {rare}."
+
+
+def with_checks(text: str, verdict: Verdict, checks: Sequence[Check]) -> str:
+    """Return the sentence of the verdict, with a warning where a check on the data speaks against it."""
+    failed = [check.check for check in checks if not check.passed]
+    if not failed or verdict not in (Verdict.ADEQUATE, Verdict.FOUND):
+        return text
+    return f"{text} But a check on the data failed ({', '.join(failed)}): look at it first."
