@@ -21,8 +21,9 @@ ACCURACY = 1e-6  # what is promised, of frequency and damping relative, of the o
 
 
 def draw(oscillator, amplitude, count, seed, *, strength=0.3, damping=(1e-3, 0.15)):
-    """Return parameter vectors over a share of the default priors; springs of both signs."""
+    """Return parameter vectors; strengths over a share of the default priors, springs of both signs."""
     rng = np.random.default_rng(seed)
+    strengths = {name for effect in oscillator.effects for name in effect.with_role("strength")}
     bounds = oscillator.default_bounds(amplitude, OMEGA)
     stiffness = MASS * OMEGA**2
     columns = []
@@ -34,7 +35,7 @@ def draw(oscillator, amplitude, count, seed, *, strength=0.3, damping=(1e-3, 0.1
             ratio = np.exp(rng.uniform(*np.log(damping), count))
             columns.append(2.0 * ratio * MASS * OMEGA)
         else:
-            columns.append(strength * rng.uniform(low, high, count))
+            columns.append((strength if name in strengths else 1.0) * rng.uniform(low, high, count))
     return np.column_stack(columns)
 
 
