@@ -62,7 +62,7 @@ def prepare(effects):
             p[oscillator.index(name)] /= AMPLITUDE
     if "offset_freeplay" in effects:
         # Between cycles that touch one stop and both, a curve that is read off a whole decay has a corner.
-        p[oscillator.index("play")] *= 0.7
+        p[oscillator.index("play")] *= 0.4
     return oscillator, p
 
 

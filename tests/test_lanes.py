@@ -265,10 +265,17 @@ def test_few_vectors_are_bit_for_bit_those_of_the_simulator_of_single_ones(rando
 
 
 @pytest.mark.parametrize("name", sorted(set(LIBRARY) - set(SMOOTH) - set(BASE_EFFECTS)))
-def test_kinks_memory_and_states_stay_out_of_lanes(name):
+def test_kinks_memory_states_and_shapes_stay_out_of_lanes(name, random_seed):
     effect = LIBRARY[name]
-    assert effect.regime is not None or effect.has_memory or effect.n_states
-    assert not many.can_take_lanes(Simulator(Oscillator(MASS, [name])))
+    assert effect.regime is not None or effect.has_memory or effect.n_states or len(effect.parameters) > 1
+    simulator = Simulator(Oscillator(MASS, [name]))
+    assert not many.can_take_lanes(simulator)
+    parameters = draw(simulator.oscillator, 1e-3, 8, random_seed)
+    levels = np.geomspace(3e-4, 1e-3, 4)
+    values, status = many.simulate_many(simulator, parameters, levels, least=1)
+    single = [simulate_backbone(simulator.oscillator, row, levels) for row in parameters]
+    assert np.array_equal(values, [item.values for item in single], equal_nan=True)
+    assert np.array_equal(status, [item.status for item in single])
 
 
 @numba.njit

@@ -57,6 +57,7 @@ def test_variants_and_what_one_mode_does_not_show_are_not_looked_for_by_themselv
     assert set(OTHERS) == {name for name, effect in LIBRARY.items() if effect.only_if_named}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TRUTHS)
 def test_a_variant_is_found_where_it_is_named(name):
     study = find_missing_effect(Oscillator(MASS), records_of(name, TRUTHS[name]), candidates=[name], quick=True)

@@ -42,7 +42,7 @@ EFFECT = Effect(
             latex="c_a",
             summary="coefficient of the displacement-dependent damper",
             role="strength",
-            bounds=lambda mass, amplitude, angular_frequency: (0.0, 0.8 * mass * angular_frequency / amplitude),
+            bounds=lambda mass, amplitude, angular_frequency: (0.0, 0.5 * mass * angular_frequency / amplitude),
         ),
     ),
     force=force,

@@ -85,8 +85,8 @@ EFFECT = Effect(
     signature=Signature(
         frequency="Rises once the amplitude has reached the nearer stop, and again at the farther one.",
         damping="Falls where the frequency rises; constant below the gap.",
-        offset="Falls from zero once the nearer stop is touched, if that is on the positive side: the mid-line moves to "
-        "the wider side; back again beyond the farther one.",
+        offset="Falls from zero once the nearer stop is touched, if that is on the positive side: the mid-line moves "
+        "to the wider side; back again beyond the farther one.",
         found_in="loose joints and worn bearings under a static load, stops that were not adjusted",
         typical=lambda mass, amplitude, angular_frequency: (
             0.2 * mass * angular_frequency**2,

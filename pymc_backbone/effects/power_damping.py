@@ -53,7 +53,7 @@ EFFECT = Effect(
             latex="F_d",
             summary="magnitude of the force at the reference speed",
             role="strength",
-            bounds=lambda mass, amplitude, angular_frequency: (0.0, 0.5 * mass * angular_frequency**2 * amplitude),
+            bounds=lambda mass, amplitude, angular_frequency: (0.0, 0.25 * mass * angular_frequency**2 * amplitude),
         ),
         Parameter(
             name="power_damping_exponent",
