@@ -63,7 +63,7 @@ def _added(name: str, share: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     effect = LIBRARY[name]
     oscillator = Oscillator(MASS, [name])
     weak = np.array(effect.signature.typical(MASS, amplitude, OMEGA))
-    slips = name in ("jenkins", "iwan")
+    slips = name in ("jenkins", "iwan", "dahl_friction")
     weak[: 2 if slips else 1] *= share  # the force at which it slips goes with its stiffness
     levels = np.geomspace(0.3, 1.0, 6) * amplitude
     without = np.where(np.arange(weak.size) < (4 if slips else 1), 0.0, weak)

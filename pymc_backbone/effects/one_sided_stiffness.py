@@ -81,7 +81,7 @@ EFFECT = Effect(
         damping="Falls a little where the frequency rises.",
         offset="Falls from zero once the gap is closed: the mid-line moves away from the stop.",
         found_in="bump stops, a plate that touches its support, bolted flanges that open",
-        typical=lambda mass, amplitude, angular_frequency: (0.5 * mass * angular_frequency**2, 0.3 * amplitude),
+        typical=lambda mass, amplitude, angular_frequency: (0.5 * mass * angular_frequency**2, 0.25 * amplitude),
         resembles=("bilinear_stiffness", "hertz_contact", "quadratic_stiffness"),
     ),
 )
