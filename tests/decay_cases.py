@@ -16,9 +16,15 @@ COMBINATIONS = (
     ("jenkins", "iwan"),
     ("jenkins", "bouc_wen"),
     ("bilinear_stiffness", "quadratic_stiffness", "displacement_dependent_damping"),
+    ("offset_freeplay", "stribeck_friction"),
+    ("dahl_friction", "power_stiffness"),
 )
 # Forces with a corner or a jump; their sensitivities and backbones are held to a wider tolerance.
-ROUGH = ("bilinear_stiffness", "freeplay", "coulomb_friction", "jenkins", "iwan", "bouc_wen")
+ROUGH = (
+    *("bilinear_stiffness", "freeplay", "coulomb_friction", "jenkins", "iwan", "bouc_wen"),
+    *("stribeck_friction", "power_damping", "power_stiffness", "offset_freeplay", "one_sided_stiffness"),
+    *("hertz_contact", "absolute_displacement_damping", "structural_damping", "dahl_friction"),
+)
 EFFECTS = tuple((name,) for name in LIBRARY if name not in BASE_EFFECTS)
 
 

@@ -139,8 +139,71 @@ class BoucWen(Spring):
         return z
 
 
+class Dahl(Spring):
+    """Dahl's equation for the force itself, started from its own solution for slow loading."""
+
+    def __init__(self) -> None:
+        self.n_states = 1
+
+    def start(self, p, x):
+        return np.array([-np.sign(x) * p[1] * np.expm1(-p[0] * abs(x) / p[1])])
+
+    def enter(self, p, x, d, z):
+        pass
+
+    def force(self, p, x, v, d, z):
+        return z[0]
+
+    def rate(self, p, x, v, d, z):
+        return (p[0] * v * (1.0 - d * z[0] / p[1]),)
+
+    def events(self, p, d):
+        return []
+
+
+class MaxwellArm(Dahl):
+    """A spring and a damper in series: the state is the place where they meet, which is pulled along."""
+
+    def start(self, p, x):
+        return np.array([x])  # loaded slowly, so relaxed
+
+    def force(self, p, x, v, d, z):
+        return p[0] * (x - z[0])
+
+    def rate(self, p, x, v, d, z):
+        return ((x - z[0]) / p[1],)
+
+
 def _freeplay(x, v, d, p, low, high):
     return p[0] * (x + p[1]) if low < 0.0 else p[0] * (x - p[1]) if high > 0.0 else 0.0
+
+
+def _offset_freeplay(x, v, d, p, low, high):
+    middle = p[1] * p[2]
+    return _freeplay(x - middle, v, d, p, low, high)
+
+
+def _one_sided(x, v, d, p, side):
+    at_rest = -p[0] * p[1] if p[1] < 0.0 else 0.0
+    return (p[0] * (x - p[1]) if side > 0.0 else 0.0) - at_rest
+
+
+def _hertz(x, v, d, p, side):
+    mirror = np.sign(p[0])
+    at_rest = abs(p[0]) * (-p[1]) ** 1.5 if p[1] < 0.0 else 0.0
+    approach = max(mirror * x - p[1], 0.0) if mirror * side > 0.0 else 0.0
+    return mirror * (abs(p[0]) * approach**1.5 - at_rest)
+
+
+def _power(base, p):
+    """Return the ratio of ``base`` to the reference to the exponent, by the logarithm."""
+    return np.exp(p[1] * np.log(base / p[2])) if base > 0.0 else 0.0
+
+
+def _magnets(x, v, d, p):
+    assert abs(x) < 0.9 * p[1], "the law is looked at where it is that of magnets"
+    near, far = (p[1] / (p[1] - x)) ** p[2], (p[1] / (p[1] + x)) ** p[2]
+    return p[0] * (near - far) - 2.0 * p[0] * p[2] / p[1] * x
 
 
 ORACLES: dict[str, Callable[[], Spring]] = {
@@ -159,6 +222,17 @@ ORACLES: dict[str, Callable[[], Spring]] = {
     "jenkins": Slider,
     "iwan": SliderBed,
     "bouc_wen": BoucWen,
+    "stribeck_friction": lambda: Spring(lambda x, v, d, p: d * (p[0] + p[0] * p[1] / np.exp(d * v / p[2]))),
+    "power_damping": lambda: Spring(lambda x, v, d, p: p[0] * v / p[2] * np.hypot(v / p[2], 0.01) ** (p[1] - 1.0)),
+    "power_stiffness": lambda: Spring(lambda x, v, d, p, side: p[0] * side * _power(side * x, p), lambda p: (0.0,)),
+    "offset_freeplay": lambda: Spring(_offset_freeplay, lambda p: (p[1] * (p[2] - 1.0), p[1] * (p[2] + 1.0))),
+    "one_sided_stiffness": lambda: Spring(_one_sided, lambda p: (p[1],)),
+    "hertz_contact": lambda: Spring(_hertz, lambda p: (np.sign(p[0]) * p[1],)),
+    "magnetic_stiffness": lambda: Spring(_magnets),
+    "absolute_displacement_damping": lambda: Spring(lambda x, v, d, p, side: p[0] * side * x * v, lambda p: (0.0,)),
+    "structural_damping": lambda: Spring(lambda x, v, d, p, side: p[0] * side * x * d, lambda p: (0.0,)),
+    "dahl_friction": Dahl,
+    "maxwell_element": MaxwellArm,
 }
 
 

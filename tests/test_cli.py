@@ -137,6 +137,8 @@ def test_effects_explains_each(capsys, name):
     assert code == 0 and out.startswith(f"{name}\n")
     for parameter in LIBRARY[name].parameters:
         assert parameter.summary in out
+    assert (f"variant of {LIBRARY[name].variant_of}:" in out) == (LIBRARY[name].variant_of is not None)
+    assert ("only when it is named: the decay" in out) == LIBRARY[name].only_if_named
 
 
 def test_update_hands_on_every_option(capsys, calls, tmp_path):

@@ -60,7 +60,18 @@ def prepare(effects):
         p[oscillator.index("bouc_wen_exponent")] = 2.0
         for name in ("bouc_wen_beta", "bouc_wen_gamma"):
             p[oscillator.index(name)] /= AMPLITUDE
+    if "offset_freeplay" in effects:
+        # Between cycles that touch one stop and both, a curve that is read off a whole decay has a corner.
+        p[oscillator.index("play")] *= 0.4
+    if "power_damping" in effects:
+        # Damping that is light at all levels, or curves are read off between cycles that are few and far apart.
+        p[oscillator.index("power_damping")] *= 0.2
     return oscillator, p
+
+
+# The slope of this force has a vertical tangent at contact, where the derivatives are integrated with errors that fall
+# with the tolerance only slowly: they are held to what is asked for at a tighter one, and to this at the usual one.
+SINGULAR = {("hertz_contact",): 1e-3}
 
 
 @pytest.mark.parametrize("by_decay", [False, True])
@@ -74,12 +85,18 @@ def test_backbone_sensitivities(effects, by_decay, exactly):
         # With derivatives wanted, cycles are taken closer to their levels.
         return simulate_backbone(oscillator, q, levels, release_amplitude=release, sensitivities=True).values
 
+    def differentiate():
+        return simulate_backbone(oscillator, p, levels, release_amplitude=release, sensitivities=True)
+
     expected = np.stack([exactly(richardson, values, p, j) for j in range(p.size)], axis=-1)
-    found = simulate_backbone(oscillator, p, levels, release_amplitude=release, sensitivities=True)
-    assert np.all(found.status == 0)
-    for row in range(3):
-        largest = np.abs(expected[row]).max()
-        np.testing.assert_allclose(found.jacobian[row] * p, expected[row], rtol=0.0, atol=1e-5 * largest)
+    runs = [(differentiate(), SINGULAR.get(effects, 1e-5))]
+    if effects in SINGULAR:
+        runs.append((exactly(differentiate), 1e-5))
+    for found, tolerance in runs:
+        assert np.all(found.status == 0)
+        for row in range(3):
+            largest = np.abs(expected[row]).max()
+            np.testing.assert_allclose(found.jacobian[row] * p, expected[row], rtol=0.0, atol=tolerance * largest)
 
 
 @pytest.mark.parametrize("effects", CASES, ids=name_of)

@@ -133,7 +133,8 @@ def test_an_effect_is_gone_at_zero_strength(name):
 def test_redundant_parameters_are_held_and_not_fitted():
     for name in EFFECTS:
         layout = make_layout(Oscillator(MASS, (name,)), AMPLITUDE, OMEGA)
-        held = dict(LIBRARY[name].redundant)
+        held = LIBRARY[name].held(MASS, AMPLITUDE, OMEGA)
+        assert layout.held == held
         assert not set(held) & set(layout.names)
         assert set(held) | set(layout.names) == set(LIBRARY[name].parameter_names)
         state = start_state(layout, middle(layout), np.array([[STIFFNESS, DAMPING, AMPLITUDE, 0.0, 0.0]]))

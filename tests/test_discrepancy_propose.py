@@ -11,6 +11,7 @@ from pymc_backbone.discrepancy.batch import Batch, batch_of_backbones
 from pymc_backbone.discrepancy.layout import make_layout
 from pymc_backbone.discrepancy.looks import STIFFNESS, atoms_of, level_data
 from pymc_backbone.discrepancy.propose import Proposal, propose
+from pymc_backbone.discrepancy.question import looked_for
 from pymc_backbone.discrepancy.refine_kernels import observe
 from pymc_backbone.effects import BASE_EFFECTS, LIBRARY
 from pymc_backbone.oscillator import Oscillator
@@ -19,7 +20,7 @@ from pymc_backbone.simulation.backbones import simulate_population
 MASS, OMEGA, AMPLITUDE = 2.0, 30.0, 0.01
 SPRING, DAMPER = MASS * OMEGA**2, 2.0 * 0.008 * MASS * OMEGA
 EVERY = tuple(name for name in LIBRARY if name not in BASE_EFFECTS)
-IN_METRES = tuple(name for name in EVERY if name != "pendulum_stiffness")
+IN_METRES = looked_for("m")
 
 
 def _batch(truth: Oscillator, effects: dict[str, float], *, specimens: int = 5, amplitude: float = AMPLITUDE) -> Batch:
@@ -62,7 +63,7 @@ def _added(name: str, share: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     effect = LIBRARY[name]
     oscillator = Oscillator(MASS, [name])
     weak = np.array(effect.signature.typical(MASS, amplitude, OMEGA))
-    slips = name in ("jenkins", "iwan")
+    slips = name in ("jenkins", "iwan", "dahl_friction")
     weak[: 2 if slips else 1] *= share  # the force at which it slips goes with its stiffness
     levels = np.geomspace(0.3, 1.0, 6) * amplitude
     without = np.where(np.arange(weak.size) < (4 if slips else 1), 0.0, weak)
@@ -158,7 +159,7 @@ def test_hard_cases_are_among_the_first_ten(case):
     effects, base, amplitude = HARD[case]
     acting = {effect for effect in EVERY if set(LIBRARY[effect].parameter_names) & set(effects)}
     batch = _batch(Oscillator(MASS, sorted(acting)), effects, amplitude=amplitude)
-    candidates = EVERY if "pendulum_stiffness" in effects else IN_METRES
+    candidates = looked_for("rad") if "pendulum_stiffness" in effects else IN_METRES
     found = propose(batch, Oscillator(MASS, base), tuple(name for name in candidates if name not in base), 3)
     rank = _rank(found, tuple(acting - set(base)))
     assert rank < 10, [item.names for item in found[:10]]

@@ -21,8 +21,9 @@ ACCURACY = 1e-6  # what is promised, of frequency and damping relative, of the o
 
 
 def draw(oscillator, amplitude, count, seed, *, strength=0.3, damping=(1e-3, 0.15)):
-    """Return parameter vectors over a share of the default priors; springs of both signs."""
+    """Return parameter vectors; strengths over a share of the default priors, springs of both signs."""
     rng = np.random.default_rng(seed)
+    strengths = {name for effect in oscillator.effects for name in effect.with_role("strength")}
     bounds = oscillator.default_bounds(amplitude, OMEGA)
     stiffness = MASS * OMEGA**2
     columns = []
@@ -34,7 +35,7 @@ def draw(oscillator, amplitude, count, seed, *, strength=0.3, damping=(1e-3, 0.1
             ratio = np.exp(rng.uniform(*np.log(damping), count))
             columns.append(2.0 * ratio * MASS * OMEGA)
         else:
-            columns.append(strength * rng.uniform(low, high, count))
+            columns.append((strength if name in strengths else 1.0) * rng.uniform(low, high, count))
     return np.column_stack(columns)
 
 
@@ -264,10 +265,17 @@ def test_few_vectors_are_bit_for_bit_those_of_the_simulator_of_single_ones(rando
 
 
 @pytest.mark.parametrize("name", sorted(set(LIBRARY) - set(SMOOTH) - set(BASE_EFFECTS)))
-def test_kinks_memory_and_states_stay_out_of_lanes(name):
+def test_kinks_memory_states_and_shapes_stay_out_of_lanes(name, random_seed):
     effect = LIBRARY[name]
-    assert effect.regime is not None or effect.has_memory or effect.n_states
-    assert not many.can_take_lanes(Simulator(Oscillator(MASS, [name])))
+    assert effect.regime is not None or effect.has_memory or effect.n_states or len(effect.parameters) > 1
+    simulator = Simulator(Oscillator(MASS, [name]))
+    assert not many.can_take_lanes(simulator)
+    parameters = draw(simulator.oscillator, 1e-3, 8, random_seed)
+    levels = np.geomspace(3e-4, 1e-3, 4)
+    values, status = many.simulate_many(simulator, parameters, levels, least=1)
+    single = [simulate_backbone(simulator.oscillator, row, levels) for row in parameters]
+    assert np.array_equal(values, [item.values for item in single], equal_nan=True)
+    assert np.array_equal(status, [item.status for item in single])
 
 
 @numba.njit

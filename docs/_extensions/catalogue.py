@@ -71,6 +71,11 @@ def page(effect: Effect) -> str:
     lines += ["Damping", f": {signature.damping}", ""]
     lines += ["Mid-line", f": {signature.offset}", ""]
     lines += ["Found in", f": {signature.found_in}.", ""]
+    if effect.variant_of is not None:
+        original = f"[{title(LIBRARY[effect.variant_of])}]({effect.variant_of}.md)"
+        lines += ["Variant of", f": {original}; `diagnose` looks for it by itself only when it is named", ""]
+    if effect.only_if_named:
+        lines += ["Not looked for", ": unless it is named: the decay of one mode does not show it", ""]
     if signature.resembles:
         links = ", ".join(f"[{title(LIBRARY[name])}]({name}.md)" for name in signature.resembles)
         lines += ["Easily taken for", f": {links}", ""]
@@ -123,7 +128,7 @@ def overview() -> str:
     lines += [
         f"The {len(LIBRARY)} physical effects of the library, written from the library itself when this site is built. "
         "Every model has a linear spring and a viscous damper; the others are what `--effect` adds and what "
-        "`diagnose` looks for.",
+        "`diagnose` looks for; variants and what one mode does not show only when they are named, as their pages say.",
         "",
         "How to read the pictures: left the frequency, right the damping (logarithmic decrement per cycle), over the "
         "amplitude. Grey and dashed is the linear oscillator without the effect.",

@@ -78,7 +78,7 @@ def add_diagnose(commands: Any) -> None:
         nargs="+",
         default=[],
         metavar="EFFECT",
-        help="effects that may be missing (default: all; `pymc-backbone effects` lists them)",
+        help="effects that may be missing (default: all but variants; `pymc-backbone effects` lists them)",
     )
     search.add_argument(
         "--max-effects",

@@ -251,6 +251,10 @@ def _effect_text(effect: Any) -> str:
     units = max(len(parameter.unit) for parameter in effect.parameters) + 2
     for parameter in effect.parameters:
         lines.append(f"    {parameter.name:<{width}}  {f'[{parameter.unit}]':<{units}}  {parameter.summary}")
+    if effect.variant_of is not None:
+        lines += ["", f"  variant of {effect.variant_of}: `diagnose` looks for it by itself only when it is named"]
+    if effect.only_if_named:
+        lines += ["", "  `diagnose` looks for it only when it is named: the decay of one mode does not show it"]
     if effect.references:
         lines += ["", "  references:", *(f"    {reference}" for reference in effect.references)]
     return "\n".join(lines)

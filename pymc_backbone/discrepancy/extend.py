@@ -81,7 +81,7 @@ def prior_bounds(batch: Batch, found: Fit, mean: FloatArray) -> tuple[dict[str, 
     oscillator = found.layout.oscillator
     defaults = oscillator.default_bounds(batch.amplitude, batch.angular_frequency)
     errors = {name: error for name, (_, error) in estimates_of(found).items()}
-    held = {name: value for effect in oscillator.effects for name, value in effect.redundant}
+    held = found.layout.held
     own = np.sqrt(np.nan_to_num(found.own_covariance[:, :2]).mean(axis=0))
     errors |= {"linear_stiffness": float(own[0]), "viscous_damping": float(own[1])}
     bounds = {}
@@ -198,7 +198,7 @@ def estimates_from_fit(batch: Batch, found: Fit) -> dict[str, dict[str, Estimate
     count = len(batch.specimens)
     own = found.state.own[:, :2]
     oscillator = found.layout.oscillator
-    held = {name: value for effect in oscillator.effects for name, value in effect.redundant}
+    held = found.layout.held
     result: dict[str, dict[str, Estimate]] = {}
     for effect in oscillator.effects:
         group = {}

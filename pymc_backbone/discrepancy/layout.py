@@ -70,6 +70,12 @@ class Layout:
     amplitude: float
     names: tuple[str, ...]
 
+    @property
+    def held(self) -> dict[str, float]:
+        """Values of the redundant parameters."""
+        names = [name for effect in self.oscillator.effects for name, _ in effect.redundant]
+        return {name: float(self.template[self.oscillator.index(name)]) for name in names}
+
     def physical(self, eta: FloatArray, delta: FloatArray, scatter: float) -> tuple[FloatArray, FloatArray]:
         """Return effect parameters (q,) of a specimen, and their derivatives (q, q) to its own coordinates."""
         own = np.clip(eta * (1.0 + scatter * delta), self.low, self.high)
@@ -113,7 +119,7 @@ def make_layout(oscillator: Oscillator, amplitude: float, angular_frequency: flo
     slips: list[tuple[int, int]] = []
     opposed: list[tuple[int, int]] = []
     for effect in oscillator.effects:
-        held = dict(effect.redundant)
+        held = effect.held(oscillator.mass, amplitude, angular_frequency)
         for name, value in held.items():
             template[oscillator.index(name)] = value
         if effect.name in BASE_EFFECTS:

@@ -139,6 +139,21 @@ def check_vanishes(effect: Effect, scale: tuple[float, float, float]) -> None:
             )
 
 
+def looked_for(unit: str) -> tuple[str, ...]:
+    """Return the names of the effects that are looked for where none are named, in a motion measured in ``unit``.
+
+    Variants are looked for in the place of what they are variants of, and what one mode does not show is not.
+    """
+    return tuple(
+        name
+        for name, effect in LIBRARY.items()
+        if name not in BASE_EFFECTS
+        and effect.variant_of is None
+        and not effect.only_if_named
+        and (unit == "rad" or not effect.needs_rotation)
+    )
+
+
 def possible_effects(
     oscillator: Oscillator, candidates: Sequence[str | Effect] | None, batch: Batch
 ) -> tuple[str, ...]:
@@ -149,7 +164,7 @@ def possible_effects(
     held = {effect.name for effect in oscillator.effects}
     unit = str(batch.backbones.attrs.get("amplitude_unit", "m"))
     if candidates is None:
-        names = [name for name, effect in LIBRARY.items() if unit == "rad" or not effect.needs_rotation]
+        names = list(looked_for(unit))
     else:
         every = [item.name if isinstance(item, Effect) else str(item) for item in candidates]
         names = [check_choice("candidates", name, {**LIBRARY, **own}) for name in every]

@@ -101,7 +101,8 @@ def by_score(layout: Layout, effect: str, parent: Fit, batch: Batch) -> list[Sco
         information, slope = shared[np.ix_(free, free)], gradient[free]
         scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
         step = scale * np.linalg.lstsq(information * np.outer(scale, scale), slope * scale, rcond=1e-10)[0]
-        gain = float(slope @ step) + parent.cost - system.cost
+        # what was put in costs a little, more than a step may gain by it
+        gain = max(float(slope @ step) + parent.cost - system.cost, 0.0)
         strength = trial[where[0]] + step[0]
         limit = 0.5 * layout.width[where[0]]
         share = min(1.0, limit / max(abs(step[0]), 1e-300))

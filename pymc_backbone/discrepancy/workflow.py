@@ -108,7 +108,8 @@ def find_missing_effect(
         samples tell apart what backbones cannot.
     candidates : sequence of str or Effect, optional
         Effects that may be missing, by name or, of your own, as `Effect`; by default all of the library that fit the
-        unit of the motion.
+        unit of the motion, but for variants (`Effect.variant_of`) and what one mode does not show
+        (`Effect.only_if_named`).
     max_effects : int, default 3
         Largest number of effects that may be missing together.
     tolerance : mapping of str to float, or 0, optional

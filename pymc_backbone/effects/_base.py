@@ -15,6 +15,7 @@ from .._common.checks import InputError, check_choice
 
 BoundsFunction = Callable[[float, float, float], tuple[float, float]]
 TypicalFunction = Callable[[float, float, float], tuple[float, ...]]
+HeldFunction = Callable[[float, float, float], float]
 Role = Literal["strength", "slip_force", "gap", "exponent", "power_coefficient", "shape", "plain"]
 ROLES: tuple[Role, ...] = get_args(Role)
 Mechanism = Literal["spring", "asymmetry", "clearance", "hysteresis", "drag", "displacement_damping"]
@@ -182,9 +183,10 @@ class Effect:
         ``out[n_states, 2 + n_p + n_states]``, columns x, v, p..., z....
     references : tuple of str
         Where the force law comes from.
-    redundant : tuple of (str, float)
+    redundant : tuple of (str, float or callable)
         Parameters that no free decay can tell from the others, each with the value at which it is held when the
-        effect is looked for in data.
+        effect is looked for in data: a number, or ``value(mass, amplitude, angular_frequency)`` where it is scaled
+        with the record as default bounds are.
     opposed : tuple of (str, str)
         Parameters that are not below minus another one where the effect is looked for in data: beyond, the force is
         no longer bounded for a bounded motion.
@@ -196,6 +198,13 @@ class Effect:
     mechanism : {"spring", "asymmetry", "clearance", "hysteresis", "drag", "displacement_damping"}, optional
         What the effect does, whatever its law: where records do not tell one law from another, that is named. Effects
         without one count together as another mechanism.
+    variant_of : str, optional
+        Name of the effect of the library that this is a variant of: the search for a missing effect looks for it in
+        the place of that one, where a set that holds that one comes near the records, and not by itself. Named as a
+        candidate, it is looked for as any other.
+    only_if_named : bool
+        Whether the effect is looked for only when it is named as a candidate: the free decay of one mode does not tell
+        it from the linear spring and the viscous damper that every oscillator has.
 
     See Also
     --------
@@ -216,11 +225,13 @@ class Effect:
     state_rate: Callable[..., Any] | None = None
     state_rate_gradient: Callable[..., Any] | None = None
     references: tuple[str, ...] = ()
-    redundant: tuple[tuple[str, float], ...] = ()
+    redundant: tuple[tuple[str, float | HeldFunction], ...] = ()
     opposed: tuple[tuple[str, str], ...] = ()
     signature: Signature | None = None
     needs_rotation: bool = False
     mechanism: Mechanism | None = None
+    variant_of: str | None = None
+    only_if_named: bool = False
 
     def __post_init__(self) -> None:
         if not _NAME.match(self.name):
@@ -246,6 +257,11 @@ class Effect:
         for name in (*(name for name, _ in self.redundant), *(name for pair in self.opposed for name in pair)):
             if name not in names:
                 raise InputError(f"effect {self.name!r} has no parameter {name!r} to call redundant or opposed.")
+        if self.variant_of is not None and self.only_if_named:
+            raise InputError(
+                f"effect {self.name!r} is a variant of {self.variant_of!r}, which the search looks for in its place: "
+                "leave out `variant_of` or `only_if_named`."
+            )
         self._settle_roles()
 
     def _settle_roles(self) -> None:
@@ -276,6 +292,13 @@ class Effect:
     def with_role(self, role: Role) -> tuple[str, ...]:
         """Return the names of the parameters with this role."""
         return tuple(parameter.name for parameter in self.parameters if parameter.role == role)
+
+    def held(self, mass: float, amplitude: float, angular_frequency: float) -> dict[str, float]:
+        """Return the values at which redundant parameters are held for such records (kg, m or rad, rad/s)."""
+        return {
+            name: float(value(mass, amplitude, angular_frequency) if callable(value) else value)
+            for name, value in self.redundant
+        }
 
     @property
     def parameter_names(self) -> tuple[str, ...]:

@@ -66,8 +66,12 @@ class Block(NamedTuple):
 
 
 def is_smooth(effect: Effect) -> bool:
-    """Return whether an effect's force is smooth inside a half cycle and remembers nothing, by what it declares."""
-    return effect.regime is None and not effect.has_memory and effect.n_states == 0
+    """Return whether an effect's force is smooth inside a half cycle and remembers nothing, by what it declares.
+
+    What has more parameters than its strength may be as sharp as they make it: equal steps of the angle would have to
+    be short for its sake, and the estimate of their error was checked against forces of one shape only.
+    """
+    return effect.regime is None and not effect.has_memory and effect.n_states == 0 and len(effect.parameters) == 1
 
 
 def _switch() -> Any:

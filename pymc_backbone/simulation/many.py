@@ -1,9 +1,9 @@
 """Backbones of many parameter vectors of one oscillator: in lanes where that can be done, else one after the other.
 
-Lanes are taken for effects that declare no kinks, no memory and no states of their own, and where there are enough
-vectors that code for lanes is worth loading. A lane whose own estimate of its error is too large is run again with more
-steps and more care; what is left goes through the simulator of single ones, as do motions that do not complete a cycle,
-so that the reasons are the same.
+Lanes are taken for effects that declare no kinks, no memory, no states of their own and no parameter but a strength,
+and where there are enough vectors that code for lanes is worth loading. A lane whose own estimate of its error is too
+large is run again with more steps and more care; what is left goes through the simulator of single ones, as do motions
+that do not complete a cycle, so that the reasons are the same.
 """
 
 from __future__ import annotations

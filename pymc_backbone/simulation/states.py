@@ -24,6 +24,7 @@ from .forces import (
 from .pointers import Floats, Integers, shifted
 
 _RAMP_STEPS = 128
+_MOST_RAMP_STEPS = 8192
 _NEWTON_STEPS = 30
 
 
@@ -105,9 +106,9 @@ def _along(model: Model, row: Integers, state: int, c: int, dx: float, dv: float
 def load_slowly(model: Model, y: Floats, side: float, room: Floats) -> None:
     """Bring states with their own equation to where slow loading from zero to the displacement ``y[0]`` takes them.
 
-    First the part of their rates that the motion causes (Runge-Kutta 4 along the path); then, if they are not at rest
-    there, where they come to rest while the specimen is held (Newton). ``room`` holds 6 times the states and their
-    derivatives.
+    First the part of their rates that the motion causes (Runge-Kutta 4 along the path, in more steps where states
+    forget over a short way); then, if they are not at rest there, where they come to rest while the specimen is held
+    (Newton). ``room`` holds 6 times the states and their derivatives.
     """
     n = model.n_states
     columns = model.columns
@@ -115,23 +116,12 @@ def load_slowly(model: Model, y: Floats, side: float, room: Floats) -> None:
     amplitude = y[0]
     z = shifted(y, 2)
     Sz = shifted(y, 2 + n + 2 * columns)
-    here = shifted(room, 4 * size)
-    for j in range(size):
-        room[j] = 0.0
-        here[j] = 0.0
     start = shifted(room, 5 * size)
-    for j in range(size):
-        start[j] = 0.0
-    h = 1.0 / _RAMP_STEPS
-    for step in range(_RAMP_STEPS):
-        for stage in range(4):
-            weight = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
-            before = shifted(room, max(stage - 1, 0) * size)
-            for j in range(size):
-                here[j] = start[j] + weight * h * before[j]
-            _ramp_slopes(model, amplitude, (step + weight) * h, here, side, shifted(room, stage * size))
-        for j in range(size):
-            start[j] += h / 6.0 * (room[j] + 2.0 * room[size + j] + 2.0 * room[2 * size + j] + room[3 * size + j])
+    steps = _RAMP_STEPS
+    _ramp(model, amplitude, side, steps, room)
+    while steps < _MOST_RAMP_STEPS and not _is_followed(model, amplitude, side, start, steps):
+        steps *= 4
+        _ramp(model, amplitude, side, steps, room)
     for i in range(model.n_effects):
         row = shifted(model.table, ROW * i)
         if row[KIND] == OWN_EQUATION:
@@ -140,6 +130,49 @@ def load_slowly(model: Model, y: Floats, side: float, room: Floats) -> None:
                 for c in range(columns):
                     Sz[j * columns + c] = start[n + j * columns + c]
             _hold(model, i, row, amplitude, z, Sz, side, room)
+
+
+@plain
+def _is_followed(model: Model, amplitude: float, side: float, z: Floats, steps: int) -> bool:
+    """Return whether the steps of a ramp are short enough for what states forget over one, at its steep end."""
+    for i in range(model.n_effects):
+        row = shifted(model.table, ROW * i)
+        if row[KIND] != OWN_EQUATION:
+            continue
+        n = row[Z_LAST] - row[Z_FIRST]
+        width = 2 + row[P_LAST] - row[P_FIRST] + n
+        for j in range(n):
+            own = j * width + width - n + j
+            state_rate_gradients(model, i, amplitude, amplitude, side, z)
+            moving = model.scratch[own]
+            state_rate_gradients(model, i, amplitude, 0.0, side, z)
+            # Runge-Kutta 4 is stable to 2.8; the path runs at three times the displacement there.
+            if not 3.0 * abs(moving - model.scratch[own]) <= 2.0 * steps:
+                return False
+    return True
+
+
+@plain
+def _ramp(model: Model, amplitude: float, side: float, steps: int, room: Floats) -> None:
+    """Follow the states along the loading path, from zero, into the last part of ``room``."""
+    n = model.n_states
+    size = n * (1 + model.columns)
+    here = shifted(room, 4 * size)
+    start = shifted(room, 5 * size)
+    for j in range(size):
+        room[j] = 0.0
+        here[j] = 0.0
+        start[j] = 0.0
+    h = 1.0 / steps
+    for step in range(steps):
+        for stage in range(4):
+            weight = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
+            before = shifted(room, max(stage - 1, 0) * size)
+            for j in range(size):
+                here[j] = start[j] + weight * h * before[j]
+            _ramp_slopes(model, amplitude, (step + weight) * h, here, side, shifted(room, stage * size))
+        for j in range(size):
+            start[j] += h / 6.0 * (room[j] + 2.0 * room[size + j] + 2.0 * room[2 * size + j] + room[3 * size + j])
 
 
 @plain

@@ -1,0 +1,91 @@
+"""Dahl friction: dry friction that builds up over a short way, without a sudden slip.
+
+It is the Bouc-Wen law with gamma of zero and an exponent of one, in two parameters that have a meaning of their own.
+"""
+
+from __future__ import annotations
+
+import numba
+
+from .._common.checks import FloatArray
+from ._base import Effect, Parameter, Signature
+
+
+@numba.njit
+def force(x: float, v: float, direction: float, z: FloatArray, p: FloatArray) -> float:
+    """Return the force [N]; z is the deflection of the contact [m]."""
+    return p[0] * z[0]
+
+
+@numba.njit
+def gradient(x: float, v: float, direction: float, z: FloatArray, p: FloatArray, out: FloatArray) -> None:
+    """Write the derivatives of the force to x, v, the parameters and z."""
+    out[:] = 0.0
+    out[2] = z[0]
+    out[4] = p[0]
+
+
+@numba.njit
+def state_rate(x: float, v: float, direction: float, z: FloatArray, p: FloatArray, out: FloatArray) -> None:
+    """Write dz/dt [m/s]; a contact without friction follows at once, and so does not deflect."""
+    out[0] = v - direction * v * p[0] * z[0] / p[1] if p[1] > 0.0 else 0.0
+
+
+@numba.njit
+def state_rate_gradient(x: float, v: float, direction: float, z: FloatArray, p: FloatArray, out: FloatArray) -> None:
+    """Write the derivatives of dz/dt to x, v, the parameters and z."""
+    out[:] = 0.0
+    if p[1] > 0.0:
+        speed = direction * v
+        out[0, 1] = 1.0 - direction * p[0] * z[0] / p[1]
+        out[0, 2] = -speed * z[0] / p[1]
+        out[0, 3] = speed * p[0] * z[0] / (p[1] * p[1])
+        out[0, 4] = -speed * p[0] / p[1]
+
+
+EFFECT = Effect(
+    name="dahl_friction",
+    summary="Friction that builds up over a short way: damping rises to a peak, then falls, frequency falls.",
+    text="dahl_stiffness z; z' = x' - dahl_stiffness |x'| z / dahl_force",
+    latex=r"\sigma_0 z; \dot{z} = \dot{x} - \sigma_0 |\dot{x}| z / F_D",
+    parameters=(
+        Parameter(
+            name="dahl_stiffness",
+            unit="N/m",
+            latex=r"\sigma_0",
+            summary="stiffness of the contact after each turning point",
+            role="strength",
+            bounds=lambda mass, amplitude, angular_frequency: (0.0, mass * angular_frequency**2),
+        ),
+        Parameter(
+            name="dahl_force",
+            unit="N",
+            latex="F_D",
+            summary="friction force towards which it builds up",
+            role="slip_force",
+            bounds=lambda mass, amplitude, angular_frequency: (0.0, mass * angular_frequency**2 * amplitude),
+        ),
+    ),
+    force=force,
+    gradient=gradient,
+    n_states=1,
+    state_rate=state_rate,
+    state_rate_gradient=state_rate_gradient,
+    references=(
+        "Dahl P. R. (1976) Solid friction damping of mechanical vibrations. AIAA Journal 14(12), 1675-1682. "
+        "doi:10.2514/3.61511",
+    ),
+    mechanism="hysteresis",
+    variant_of="bouc_wen",
+    signature=Signature(
+        frequency="Falls as friction is built up earlier in a cycle, and levels off.",
+        damping="Rises, then falls: a peak where the amplitude is about the way over which friction builds up.",
+        offset="Zero.",
+        found_in="ball bearings and guides in presliding, cables, seals",
+        typical=lambda mass, amplitude, angular_frequency: (
+            0.2 * mass * angular_frequency**2,
+            0.03 * mass * angular_frequency**2 * amplitude,
+        ),
+        resembles=("jenkins", "bouc_wen", "coulomb_friction"),
+    ),
+)

@@ -1,0 +1,64 @@
+"""Effects that the search does not look for by itself: records made by SciPy, in which they are found when named."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pymc_backbone import Oscillator, Record, find_missing_effect
+from pymc_backbone.discrepancy.question import looked_for
+from pymc_backbone.effects import BASE_EFFECTS, LIBRARY
+
+from .decay_oracles import Decay
+
+MASS, OMEGA, AMPLITUDE = 1.2, 2.0 * np.pi * 7.0, 0.008
+STIFFNESS, DAMPING = MASS * OMEGA**2, 2.0 * 0.004 * MASS * OMEGA
+FORCE = STIFFNESS * AMPLITUDE
+TRUTHS = {
+    "stribeck_friction": (0.0015 * FORCE, 1.0, 0.15 * AMPLITUDE * OMEGA),
+    "power_damping": (0.02 * FORCE, 1.6, AMPLITUDE * OMEGA),
+    "power_stiffness": (0.15 * FORCE, 2.2, AMPLITUDE),
+    "offset_freeplay": (0.4 * STIFFNESS, 0.4 * AMPLITUDE, -0.4),
+    "one_sided_stiffness": (0.4 * STIFFNESS, 0.25 * AMPLITUDE),
+    "hertz_contact": (0.4 * STIFFNESS / AMPLITUDE**0.5, 0.2 * AMPLITUDE),
+    "magnetic_stiffness": (0.01 * FORCE, 2.0 * AMPLITUDE, 4.0),
+    "absolute_displacement_damping": (0.04 * MASS * OMEGA / AMPLITUDE,),
+    "dahl_friction": (0.1 * STIFFNESS, 0.01 * FORCE),
+}
+OTHERS = ("structural_damping", "maxwell_element")
+
+
+def records_of(name: str, values, *, specimens: int = 3, cycles: int = 30, noise: float = 1e-3) -> list[Record]:
+    """Return noisy decays of specimens that differ by half a per cent, computed by SciPy."""
+    rng = np.random.default_rng(abs(hash_of(name)))
+    oscillator = Oscillator(MASS, name)
+    time = np.arange(0.0, cycles * 2.0 * np.pi / OMEGA, 2.0 * np.pi / OMEGA / 40.0)
+    records = []
+    for number in range(specimens):
+        spread = 1.0 + 0.005 * rng.standard_normal(2)
+        decay = Decay(oscillator, [STIFFNESS * spread[0], DAMPING * spread[1], *values]).release(AMPLITUDE)
+        while decay.t < time[-1]:
+            if decay.half_cycle() is None:
+                break
+        x = decay.displacement(time)
+        x = np.where(np.isfinite(x), x, decay.y[0])  # stuck
+        x = x + noise * AMPLITUDE * rng.standard_normal(time.size)
+        records.append(Record(f"specimen {number + 1}", time, x, "displacement", "m"))
+    return records
+
+
+def hash_of(name: str) -> int:
+    return sum((place + 1) * ord(letter) for place, letter in enumerate(name))
+
+
+def test_variants_and_what_one_mode_does_not_show_are_not_looked_for_by_themselves():
+    assert set(LIBRARY) - set(looked_for("rad")) == {*BASE_EFFECTS, *TRUTHS, *OTHERS}
+    assert set(TRUTHS) == {name for name, effect in LIBRARY.items() if effect.variant_of}
+    assert set(OTHERS) == {name for name, effect in LIBRARY.items() if effect.only_if_named}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", TRUTHS)
+def test_a_variant_is_found_where_it_is_named(name):
+    study = find_missing_effect(Oscillator(MASS), records_of(name, TRUTHS[name]), candidates=[name], quick=True)
+    assert (study.verdict, study.missing_effects) == ("found", (name,)), study.sentence
