@@ -12,6 +12,7 @@ from . import joint_fit
 from .batch import Batch
 from .data_term import LevelTerm
 from .joint_fit import NUISANCES, Fit, State, fit, linearise, parameters_of
+from .layout import Layout
 from .scatter import SCATTER
 
 NO_NUISANCES = np.zeros(5)  # levels see none of them
@@ -74,9 +75,18 @@ def simulate(batch: Batch, found: Fit, levels: FloatArray | None = None) -> xr.D
 
 
 def curve(found: Fit, parameters: FloatArray, levels: FloatArray) -> FloatArray:
-    """Return frequency, damping and offset (3, l) of one parameter vector."""
+    """Return frequency, damping and offset (3, l) of one parameter vector; NaN where a level cannot be simulated."""
+    return _simulated(found.layout, parameters, levels)
+
+
+def frequencies(layout: Layout, parameters: FloatArray, levels: FloatArray) -> FloatArray:
+    """Return the frequencies (l,) [Hz] of one parameter vector; NaN where a level cannot be simulated."""
+    return np.asarray(_simulated(layout, parameters, levels)[0])
+
+
+def _simulated(layout: Layout, parameters: FloatArray, levels: FloatArray) -> FloatArray:
     values, status = np.empty((3, levels.size)), np.zeros(levels.size, dtype=np.int64)
-    found.layout.simulator.backbone(
+    layout.simulator.backbone(
         np.ascontiguousarray(parameters), np.ascontiguousarray(levels), 0.0, True, values, np.zeros((0, 0, 0)), status
     )
     values[:, status != 0] = np.nan

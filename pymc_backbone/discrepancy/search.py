@@ -8,10 +8,11 @@ from itertools import combinations
 import numpy as np
 
 from . import evidence, starts
-from .curves import relative_change
+from .curves import frequencies, relative_change
 from .descent import is_heavy
 from .fitted_sets import EXPLAINED, FittedSets
-from .joint_fit import NUISANCES, Fit, State
+from .joint_fit import NUISANCES, Fit, State, parameters_of
+from .layout import Layout
 from .set_fits import Set
 
 _KEPT_PARENTS = 2
@@ -71,6 +72,7 @@ class Search(FittedSets):
                 break
             self._look_back()
         self._look_forward()
+        self._look_back()
         self._settle()
 
     def _is_answered(self) -> bool:
@@ -188,13 +190,24 @@ class Search(FittedSets):
                 if not names or known is None or known.cost < larger.cost + close or self._was_asked(smaller, larger):
                     continue
                 layout = self.layout(smaller)
-                places = [larger.layout.names.index(name) for name in layout.names]
-                own = np.concatenate(
-                    [larger.state.own[:, :NUISANCES], larger.state.own[:, [NUISANCES + p for p in places]]], axis=1
-                )
-                found = self.descent.from_near(layout, [State(larger.state.eta[places], own)], rival=known.cost)
+                found = self.descent.from_near(layout, [self._smaller(layout, larger)], rival=known.cost)
                 if found is not None and found.cost < known.cost - 0.01:
                     self.fits[smaller] = found
+
+    def _smaller(self, layout: Layout, larger: Fit) -> State:
+        """Return where a larger set ended as a start of a smaller one, whose springs replace that of what is left out."""
+        places = [larger.layout.names.index(name) for name in layout.names]
+        own = np.concatenate(
+            [larger.state.own[:, :NUISANCES], larger.state.own[:, [NUISANCES + p for p in places]]], axis=1
+        )
+        state = State(larger.state.eta[places], own)
+        for r, term in enumerate(self.batch.levels):
+            before = frequencies(larger.layout, larger.parameters(r), term.levels)
+            after = frequencies(layout, parameters_of(layout, state, r), term.levels)
+            change = self.base.mass * (2.0 * np.pi) ** 2 * np.mean(before**2 - after**2)
+            if np.isfinite(change) and own[r, 0] + change > 0.0:
+                own[r, 0] += change
+        return state
 
     def _look_forward(self) -> None:
         """Fit sets again that hold a smaller one and explain less than it does: from where that ended."""
