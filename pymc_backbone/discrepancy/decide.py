@@ -161,7 +161,7 @@ def _weighed(search: Search, drifting: Mapping[Set, Drifting]) -> Decision:
     fits, bonus = dict(search.fits), {}
     for names, item in drifting.items():
         fits[(*names, *DRIFT)], bonus[(*names, *DRIFT)] = item.fit, item.bonus
-    evidences = evidence.probabilities(fits, search.batch, len(search.candidates), bonus)
+    evidences = evidence.probabilities(fits, search.batch, len(search.candidates), bonus, search.variants)
     drifts = tuple(
         names
         for names in drifting

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from math import comb
 from typing import NamedTuple
@@ -19,6 +19,8 @@ PRIOR_OF_SIZE = (0.5, 0.445, 0.05, 0.005)
 """Prior probability that so many effects are missing, shared evenly among the sets of that size."""
 PRIOR_NONE = 0.05
 """Prior probability that the library does not hold what is missing."""
+VARIANT = 0.03
+"""Prior probability of a variant of an effect over that of the effect."""
 UNSEEN = 0.5
 """Prior probability that a missing effect is too small to be seen: then the records are as probable as without it."""
 
@@ -58,6 +60,7 @@ def probabilities(
     batch: Batch,
     candidates: int,
     bonus: Mapping[tuple[str, ...], float] | None = None,
+    variants: Collection[str] = (),
 ) -> dict[tuple[str, ...], Evidence]:
     """Return the evidence of every fitted set.
 
@@ -65,7 +68,8 @@ def probabilities(
     the residuals of the best set are white, ``n_eff`` is the number of samples. Where they are not, something is there
     that no set explains; it does not repeat itself independently in every sample, and ``n_eff`` is the number of
     independent pieces that the residuals' own correlation leaves. So a wrong set is never preferred with a certainty
-    that only the number of samples lends it. ``bonus`` is added to the logarithm of the evidence of some.
+    that only the number of samples lends it. ``bonus`` is added to the logarithm of the evidence of some. Effects
+    that are ``variants`` of others are rarer than these by a factor `VARIANT`.
     """
     if not fits:
         return {}
@@ -85,7 +89,8 @@ def probabilities(
     for names in logs:
         if len(names) == 1 and names not in (bonus or {}):
             logs[names] = float(np.logaddexp(np.log(UNSEEN) + base, np.log1p(-UNSEEN) + logs[names]))
-    posterior = {names: value + log_prior(len(names), candidates) for names, value in logs.items()}
+    rarer = {names: sum(name in variants for name in names) * np.log(VARIANT) for names in logs}
+    posterior = {names: value + log_prior(len(names), candidates) + rarer[names] for names, value in logs.items()}
     total = logsumexp(list(posterior.values()))
     return {
         names: Evidence(logs[names] - base, posterior[names], float(np.exp(posterior[names] - total))) for names in fits

@@ -48,6 +48,8 @@ class FittedSets:
         Largest set.
     own : mapping of str to Effect
         Candidates that the library does not hold, by name.
+    variants : tuple of str
+        Effects that are looked for in the place of the candidates that they are variants of.
     tolerance : mapping of str to float
         Relative change of frequency and damping that does not matter.
     """
@@ -63,8 +65,10 @@ class FittedSets:
     budget: float = BUDGET
     is_cut: bool = False
     own: Mapping[str, Effect] = field(default_factory=dict)
+    variants: tuple[str, ...] = ()
     tolerance: Mapping[str, float] = field(default_factory=dict)
     asked: dict[tuple[Set, int], State] = field(default_factory=dict)
+    varied: dict[Set, Proposal] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.descent = Descent(self.batch)
@@ -187,7 +191,7 @@ class FittedSets:
 
     def _proposed(self, names: Set, rival: float | None) -> list[Fit]:
         """Return fits from what the backbones propose for a set, until one keeps what they promise."""
-        proposal = self.proposals.get(names)
+        proposal = self.varied.get(names) or self.proposals.get(names)
         if proposal is None:
             return []
         layout = self.layout(names)

@@ -242,9 +242,10 @@ def _log_prior(names: Set, search: Search) -> float:
     the library does not hold.
     """
     laws: dict[str, dict[str, float]] = {}
-    for name in search.candidates:
+    for name in (*search.candidates, *search.variants):
         unknowns = search.layout((name,)).free.size - search.layout(()).free.size
-        laws.setdefault(search.mechanism_of(name), {})[name] = _EACH_UNKNOWN ** (unknowns - 1)
+        weight = evidence.VARIANT if name in search.variants else 1.0
+        laws.setdefault(search.mechanism_of(name), {})[name] = weight * _EACH_UNKNOWN ** (unknowns - 1)
     held: dict[str, list[str]] = {}
     for name in names:
         held.setdefault(search.mechanism_of(name), []).append(name)

@@ -42,6 +42,8 @@ class Question:
         The data.
     candidates : tuple of str
         Effects that may be missing, the costly ones last.
+    variants : tuple of str
+        Variants of these, which are looked for in their place; none where the candidates were named.
     own : mapping of str to Effect
         Those that the library does not hold.
     max_effects : int
@@ -55,6 +57,7 @@ class Question:
     base: Oscillator
     batch: Batch
     candidates: tuple[str, ...]
+    variants: tuple[str, ...]
     own: Mapping[str, Effect]
     max_effects: int
     tolerance: Mapping[str, float]
@@ -80,6 +83,7 @@ def ask(
         base=oscillator,
         batch=batch,
         candidates=chosen,
+        variants=() if candidates is not None else variants_of(chosen, oscillator),
         own=own_effects(candidates),
         max_effects=int(max_effects),
         tolerance=limits,
@@ -152,6 +156,12 @@ def looked_for(unit: str) -> tuple[str, ...]:
         and not effect.only_if_named
         and (unit == "rad" or not effect.needs_rotation)
     )
+
+
+def variants_of(candidates: Sequence[str], oscillator: Oscillator) -> tuple[str, ...]:
+    """Return the effects of the library that are variants of candidates, and not in the model already."""
+    held = {effect.name for effect in oscillator.effects}
+    return tuple(name for name, effect in LIBRARY.items() if effect.variant_of in candidates and name not in held)
 
 
 def possible_effects(

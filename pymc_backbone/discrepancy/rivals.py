@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from itertools import combinations
 
@@ -22,15 +23,17 @@ _LINE = 25.0  # peak of the residuals' periodogram over its median that a line h
 _FAR = 4.0  # bins between a line and a harmonic
 _BEATING = 0.02
 _ALIKE = 4.0
-_ASKED = 3  # sets that are asked with a drift beside them where none leaves noise
+_ASKED = 3  # sets that are asked with a drift beside them where none leaves noise, and with other laws
+_HELPED = 20.0  # fall of chi-square by a drift from which other laws of the same mechanisms are asked
 
 
 def drifting_sets(search: Search) -> dict[Set, Drifting]:
     """Return the base with a drift in time, and the sets beside which a drift may be what a further effect imitates.
 
     These are what is in the most probable set, where that is not a single effect that leaves noise; and where no set
-    leaves noise, what is in the next ones, too. Sets with an equation of their own are asked where nothing simpler is
-    left of them.
+    leaves noise, what is in the next ones, too. Where a drift helps one of them, the same is asked of the other laws of
+    its mechanisms. Sets with an equation of their own are asked where they lack one effect only, or nothing simpler
+    is left.
     """
     best = search.best()
     is_exact = evidence.lack_of_fit(search.batch, search.fits[best]).p_value >= UNEXPLAINED
@@ -38,15 +41,36 @@ def drifting_sets(search: Search) -> dict[Set, Drifting]:
     if len(best) > 1 or not is_exact:
         for names in [best] if is_exact else search.ranked()[:_ASKED]:
             within = [part for size in range(1, len(names) + 1) for part in combinations(names, size)]
-            light = [part for part in within if not is_heavy(search.layout(part))]
-            asked += light or within[:1]
-    found = {}
-    for names in dict.fromkeys(asked):
-        start = search.fit_set(names)
+            simple = [part for part in within if len(part) == len(names) - 1 or not is_heavy(search.layout(part))]
+            asked += simple or within[:1]
+    found: dict[Set, Drifting] = {}
+    _ask(search, asked, found)
+    helped = [names for names in found if names and found[names].fit.cost < search.fits[names].cost - _HELPED]
+    helped.sort(key=lambda names: found[names].fit.cost)
+    _ask(search, [other for names in helped[:_ASKED] for other in _of_the_same_kind(search, names)], found)
+    return found
+
+
+def _ask(search: Search, sets: Iterable[Set], found: dict[Set, Drifting]) -> None:
+    """Add the fits of sets with a drift beside them."""
+    for names in dict.fromkeys(sets):
+        start = None if names in found else search.fit_set(names)
         drifting = None if start is None else drift_fit(search.batch, start)
         if drifting is not None:
             found[names] = Drifting(drifting, drift_bonus(drifting))
-    return found
+
+
+def _of_the_same_kind(search: Search, names: Set) -> list[Set]:
+    """Return the sets with another law of the same mechanism in the place of one effect, those with few states."""
+    sets = []
+    for name in names:
+        kind = search.mechanism_of(name)
+        for other in search.candidates:
+            changed = tuple(sorted({*names, other} - {name}))
+            is_new = other not in names and search.mechanism_of(other) == kind
+            if is_new and (is_heavy(search.layout(names)) or not is_heavy(search.layout(changed))):
+                sets.append(changed)
+    return sets
 
 
 def drift_fit(batch: Batch, base: Fit) -> Fit | None:

@@ -7,12 +7,14 @@ from itertools import combinations
 
 import numpy as np
 
+from ..effects import LIBRARY
 from . import evidence, starts
 from .curves import frequencies, relative_change
 from .descent import is_heavy
 from .fitted_sets import EXPLAINED, FittedSets
 from .joint_fit import NUISANCES, Fit, State, parameters_of
 from .layout import Layout
+from .propose import propose
 from .set_fits import Set
 
 _KEPT_PARENTS = 2
@@ -54,6 +56,7 @@ class Search(FittedSets):
         elif self._is_beyond():
             self._follow_backbones(_FEW_FOLLOWED)
             self._look_back()
+            self._vary()
             return
         else:
             self._follow_backbones(_MOST_FOLLOWED)
@@ -73,6 +76,7 @@ class Search(FittedSets):
             self._look_back()
         self._look_forward()
         self._look_back()
+        self._vary()
         self._settle()
 
     def _is_answered(self) -> bool:
@@ -195,7 +199,7 @@ class Search(FittedSets):
                     self.fits[smaller] = found
 
     def _smaller(self, layout: Layout, larger: Fit) -> State:
-        """Return where a larger set ended as a start of a smaller one, whose springs replace that of what is left out."""
+        """Return where a larger set ended as a start of a smaller one, whose springs replace what is left out."""
         places = [larger.layout.names.index(name) for name in layout.names]
         own = np.concatenate(
             [larger.state.own[:, :NUISANCES], larger.state.own[:, [NUISANCES + p for p in places]]], axis=1
@@ -225,7 +229,7 @@ class Search(FittedSets):
 
     def ranked(self, size: int | None = None) -> list[Set]:
         """Return the fitted sets, of one size or all, most probable first."""
-        probability = evidence.probabilities(self.fits, self.batch, len(self.candidates))
+        probability = evidence.probabilities(self.fits, self.batch, len(self.candidates), variants=self.variants)
         names = [name for name in self.fits if size is None or len(name) == size]
         return sorted(names, key=lambda name: -probability[name].log_posterior)
 
@@ -299,6 +303,19 @@ class Search(FittedSets):
         if len(best) < self.max_effects:
             self._extend([best], len(best) + 1)
         return self.best() != best
+
+    def _vary(self) -> None:
+        """Fit the best set with variants in the place of its effects, begun from their own look in the backbones."""
+        best = self.best()
+        for name in best:
+            for variant in self.variants:
+                names = tuple(sorted((*(other for other in best if other != name), variant)))
+                if LIBRARY[variant].variant_of != name or (self._is_costly(names) and not self._is_costly(best)):
+                    continue
+                self.progress("variants of effects", 0.5)
+                looks = propose(self.batch, self.base, names, len(names), self.own)
+                self.varied[names] = next(item for item in looks if set(item.names) == set(names))
+                self.fit_set(names)
 
     def _within_reach(self, sets: Sequence[Set], best: Set) -> list[Set]:
         """Return those sets whose backbones are not much less likely than those of the best, the likeliest first."""

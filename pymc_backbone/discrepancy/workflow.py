@@ -188,7 +188,7 @@ def _searched(question: Question, quick: bool, say: Progress) -> Search:
     search = Search(
         question.batch, question.base, question.candidates, question.max_effects, say,
         budget=BUDGET * (_QUICK_BUDGET if quick else 1.0), own=question.own,
-        tolerance=question.tolerance,
+        variants=question.variants, tolerance=question.tolerance,
     )  # fmt: skip
     search.run()
     if () not in search.fits:
