@@ -11,8 +11,9 @@ from pymc_backbone.discrepancy.batch import Batch
 from pymc_backbone.discrepancy.data_term import LevelTerm
 from pymc_backbone.discrepancy.departing import DepartingSets
 from pymc_backbone.discrepancy.departure import NOISES, OWN_SHARE, SCALES, SIZES, Choice
-from pymc_backbone.discrepancy.joint_fit import fit, start_state
+from pymc_backbone.discrepancy.joint_fit import fit
 from pymc_backbone.discrepancy.layout import make_layout
+from pymc_backbone.discrepancy.normal_equations import start_state
 from pymc_backbone.oscillator import Oscillator
 from pymc_backbone.simulation.decay import simulate_backbone
 

@@ -11,10 +11,11 @@ import xarray as xr
 from scipy.signal import butter, lfilter
 from scipy.stats import chi2
 
-from pymc_backbone.discrepancy import joint_fit, starts, whitening
+from pymc_backbone.discrepancy import joint_fit, normal_equations, starts, whitening
 from pymc_backbone.discrepancy.data_term import TurningTerm, level_term
-from pymc_backbone.discrepancy.joint_fit import NUISANCES, State, _recentred, fit, parameters_of, start_state
+from pymc_backbone.discrepancy.joint_fit import _recentred, fit, parameters_of
 from pymc_backbone.discrepancy.layout import make_layout
+from pymc_backbone.discrepancy.normal_equations import NUISANCES, State, start_state
 from pymc_backbone.discrepancy.record_term import first_turning_point
 from pymc_backbone.discrepancy.scatter import SCATTER
 from pymc_backbone.effects import BASE_EFFECTS, LIBRARY, Effect, Parameter
@@ -464,7 +465,7 @@ def test_normal_equations_equal_those_of_the_whole_matrix(cubic_batch):
     own[1, 2] *= 0.75
     state = State(eta, own)
     active = np.ones(NUISANCES + 1, dtype=bool)
-    system = joint_fit.linearise(layout, cubic_batch.waveform, state, SCATTER, active)
+    system = normal_equations.linearise(layout, cubic_batch.waveform, state, SCATTER, active)
     rows, right = [], []
     for r, chosen in enumerate(cubic_batch.waveform):
         residuals, jacobian = chosen.compare(layout.simulator, parameters_of(layout, state, r), own[r, 2:NUISANCES])

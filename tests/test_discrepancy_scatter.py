@@ -8,10 +8,11 @@ from scipy.integrate import quad
 from scipy.optimize import least_squares
 
 from pymc_backbone._common.checks import OBSERVABLES
-from pymc_backbone.discrepancy import joint_fit
+from pymc_backbone.discrepancy import joint_fit, normal_equations
 from pymc_backbone.discrepancy.batch import Batch, batch_of_backbones
-from pymc_backbone.discrepancy.joint_fit import Fit, fit, start_state
+from pymc_backbone.discrepancy.joint_fit import Fit, fit
 from pymc_backbone.discrepancy.layout import make_layout
+from pymc_backbone.discrepancy.normal_equations import start_state
 from pymc_backbone.discrepancy.scatter import NARROWEST, SCATTER, WIDEST, infer_scatter
 from pymc_backbone.oscillator import Oscillator
 from pymc_backbone.simulation.backbones import simulate_population
@@ -123,7 +124,7 @@ def test_specimens_that_differ_by_a_third_are_fitted_to_the_minimum():
         own = found.state.own.copy()
         own[:, :2] = x[1:].reshape(-1, 3)[:, :2] * found.state.own[:, :2]
         own[:, -1] = x[1:].reshape(-1, 3)[:, 2]
-        state = joint_fit.State(np.array([x[0] * CUBIC]), own)
+        state = normal_equations.State(np.array([x[0] * CUBIC]), own)
         each = [
             term.compare(layout.simulator, joint_fit.parameters_of(layout, state, r), np.zeros(5))[0]
             for r, term in enumerate(terms)

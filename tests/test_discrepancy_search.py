@@ -13,8 +13,9 @@ from scipy.stats import f, kstest
 from pymc_backbone.discrepancy import evidence, rivals, starts, verify
 from pymc_backbone.discrepancy.curves import curve, on_levels, prediction_errors, simulate
 from pymc_backbone.discrepancy.decide import decide
-from pymc_backbone.discrepancy.joint_fit import fit, start_state
+from pymc_backbone.discrepancy.joint_fit import fit
 from pymc_backbone.discrepancy.locate import mean_gap, where_different
+from pymc_backbone.discrepancy.normal_equations import start_state
 from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.discrepancy.study import HeldOut
 from pymc_backbone.effects import LIBRARY

@@ -10,8 +10,9 @@ import pytest
 from scipy.linalg import toeplitz
 
 from pymc_backbone.discrepancy import evidence
-from pymc_backbone.discrepancy.joint_fit import fit, start_state
+from pymc_backbone.discrepancy.joint_fit import fit
 from pymc_backbone.discrepancy.layout import make_layout
+from pymc_backbone.discrepancy.normal_equations import start_state
 from pymc_backbone.discrepancy.passed import passed_values
 from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.measurement.conditioning.filters import design_band_pass

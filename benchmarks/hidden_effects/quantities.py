@@ -29,8 +29,9 @@ from tiers import QUANTITY_TIERS
 from pymc_backbone import InputError, Oscillator, read_records
 from pymc_backbone.discrepancy import evidence
 from pymc_backbone.discrepancy.batch import Batch, batch_of_records
-from pymc_backbone.discrepancy.joint_fit import Fit, State, fit, start_state
+from pymc_backbone.discrepancy.joint_fit import Fit, fit
 from pymc_backbone.discrepancy.layout import Layout
+from pymc_backbone.discrepancy.normal_equations import State, start_state
 from pymc_backbone.discrepancy.question import possible_effects
 from pymc_backbone.discrepancy.scatter import SCATTER
 from pymc_backbone.discrepancy.search import Search

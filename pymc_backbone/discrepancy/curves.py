@@ -8,11 +8,12 @@ import numpy as np
 import xarray as xr
 
 from .._common.checks import OBSERVABLES, FloatArray
-from . import joint_fit
+from . import normal_equations
 from .batch import Batch
 from .data_term import LevelTerm
-from .joint_fit import NUISANCES, Fit, State, fit, linearise, parameters_of
+from .joint_fit import Fit, fit, parameters_of
 from .layout import Layout
+from .normal_equations import NUISANCES, State, linearise
 from .scatter import SCATTER
 
 NO_NUISANCES = np.zeros(5)  # levels see none of them
@@ -139,7 +140,7 @@ def prediction_errors(found: Fit, terms: list[LevelTerm], levels: FloatArray) ->
     if system is None:
         return errors
     held = np.zeros(found.state.own.shape, dtype=bool)
-    eliminated = joint_fit.eliminate(system, active, 1e-9, held)
+    eliminated = normal_equations.eliminate(system, active, 1e-9, held)
     if eliminated is None:
         return errors
     shared, _, solved = eliminated

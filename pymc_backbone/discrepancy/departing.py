@@ -14,8 +14,8 @@ from scipy.special import logsumexp
 
 from .._common.checks import FloatArray, IntArray
 from .departure import NOISES, OWN_SHARE, PRIOR_OF_SIZES, SCALES, SIZES, Choice, Departures, inverted
-from .joint_fit import NUISANCES, State
 from .layout import Layout
+from .normal_equations import NUISANCES, State
 from .set_fits import prior_widths
 
 _OWN = 3  # a specimen's own stiffness, damping and zero, before its deviations

@@ -15,8 +15,9 @@ import numpy as np
 from .._common.checks import FloatArray
 from .batch import Batch
 from .data_term import DataTerm
-from .joint_fit import Fit, State, fit, start_state
+from .joint_fit import Fit, fit
 from .layout import Layout
+from .normal_equations import State, start_state
 
 GLANCE = 10
 """Iterations after which only the best of several starts goes on."""

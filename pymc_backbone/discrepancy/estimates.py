@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from . import starts
-from .joint_fit import Fit, State
+from .joint_fit import Fit
+from .normal_equations import State
 
 
 def estimates_of(found: Fit) -> dict[str, tuple[float, float]]:

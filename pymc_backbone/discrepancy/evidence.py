@@ -13,7 +13,8 @@ from scipy.special import logsumexp
 from .._common.checks import FloatArray
 from .batch import Batch
 from .data_term import DataTerm, WaveformTerm
-from .joint_fit import NUISANCES, Fit, information
+from .joint_fit import Fit
+from .normal_equations import NUISANCES, information
 
 PRIOR_OF_SIZE = (0.5, 0.445, 0.05, 0.005)
 """Prior probability that so many effects are missing, shared evenly among the sets of that size."""

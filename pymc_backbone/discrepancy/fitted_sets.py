@@ -15,8 +15,9 @@ from . import starts
 from .batch import Batch
 from .curves import level_chi_square
 from .descent import Descent
-from .joint_fit import Fit, State
+from .joint_fit import Fit
 from .layout import Layout, make_layout
+from .normal_equations import State
 from .propose import Proposal, propose
 from .set_fits import Set
 

@@ -9,20 +9,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from .._common.checks import FloatArray
-from .._common.threads import in_threads
 from .data_term import DataTerm
 from .layout import Layout
+from .normal_equations import (
+    DRIFTS,
+    NUISANCES,
+    State,
+    System,
+    eliminate,
+    information,
+    linearise,
+    prior_width,
+    symmetric,
+)
 from .scatter import NO_SCATTER, SCATTER, Scatter, infer_scatter
 
-NUISANCES = 7  # stiffness, damping, release amplitude, release instant, offset, drift of frequency, of damping
-DRIFTS = (5, 6)
 _FIRST_DAMPING = 1e-3
 _LARGEST_DAMPING = 1e8
 _CONVERGED = 0.01
@@ -30,22 +38,6 @@ _MOST_SCATTER = 8.0  # standard deviations: an effect neither vanishes nor turns
 _RACE, _LONG_RACE, _RACE_MARGIN = 6, 25, 60.0
 _AT_REST = 50.0  # fall of the cost that one more step promises, up to which it says what a fit at rest would
 _LONGEST = 3.0  # factor by which a step may change stiffness and release
-
-
-@dataclass(frozen=True, eq=False)
-class State:
-    """A point of the joint fit.
-
-    Attributes
-    ----------
-    eta : (q,) array
-        Shared coordinates of the effects.
-    own : (r, 7 + q) array
-        Per specimen: stiffness, damping, release amplitude, release instant, offset, drifts, delta.
-    """
-
-    eta: FloatArray
-    own: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -289,97 +281,6 @@ def _recentred(layout: Layout, state: State, scatter: float) -> State:
     return state if np.any(np.abs(own[:, NUISANCES:]) > _MOST_SCATTER) else State(eta, own)
 
 
-@dataclass(frozen=True, eq=False)
-class System:
-    """Normal equations at a point: cost, gradients and information, shared and per specimen."""
-
-    chi_square: FloatArray
-    penalty: float
-    shared_gradient: FloatArray
-    shared: FloatArray
-    mixed: FloatArray
-    own: FloatArray
-    own_gradient: FloatArray
-
-    @property
-    def cost(self) -> float:
-        """Return the sum of squares at the point."""
-        return float(self.chi_square.sum() + self.penalty)
-
-
-def linearise(layout: Layout, terms: Sequence[DataTerm], state: State, scatter: float, active: Any) -> System | None:
-    """Return the normal equations at a point, or None where it cannot be simulated."""
-    q, count = layout.free.size, len(terms)
-    size = NUISANCES + q
-    shared, shared_gradient = np.zeros((q, q)), np.zeros(q)
-    mixed, own = np.zeros((count, q, size)), np.zeros((count, size, size))
-    own_gradient, chi_square = np.zeros((count, size)), np.zeros(count)
-    priors = np.flatnonzero(active & (np.arange(size) >= DRIFTS[0]))  # those with a standard normal prior
-    jobs = [partial(_gram, layout, term, state.eta, state.own[r], scatter, active) for r, term in enumerate(terms)]
-    for r, gram in enumerate(in_threads(jobs)):
-        if gram is None:
-            return None
-        chi_square[r] = gram[-1, -1]
-        shared += gram[:q, :q]
-        shared_gradient += gram[:q, -1]
-        mixed[r] = gram[:q, q:-1]
-        own[r] = gram[q:-1, q:-1]
-        own_gradient[r] = gram[q:-1, -1]
-        own[r, priors, priors] += 1.0
-        own_gradient[r, priors] -= state.own[r, priors]
-    penalty = float((state.own[:, priors] ** 2).sum())
-    return System(chi_square, penalty, shared_gradient, shared, mixed, own, own_gradient)
-
-
-def _gram(
-    layout: Layout, term: DataTerm, eta: FloatArray, values: FloatArray, scatter: float, active: Any
-) -> FloatArray | None:
-    """Return the products of derivatives and residuals of one specimen: shared, own, residual; None where it fails."""
-    delta = values[NUISANCES:]
-    effects, slopes = layout.physical(eta, delta, scatter)
-    vector = layout.template.copy()
-    vector[:2] = values[:2]
-    vector[layout.free] = effects
-    compared = term.compare(layout.simulator, vector, values[2:NUISANCES])
-    if compared is None:
-        return None
-    residuals, jacobian = compared
-    to_effects = jacobian[:, layout.free] @ slopes
-    to_own = np.empty((residuals.size, values.size))
-    to_own[:, :2] = jacobian[:, :2]
-    to_own[:, 2:NUISANCES] = jacobian[:, vector.size :]
-    to_own[:, NUISANCES:] = to_effects * (eta * scatter)
-    to_own[:, ~active] = 0.0
-    together = np.concatenate([to_effects * (1.0 + scatter * delta), to_own, residuals[:, None]], axis=1)
-    gram: FloatArray = together.T @ together
-    return gram if np.isfinite(gram).all() else None
-
-
-def eliminate(system: System, active: Any, damping: float, held: Any) -> Any:
-    """Return what remains for the shared values once each specimen's own are eliminated."""
-    shared = system.shared + damping * np.diag(np.diag(system.shared))
-    gradient = system.shared_gradient.copy()
-    solved = []
-    for r in range(system.own.shape[0]):
-        index = np.flatnonzero(active & ~held[r])
-        block = system.own[r][np.ix_(index, index)]
-        diagonal = np.maximum(np.diag(block), 1e-300)
-        scale = 1.0 / np.sqrt(diagonal)
-        block = block * np.outer(scale, scale) + (damping + 1e-12) * np.eye(index.size)
-        mixed = system.mixed[r][:, index] * scale
-        right = np.concatenate([mixed, (system.own_gradient[r, index] * scale)[None]]).T
-        try:
-            factor = np.linalg.cholesky(block)
-        except np.linalg.LinAlgError:
-            return None
-        reduced = np.linalg.solve(block, right)
-        shared -= mixed @ reduced[:, :-1]
-        gradient -= mixed @ reduced[:, -1]
-        log_determinant = 2.0 * np.log(np.diag(factor)).sum() - 2.0 * np.log(scale).sum()
-        solved.append((index, scale, reduced, log_determinant))
-    return shared, gradient, solved
-
-
 def _step(layout: Layout, system: System, state: State, active: Any, damping: float) -> Any:
     """Return the step of the shared and the own values, limits minded."""
     q = layout.free.size
@@ -434,32 +335,6 @@ def _finish(layout: Layout, system: System, state: State, active: Any, converged
     )  # fmt: skip
 
 
-def information(layout: Layout, system: System, state: State, active: Any, noise: float) -> tuple[float, FloatArray]:
-    """Return the logarithm of the determinant of the information, and the covariance (q, q) of the shared values.
-
-    ``noise`` is the variance of the residuals in units of the one assumed. The shared values are scaled with the width
-    of their priors; the covariance holds their default priors.
-    """
-    q, size = layout.free.size, state.own.shape[1]
-    prior = np.diag((active & (np.arange(size) >= DRIFTS[0])).astype(np.float64))
-    scaled_system = replace(
-        system, shared=system.shared / noise, mixed=system.mixed / noise, own=(system.own - prior) / noise + prior
-    )
-    eliminated = eliminate(scaled_system, active, 0.0, np.zeros(state.own.shape, dtype=bool))
-    if eliminated is None:
-        return np.inf, np.full((q, q), np.nan)
-    shared, _, solved = eliminated
-    own = float(sum(item[3] for item in solved))
-    if q == 0:
-        return own, np.empty((0, 0))
-    widths = layout.width
-    covariance = np.outer(widths, widths) * np.linalg.inv(np.eye(q) + _symmetric(shared) * np.outer(widths, widths))
-    spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    chosen = prior_width(layout, state.eta, spread)
-    eigenvalues = np.linalg.eigvalsh(_symmetric(shared) * np.outer(chosen, chosen))
-    return own + float(np.log1p(np.maximum(eigenvalues, 0.0)).sum()), covariance
-
-
 class _Stepped(NamedTuple):
     """Sum of squares after a Newton step, and the logarithm of the determinant of the information there."""
 
@@ -500,7 +375,7 @@ def _stepped(found: Fit, width: float, is_bounded: bool = False) -> _Stepped | N
     shared, gradient, solved = eliminated
     inside = (state.eta > layout.low) & (state.eta < layout.high)
     widths = prior_width(layout, state.eta, np.sqrt(np.maximum(np.diag(found.covariance), 0.0)))[inside]
-    scaled = np.eye(widths.size) + _symmetric(shared[np.ix_(inside, inside)]) * np.outer(widths, widths)
+    scaled = np.eye(widths.size) + symmetric(shared[np.ix_(inside, inside)]) * np.outer(widths, widths)
     pull = gradient[inside] * widths
     cost = moved.cost - float(pull @ np.linalg.solve(scaled, pull))
     for r, (index, scale, reduced, _) in enumerate(solved):
@@ -508,25 +383,3 @@ def _stepped(found: Fit, width: float, is_bounded: bool = False) -> _Stepped | N
     determinant = sum(item[3] for item in solved) + np.linalg.slogdet(scaled)[1]
     determinant += 2.0 * np.count_nonzero(free) * state.own.shape[0] * np.log(width)
     return _Stepped(float(cost), float(determinant))
-
-
-def _symmetric(matrix: FloatArray) -> FloatArray:
-    return 0.5 * (matrix + matrix.T)
-
-
-def prior_width(layout: Layout, eta: FloatArray, spread: FloatArray) -> FloatArray:
-    """Return the standard deviation of the prior of each shared coordinate.
-
-    The size of an effect is not known beforehand, not even its order of magnitude: the prior of a strength is as wide
-    as three times what is found, or what could just be seen. A shape has that of its default bounds.
-    """
-    own = np.minimum(3.0 * np.maximum(np.abs(eta), 3.0 * spread), 10.0 * layout.width)
-    return np.where(layout.is_strength, own, layout.width)
-
-
-def start_state(layout: Layout, eta: FloatArray, own: FloatArray) -> State:
-    """Return a start with these shared coordinates and own nuisances (r, 5 or 7)."""
-    full = np.zeros((own.shape[0], NUISANCES + layout.free.size))
-    count = min(own.shape[1], NUISANCES)
-    full[:, :count] = own[:, :count]
-    return State(np.asarray(eta, dtype=np.float64), full)

@@ -17,7 +17,7 @@ from ..effects import EITHER
 from . import evidence
 from .departing import Departing, DepartingSets, Point
 from .descent import is_heavy
-from .joint_fit import NUISANCES, State, start_state
+from .normal_equations import NUISANCES, State, start_state
 from .search import Search, Set
 from .study import LawProbability, MissingMechanism, Remainder
 

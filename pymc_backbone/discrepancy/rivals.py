@@ -14,7 +14,8 @@ from .curves import measured
 from .data_term import DRIFT, WaveformTerm
 from .descent import is_heavy
 from .evidence import UNEXPLAINED, Drifting
-from .joint_fit import DRIFTS, NUISANCES, Fit, fit
+from .joint_fit import Fit, fit
+from .normal_equations import DRIFTS, NUISANCES
 from .scatter import SCATTER
 from .search import Search, Set
 from .study import Check

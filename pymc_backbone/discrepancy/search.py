@@ -12,8 +12,9 @@ from . import evidence, starts
 from .curves import frequencies, relative_change
 from .descent import is_heavy
 from .fitted_sets import EXPLAINED, FittedSets
-from .joint_fit import NUISANCES, Fit, State, parameters_of
+from .joint_fit import Fit, parameters_of
 from .layout import Layout
+from .normal_equations import NUISANCES, State
 from .propose import propose
 from .set_fits import Set
 

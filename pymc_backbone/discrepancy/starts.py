@@ -10,10 +10,11 @@ import numpy as np
 
 from .._common.checks import FloatArray
 from ..effects import BASE_EFFECTS
-from . import joint_fit
+from . import normal_equations
 from .batch import Batch
-from .joint_fit import Fit, State
+from .joint_fit import Fit
 from .layout import Layout
+from .normal_equations import State
 from .scatter import SCATTER
 
 _STRENGTHS = (0.02, 0.3)
@@ -74,9 +75,9 @@ def by_score(layout: Layout, effect: str, parent: Fit, batch: Batch) -> list[Sco
     start, others = embedded(layout, parent)
     eta, own = start.eta, start.own
     scatter = SCATTER if len(batch.specimens) > 1 else 0.0
-    active = np.zeros(joint_fit.NUISANCES + layout.free.size, dtype=bool)
+    active = np.zeros(normal_equations.NUISANCES + layout.free.size, dtype=bool)
     active[list(batch.nuisances)] = True
-    active[[joint_fit.NUISANCES + here for here, _ in others]] = scatter > 0.0
+    active[[normal_equations.NUISANCES + here for here, _ in others]] = scatter > 0.0
     held = np.zeros(own.shape, dtype=bool)
     held[:, 1] = own[:, 1] <= 0.0
     found = []
@@ -85,15 +86,15 @@ def by_score(layout: Layout, effect: str, parent: Fit, batch: Batch) -> list[Sco
             continue  # the score has both signs
         trial = eta.copy()
         trial[where] = point
-        system = joint_fit.linearise(layout, batch.deciding, State(trial, own), scatter, active)
+        system = normal_equations.linearise(layout, batch.deciding, State(trial, own), scatter, active)
         for _ in range(_SMALLER):
             if system is None or system.cost < parent.cost + _UNMOVED:
                 break  # long records of little noise are moved by next to nothing
             trial[where[0]] *= _FAR_SMALLER
-            system = joint_fit.linearise(layout, batch.deciding, State(trial, own), scatter, active)
+            system = normal_equations.linearise(layout, batch.deciding, State(trial, own), scatter, active)
         if system is None:
             continue
-        eliminated = joint_fit.eliminate(system, active, 0.0, held)
+        eliminated = normal_equations.eliminate(system, active, 0.0, held)
         if eliminated is None:
             continue
         shared, gradient, solved = eliminated
@@ -137,13 +138,13 @@ def embedded(layout: Layout, smaller: Fit) -> tuple[State, list[tuple[int, int]]
     And the places of the coordinates that both have, here and there.
     """
     eta = typical(layout)
-    own = np.zeros((smaller.state.own.shape[0], joint_fit.NUISANCES + layout.free.size))
-    own[:, : joint_fit.NUISANCES] = smaller.state.own[:, : joint_fit.NUISANCES]
+    own = np.zeros((smaller.state.own.shape[0], normal_equations.NUISANCES + layout.free.size))
+    own[:, : normal_equations.NUISANCES] = smaller.state.own[:, : normal_equations.NUISANCES]
     pairs = []
     for there, name in enumerate(smaller.layout.names):
         if name in layout.names:
             here = layout.names.index(name)
             eta[here] = smaller.state.eta[there]
-            own[:, joint_fit.NUISANCES + here] = smaller.state.own[:, joint_fit.NUISANCES + there]
+            own[:, normal_equations.NUISANCES + here] = smaller.state.own[:, normal_equations.NUISANCES + there]
             pairs.append((here, there))
     return State(eta, own), pairs

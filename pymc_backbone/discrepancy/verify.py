@@ -12,7 +12,8 @@ from .batch import Batch
 from .curves import curve, level_chi_square, measured, on_levels, one_on_levels, prediction_errors
 from .data_term import level_term
 from .descent import is_heavy
-from .joint_fit import NUISANCES, Fit, State, fit, parameters_of
+from .joint_fit import Fit, fit, parameters_of
+from .normal_equations import NUISANCES, State
 from .scatter import SCATTER
 from .study import HeldOut
 

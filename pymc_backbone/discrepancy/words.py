@@ -11,7 +11,8 @@ from .batch import Batch
 from .curves import curve, measured, on_levels
 from .decide import Decision
 from .estimates import without
-from .joint_fit import Fit, State, parameters_of
+from .joint_fit import Fit, parameters_of
+from .normal_equations import State
 from .search import Search, Set
 from .study import Detectable
 from .verdict_words import is_drift_possible, named
