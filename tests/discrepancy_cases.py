@@ -135,8 +135,11 @@ def batch_of(records: Sequence[Record], mass: float = MASS) -> Batch:
     return batch_of_records(mass, backbones, conditioned, cycles)
 
 
-def drifting_records(rng: np.random.Generator, change: float, specimens: int = 2) -> list[Record]:
-    """Linear specimens whose stiffness changes linearly with time by ``change`` over the record, by SciPy."""
+def drifting_records(rng: np.random.Generator, change: float, specimens: int = 2, cubic: float = 0.0) -> list[Record]:
+    """Specimens whose stiffness changes linearly with time by ``change`` over the record, by SciPy.
+
+    ``cubic`` is the force of a cubic spring at `AMPLITUDE`, over that of the linear one.
+    """
     length = TIME[-1] - RELEASE_TIME
     records = []
     for r in range(specimens):
@@ -144,7 +147,8 @@ def drifting_records(rng: np.random.Generator, change: float, specimens: int = 2
 
         def rate(t: float, state: Any) -> list[float]:
             stiffness = STIFFNESS * (1.0 + change * t / length)
-            return [state[1], -(stiffness * state[0] + DAMPING * state[1]) / MASS]
+            harder = cubic * STIFFNESS * state[0] * (state[0] / AMPLITUDE) ** 2
+            return [state[1], -(stiffness * state[0] + harder + DAMPING * state[1]) / MASS]
 
         after = np.maximum(TIME - RELEASE_TIME, 0.0)
         held = np.unique(after)

@@ -444,3 +444,47 @@ def test_one_set_of_each_kind_is_extended():
     assert search._one_of_a_kind([*costs]) == [("jenkins",), ("cubic_stiffness",)]
     search.fits[("jenkins",)] = SimpleNamespace(cost=110.0)
     assert search._one_of_a_kind([*costs]) == [("iwan",), ("cubic_stiffness",)]
+
+
+def test_a_smaller_set_takes_the_springs_of_a_larger_one_over():
+    """Without a play whose gap is next to nothing, its contact is a spring more: the stiffness takes it over."""
+    batch = batch_of(make_records(np.random.default_rng(22), (), specimens=2))
+    search = Search(batch, Oscillator(MASS), ("freeplay",), 1)
+    layout = search.layout(("freeplay",))
+    contact = 0.3 * batch.own[:, 0].mean()
+    values = dict(contact_stiffness=contact, gap=1e-9)
+    own = batch.own.copy()
+    own[:, 0] -= contact
+    state = start_state(layout, layout.coordinates(np.array([values[name] for name in layout.names])), own)
+    larger = fit(layout, batch.levels, state, iterations=0, nuisances=(0, 1))
+    moved = search._smaller(search.layout(()), larger)
+    np.testing.assert_allclose(moved.own[:, 0], batch.own[:, 0], rtol=1e-4)
+    np.testing.assert_array_equal(moved.own[:, 1:5], own[:, 1:5])
+
+
+def test_variants_are_looked_for_in_the_place_of_what_they_vary():
+    batch = batch_of(make_records(np.random.default_rng(31), ("quadratic_damping",)))
+    search = Search(
+        batch, Oscillator(MASS), ("quadratic_damping", "coulomb_friction"), 1,
+        variants=("power_damping", "stribeck_friction", "power_stiffness"),
+    )  # fmt: skip
+    search.run()
+    assert search.best() == ("quadratic_damping",)
+    assert set(search.varied) == {("power_damping",)} and ("stribeck_friction",) not in search.fits
+    # the square is one of its powers: it explains as much, and is less probable
+    simple, variant = search.fits[("quadratic_damping",)], search.fits[("power_damping",)]
+    assert variant.cost < simple.cost + 1.0
+    chances = evidence.probabilities(search.fits, batch, 2, variants=search.variants)
+    assert chances[("power_damping",)].probability < 0.05 < 0.8 < chances[("quadratic_damping",)].probability
+
+
+def test_laws_of_one_mechanism_compete_with_a_drift_beside_them():
+    """A cubic spring in a structure that warms up: other springs are asked with the drift, too."""
+    batch = batch_of(drifting_records(np.random.default_rng(5), 0.01, cubic=0.1))
+    search = search_of(batch, ("cubic_stiffness", "quintic_stiffness", "freeplay"))
+    found = rivals.drifting_sets(search)
+    assert {(), ("cubic_stiffness",), ("quintic_stiffness",)} <= set(found)
+    decision = decide(search, found, {})
+    assert ("cubic_stiffness",) in decision.drifts
+    assert decision.best == ("cubic_stiffness",)
+    assert not rivals.drift_check(found[()].fit, 0.0, True, search.fits[decision.best]).passed

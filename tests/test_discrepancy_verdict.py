@@ -597,14 +597,14 @@ def test_the_base_begins_once_more_where_the_best_set_ended(gap, is_asked):
     asked = []
 
     def from_near(layout, states, rival):
-        asked.append((layout.names, states[0].eta.size, rival))
+        asked.append((layout.names, states, rival))
         return fit_of(100.2, 0)
 
     search = SimpleNamespace(
         fits={(): fit_of(100.0 + gap, 0), ("a",): fit_of(100.0, 1)}, count=100, ranked=lambda: [("a",), ()],
         layout=lambda names: layouts[len(names)], _was_asked=lambda names, other: False,
-        descent=SimpleNamespace(from_near=from_near),
+        _smaller=lambda layout, larger: larger.cost, descent=SimpleNamespace(from_near=from_near),
     )  # fmt: skip
     Search._look_back(search)
-    assert asked == ([((), 0, 100.0 + gap)] if is_asked else [])
+    assert asked == ([((), [100.0], 100.0 + gap)] if is_asked else [])
     assert search.fits[()].cost == (100.2 if is_asked else 100.0 + gap)
