@@ -8,14 +8,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import xarray as xr
-from scipy.stats import f, kstest
+from scipy.stats import f, kstest, multivariate_normal
 
 from pymc_backbone.discrepancy import evidence, rivals, starts, verify
 from pymc_backbone.discrepancy.curves import curve, on_levels, prediction_errors, simulate
 from pymc_backbone.discrepancy.decide import decide
 from pymc_backbone.discrepancy.joint_fit import fit
 from pymc_backbone.discrepancy.locate import mean_gap, where_different
-from pymc_backbone.discrepancy.normal_equations import start_state
+from pymc_backbone.discrepancy.normal_equations import information, start_state
 from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.discrepancy.study import HeldOut
 from pymc_backbone.effects import LIBRARY
@@ -488,3 +488,23 @@ def test_laws_of_one_mechanism_compete_with_a_drift_beside_them():
     assert ("cubic_stiffness",) in decision.drifts
     assert decision.best == ("cubic_stiffness",)
     assert not rivals.drift_check(found[()].fit, 0.0, True, search.fits[decision.best]).passed
+
+
+@pytest.mark.parametrize("common", [0.0, 0.7, 1e4])
+def test_density_of_values_with_a_common_part_is_that_of_scipy(common, rng):
+    value, variance = rng.normal(size=5), rng.uniform(0.1, 2.0, 5)
+    density = rivals._log_normal(value, variance, common) - 2.5 * np.log(2.0 * np.pi)
+    covariance = np.diag(variance) + common
+    expected = multivariate_normal.logpdf(value, np.zeros(5), covariance, allow_singular=False)
+    assert density == pytest.approx(expected, rel=1e-9)
+
+
+def test_an_information_without_an_inverse_is_no_fault(cubic):
+    """A direction of negative information as large as the prior's: no covariance, and evidence against the set."""
+    found = cubic.fits[("cubic_stiffness",)]
+    width = found.layout.width[0]
+    own = found.system.own.copy()
+    mixed = np.zeros_like(found.system.mixed)
+    singular = replace(found.system, shared=np.array([[-1.0 / width**2]]), mixed=mixed, own=own)
+    determinant, covariance = information(found.layout, singular, found.state, found.active, 1.0)
+    assert determinant == np.inf and np.isnan(covariance).all()

@@ -377,7 +377,10 @@ def _stepped(found: Fit, width: float, is_bounded: bool = False) -> _Stepped | N
     widths = prior_width(layout, state.eta, np.sqrt(np.maximum(np.diag(found.covariance), 0.0)))[inside]
     scaled = np.eye(widths.size) + symmetric(shared[np.ix_(inside, inside)]) * np.outer(widths, widths)
     pull = gradient[inside] * widths
-    cost = moved.cost - float(pull @ np.linalg.solve(scaled, pull))
+    try:
+        cost = moved.cost - float(pull @ np.linalg.solve(scaled, pull))
+    except np.linalg.LinAlgError:
+        return None
     for r, (index, scale, reduced, _) in enumerate(solved):
         cost -= float((moved.own_gradient[r, index] * scale) @ reduced[:, -1])
     determinant = sum(item[3] for item in solved) + np.linalg.slogdet(scaled)[1]

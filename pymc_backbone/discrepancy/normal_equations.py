@@ -152,7 +152,10 @@ def information(layout: Layout, system: System, state: State, active: Any, noise
     if q == 0:
         return own, np.empty((0, 0))
     widths = layout.width
-    covariance = np.outer(widths, widths) * np.linalg.inv(np.eye(q) + symmetric(shared) * np.outer(widths, widths))
+    try:
+        covariance = np.outer(widths, widths) * np.linalg.inv(np.eye(q) + symmetric(shared) * np.outer(widths, widths))
+    except np.linalg.LinAlgError:
+        return np.inf, np.full((q, q), np.nan)
     spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     chosen = prior_width(layout, state.eta, spread)
     eigenvalues = np.linalg.eigvalsh(symmetric(shared) * np.outer(chosen, chosen))

@@ -8,6 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
+from .._common.checks import FloatArray
 from . import evidence
 from .batch import Batch
 from .curves import measured
@@ -100,24 +101,25 @@ def drift_bonus(drifting: Fit) -> float:
         variance = np.clip(np.nan_to_num(drifting.own_covariance[:, column], nan=1.0), 1e-12, 1.0 - 1e-9)
         noise = 1.0 / (1.0 / variance - 1.0)
         measured_drift = value * noise / variance
-        count = value.size
         weight = 1.0 / noise
         mean = float((weight * measured_drift).sum() / weight.sum())
         error = 1.0 / np.sqrt(float(weight.sum()))
         width = min(3.0 * max(abs(mean), 3.0 * error), 1.0)
-        common = np.diag(noise + (0.2 * mean) ** 2) + width**2 * np.ones((count, count))
         logs = [
-            _log_normal(measured_drift, np.diag(noise)),
-            _log_normal(measured_drift, common),
-            _log_normal(measured_drift, np.diag(noise + 1.0)),
+            _log_normal(measured_drift, noise),
+            _log_normal(measured_drift, noise + (0.2 * mean) ** 2, width**2),
+            _log_normal(measured_drift, noise + 1.0),
         ]
         bonus += max(logs) - logs[-1]
     return bonus
 
 
-def _log_normal(value: np.ndarray, covariance: np.ndarray) -> float:
-    _, determinant = np.linalg.slogdet(covariance)
-    return -0.5 * float(value @ np.linalg.solve(covariance, value)) - 0.5 * float(determinant)
+def _log_normal(value: FloatArray, variance: FloatArray, common: float = 0.0) -> float:
+    """Return the logarithm of a normal density at ``value``, up to a constant: with a variance that all share."""
+    weight = 1.0 / variance
+    shared = 1.0 + common * float(weight.sum())  # by Sherman, Morrison and Woodbury
+    squares = float(weight @ value**2) - common * float(weight @ value) ** 2 / shared
+    return -0.5 * squares - 0.5 * (float(np.log(variance).sum()) + float(np.log(shared)))
 
 
 def drift_check(drifting: Fit | None, probability: float, found: bool, named: Fit | None = None) -> Check:
