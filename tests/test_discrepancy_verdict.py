@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 
 import pymc_backbone as pb
 from pymc_backbone._common.text import capitalised, in_words
-from pymc_backbone.discrepancy import candidate_table, decide, mechanisms, rivals, verdict_words
+from pymc_backbone.discrepancy import candidate_table, decide, rivals, shares, verdict_words
 from pymc_backbone.discrepancy.question import TOLERANCE
 from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.discrepancy.study import LawProbability, MissingMechanism
@@ -503,14 +503,14 @@ def test_what_a_mechanism_explains_is_the_mean_over_the_orders():
     """Chi-square 100 without any, 40 and 70 with one, 10 with both: 60 or 60 first and last, 30 or 30, by hand."""
     search = SimpleNamespace(mechanism_of=lambda name: LIBRARY[name].mechanism)
     chi_square = {(): 100.0, ("iwan",): 40.0, ("cubic_stiffness",): 70.0, ("cubic_stiffness", "iwan"): 10.0}
-    shares = mechanisms.shares_of_gap(search, ("cubic_stiffness", "iwan"), chi_square)
-    assert shares == pytest.approx({"hysteresis": 0.6, "spring": 0.3})
+    found = shares.shares_of_gap(search, ("cubic_stiffness", "iwan"), chi_square)
+    assert found == pytest.approx({"hysteresis": 0.6, "spring": 0.3})
     chi_square[("iwan",)] = 20.0  # now 80 first, 60 last; the spring 30 first, 10 last
-    shares = mechanisms.shares_of_gap(search, ("cubic_stiffness", "iwan"), chi_square)
-    assert shares == pytest.approx({"hysteresis": 0.7, "spring": 0.2}) and sum(shares.values()) == pytest.approx(0.9)
+    found = shares.shares_of_gap(search, ("cubic_stiffness", "iwan"), chi_square)
+    assert found == pytest.approx({"hysteresis": 0.7, "spring": 0.2}) and sum(found.values()) == pytest.approx(0.9)
     # two laws of one mechanism share nothing out
     both = {(): 100.0, ("iwan", "jenkins"): 25.0}
-    assert mechanisms.shares_of_gap(search, ("iwan", "jenkins"), both) == pytest.approx({"hysteresis": 0.75})
+    assert shares.shares_of_gap(search, ("iwan", "jenkins"), both) == pytest.approx({"hysteresis": 0.75})
 
 
 def test_a_mechanism_is_as_probable_as_all_sets_that_hold_a_law_of_it():
@@ -518,7 +518,7 @@ def test_a_mechanism_is_as_probable_as_all_sets_that_hold_a_law_of_it():
     search.mechanism_of = partial(Search.mechanism_of, search)
     chances = {(): 0.05, ("iwan",): 0.5, ("jenkins",): 0.3, ("cubic_stiffness", "iwan"): 0.1, ("rubber",): 0.05}
     chi_square = {(): 50.0, ("iwan",): 5.0}
-    found = {item.mechanism: item for item in mechanisms.missing_mechanisms(search, chances, ("iwan",), chi_square, {})}
+    found = {item.mechanism: item for item in shares.missing_mechanisms(search, chances, ("iwan",), chi_square, {})}
     assert list(found) == ["hysteresis", "spring", "other"]  # most probable first
     assert found["hysteresis"].probability == pytest.approx(0.9) and found["other"].probability == pytest.approx(0.05)
     assert [(law.effect, round(law.probability, 6)) for law in found["hysteresis"].laws] == [

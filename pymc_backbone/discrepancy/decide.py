@@ -13,8 +13,9 @@ from . import evidence
 from .estimates import estimates_of
 from .evidence import DRIFT, UNEXPLAINED, Drifting, Evidence, LackOfFit, is_unexplained
 from .joint_fit import Fit
-from .mechanisms import Weighed, estimates_with, missing_mechanisms, remainder_of, weigh
+from .mechanisms import Weighed, weigh
 from .search import Search, Set
+from .shares import estimates_with, missing_mechanisms, remainder_of
 from .study import MissingMechanism, Remainder
 from .tolerance import prune
 from .verdict import MECHANISM_NAMED, AdequateBy, NamedLevel, Verdict

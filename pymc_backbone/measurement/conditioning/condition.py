@@ -224,22 +224,12 @@ class _Conditioning:
             )
             path = check_cycles(path.until(end), self.name, "before the amplitude grows again")
         else:
-            self._note_later_motion(values, end, float(path.amplitude[0]), spectrum.total)
+            first = int(np.ceil(end * self.rate))
+            again = later_motion(values[first:], self.rate, self.frequency, float(path.amplitude[0]), spectrum.total)
+            if again is not None:
+                self.notes.append(again.note(self.begin + first / self.rate, self.rate, self.record.unit))
         self.free.samples.check_gaps(path.frequency, self.begin + end, self.name)
         return spectrum, path, end
-
-    def _note_later_motion(self, values: FloatArray, end: float, used: float, noise: float) -> None:
-        """Say where motion begins again after the end of the decay that is used."""
-        first = int(np.ceil(end * self.rate))
-        found = later_motion(values[first:], self.rate, self.frequency, used, noise)
-        if found is None:
-            return
-        at, amplitude = found
-        self.notes.append(
-            f"warning: the structure moves again from about {self.begin + (first + at) / self.rate:.5g} s on, with an "
-            f"amplitude up to {amplitude:.3g} {self.record.unit} (a second release or impact): only the decay before "
-            "is used; choose another part with `start` and `stop`"
-        )
 
     def _spectrum(self, values: FloatArray, path: Track, band_pass: BandPass | None) -> NoiseSpectrum:
         """Return the spectrum of the noise of the measured quantity."""

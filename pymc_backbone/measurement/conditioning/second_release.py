@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -81,10 +82,25 @@ def earlier_decay(
     return EarlierDecay(first, last, cycles, high, low) if is_decay else None
 
 
+class LaterMotion(NamedTuple):
+    """Motion that begins again after the end of a decay: its first sample, and its largest amplitude."""
+
+    first: int
+    amplitude: float
+
+    def note(self, begin: float, sampling_rate: float, unit: str) -> str:
+        """Return the warning; ``begin`` is the instant [s] of the sample that is counted from."""
+        return (
+            f"warning: the structure moves again from about {begin + self.first / sampling_rate:.5g} s on, with an "
+            f"amplitude up to {self.amplitude:.3g} {unit} (a second release or impact): only the decay before is used; "
+            "choose another part with `start` and `stop`"
+        )
+
+
 def later_motion(
     values: FloatArray, sampling_rate: float, frequency: float, used: float, noise: float
-) -> tuple[int, float] | None:
-    """Return first sample and amplitude of motion that begins again after the end of a decay, or None.
+) -> LaterMotion | None:
+    """Return the motion that begins again after the end of a decay, or None.
 
     ``values`` are those after the end; ``used`` is the amplitude of the decay, ``noise`` the standard deviation of
     single samples.
@@ -95,7 +111,7 @@ def later_motion(
     level = envelope(values, sampling_rate, frequency)
     limit = max(_SMALLEST * used, 8.0 * noise, _FALL * float(level[0]))
     above = np.flatnonzero(level > limit)
-    return (int(above[0]), float(level.max())) if above.size > period else None
+    return LaterMotion(int(above[0]), float(level.max())) if above.size > period else None
 
 
-__all__ = ["EarlierDecay", "earlier_decay", "later_motion"]
+__all__ = ["EarlierDecay", "LaterMotion", "earlier_decay", "later_motion"]
