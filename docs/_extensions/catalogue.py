@@ -73,7 +73,11 @@ def page(effect: Effect) -> str:
     lines += ["Found in", f": {signature.found_in}.", ""]
     if effect.variant_of is not None:
         original = f"[{title(LIBRARY[effect.variant_of])}]({effect.variant_of}.md)"
-        lines += ["Variant of", f": {original}; `diagnose` looks for it by itself only when it is named", ""]
+        lines += [
+            "Variant of",
+            f": {original}; `diagnose` looks for it in the place of that one, and by itself when it is named",
+            "",
+        ]
     if effect.only_if_named:
         lines += ["Not looked for", ": unless it is named: the decay of one mode does not show it", ""]
     if signature.resembles:

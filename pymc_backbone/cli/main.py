@@ -252,7 +252,8 @@ def _effect_text(effect: Any) -> str:
     for parameter in effect.parameters:
         lines.append(f"    {parameter.name:<{width}}  {f'[{parameter.unit}]':<{units}}  {parameter.summary}")
     if effect.variant_of is not None:
-        lines += ["", f"  variant of {effect.variant_of}: `diagnose` looks for it by itself only when it is named"]
+        where = "`diagnose` looks for it in the place of that one, and by itself when it is named"
+        lines += ["", f"  variant of {effect.variant_of}: {where}"]
     if effect.only_if_named:
         lines += ["", "  `diagnose` looks for it only when it is named: the decay of one mode does not show it"]
     if effect.references:

@@ -306,7 +306,10 @@ class Search(FittedSets):
         return self.best() != best
 
     def _vary(self) -> None:
-        """Fit the best set with variants in the place of its effects, begun from their own look in the backbones."""
+        """Fit the best set with variants in the place of its effects, begun from their own look in the backbones.
+
+        One is kept where it leaves less than the effect that it varies: else it explains nothing that this does not.
+        """
         best = self.best()
         for name in best:
             for variant in self.variants:
@@ -316,7 +319,9 @@ class Search(FittedSets):
                 self.progress("variants of effects", 0.5)
                 looks = propose(self.batch, self.base, names, len(names), self.own)
                 self.varied[names] = next(item for item in looks if set(item.names) == set(names))
-                self.fit_set(names)
+                found = self.fit_set(names)
+                if found is not None and found.cost > self.fits[best].cost - _NEEDED:
+                    del self.fits[names]
 
     def _within_reach(self, sets: Sequence[Set], best: Set) -> list[Set]:
         """Return those sets whose backbones are not much less likely than those of the best, the likeliest first."""
