@@ -138,7 +138,7 @@ def test_effects_explains_each(capsys, name):
     for parameter in LIBRARY[name].parameters:
         assert parameter.summary in out
     assert (f"variant of {LIBRARY[name].variant_of}:" in out) == (LIBRARY[name].variant_of is not None)
-    assert ("only when it is named: the decay" in out) == LIBRARY[name].only_if_named
+    assert ("only when it is named: records do not tell" in out) == LIBRARY[name].only_if_named
 
 
 def test_update_hands_on_every_option(capsys, calls, tmp_path):

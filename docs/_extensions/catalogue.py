@@ -79,7 +79,7 @@ def page(effect: Effect) -> str:
             "",
         ]
     if effect.only_if_named:
-        lines += ["Not looked for", ": unless it is named: the decay of one mode does not show it", ""]
+        lines += ["Not looked for", ": unless it is named: records do not tell it from other effects", ""]
     if signature.resembles:
         links = ", ".join(f"[{title(LIBRARY[name])}]({name}.md)" for name in signature.resembles)
         lines += ["Easily taken for", f": {links}", ""]

@@ -255,7 +255,7 @@ def _effect_text(effect: Any) -> str:
         where = "`diagnose` looks for it in the place of that one, and by itself when it is named"
         lines += ["", f"  variant of {effect.variant_of}: {where}"]
     if effect.only_if_named:
-        lines += ["", "  `diagnose` looks for it only when it is named: the decay of one mode does not show it"]
+        lines += ["", "  `diagnose` looks for it only when it is named: records do not tell it from other effects"]
     if effect.references:
         lines += ["", "  references:", *(f"    {reference}" for reference in effect.references)]
     return "\n".join(lines)

@@ -203,8 +203,9 @@ class Effect:
         the place of that one, where a set that holds that one comes near the records, and not by itself. Named as a
         candidate, it is looked for as any other.
     only_if_named : bool
-        Whether the effect is looked for only when it is named as a candidate: the free decay of one mode does not tell
-        it from the linear spring and the viscous damper that every oscillator has.
+        Whether the effect is looked for only when it is named as a candidate: because the free decay of one mode does
+        not tell it from the linear spring and the viscous damper that every oscillator has, or because it is a case of
+        another effect that is looked for.
 
     See Also
     --------

@@ -1,6 +1,7 @@
 """Dahl friction: dry friction that builds up over a short way, without a sudden slip.
 
-It is the Bouc-Wen law with gamma of zero and an exponent of one, in two parameters that have a meaning of their own.
+It is the Bouc-Wen law with gamma of zero and an exponent of one, in two parameters that have a meaning of their own:
+the search looks for that law, and for this one only when it is named.
 """
 
 from __future__ import annotations
@@ -76,7 +77,7 @@ EFFECT = Effect(
         "doi:10.2514/3.61511",
     ),
     mechanism="hysteresis",
-    variant_of="bouc_wen",
+    only_if_named=True,
     signature=Signature(
         frequency="Falls as friction is built up earlier in a cycle, and levels off.",
         damping="Rises, then falls: a peak where the amplitude is about the way over which friction builds up.",
