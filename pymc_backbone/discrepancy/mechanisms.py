@@ -13,7 +13,7 @@ from scipy.special import logsumexp
 
 from .._common.checks import FloatArray
 from .._common.threads import in_threads
-from . import evidence
+from . import evidence, starts
 from .departing import Departing, DepartingSets, Point
 from .descent import is_heavy
 from .normal_equations import NUISANCES, State, start_state
@@ -153,16 +153,14 @@ def _looked_back(search: Search, departures: DepartingSets, departing: Mapping[S
     """Return the subsets of the likeliest sets that fit better from where these ended: these had found a better way."""
     logs = {names: item.log_evidence + _log_prior(names, search) for names, item in departing.items()}
     likeliest = sorted(logs, key=lambda names: -logs[names])[:_LOOKED_BACK]
-    starts: dict[Set, list[State]] = {}
+    begun: dict[Set, list[State]] = {}
     for larger in likeliest:
         state, there = departing[larger].state, search.layout(larger)
         for name in larger:
             smaller = tuple(other for other in larger if other != name)
-            places = [there.names.index(item) for item in search.layout(smaller).names]
-            own = [*range(NUISANCES), *(NUISANCES + place for place in places)]
-            starts.setdefault(smaller, []).append(State(state.eta[places], state.own[:, own]))
-    sets = list(starts)
-    jobs = [partial(departures.evidence, search.layout(names), starts[names]) for names in sets]
+            begun.setdefault(smaller, []).append(starts.restricted(search.layout(smaller), there, state))
+    sets = list(begun)
+    jobs = [partial(departures.evidence, search.layout(names), begun[names]) for names in sets]
     found = {names: item for names, item in zip(sets, in_threads(jobs), strict=True) if item is not None}
     known = {names: departing[names].log_evidence if names in departing else -np.inf for names in found}
     return {names: item for names, item in found.items() if item.log_evidence > known[names]}
@@ -271,26 +269,27 @@ def _looked_at(search: Search) -> list[Set]:
 
 def _states(search: Search, names: Set, chosen: list[int]) -> list[State]:
     """Return starts of a set: its fit to the records, what its backbones propose, a larger set without the rest."""
-    layout, starts = search.layout(names), []
+    layout = search.layout(names)
+    begun: list[State] = []
     own = search.batch.own[chosen]
     base = search.fits[()].state.own[chosen]
     known = search.fits.get(names)
     if known is not None:
-        starts.append(State(known.state.eta, known.state.own[chosen]))
+        begun.append(State(known.state.eta, known.state.own[chosen]))
     if names in search.proposals:
         for _, eta, stiffness in search.proposals[names].starts[: _MOST_STARTS if len(names) < 2 else 1]:
             values = own.copy()
             values[:, :2] = stiffness[chosen]
-            starts.append(start_state(layout, eta, values))
-    if not starts:
+            begun.append(start_state(layout, eta, values))
+    if not begun:
         larger = [other for other in search.fits if set(names) < set(other)]
         if larger:
             near = search.fits[min(larger, key=len)]
-            places = [near.layout.names.index(name) for name in layout.names]
-            starts.append(start_state(layout, near.state.eta[places], near.state.own[chosen][:, :NUISANCES]))
+            alone = starts.restricted(layout, near.layout, near.state)
+            begun.append(start_state(layout, alone.eta, alone.own[chosen][:, :NUISANCES]))
         else:
-            starts.append(start_state(layout, np.zeros(layout.free.size), base[:, :NUISANCES]))
-    return starts
+            begun.append(start_state(layout, np.zeros(layout.free.size), base[:, :NUISANCES]))
+    return begun
 
 
 __all__ = ["Weighed", "weigh"]

@@ -14,7 +14,7 @@ from .descent import is_heavy
 from .fitted_sets import EXPLAINED, FittedSets
 from .joint_fit import Fit, parameters_of
 from .layout import Layout
-from .normal_equations import NUISANCES, State
+from .normal_equations import State
 from .propose import propose
 from .set_fits import Set
 
@@ -201,11 +201,8 @@ class Search(FittedSets):
 
     def _smaller(self, layout: Layout, larger: Fit) -> State:
         """Return where a larger set ended as a start of a smaller one, whose springs replace what is left out."""
-        places = [larger.layout.names.index(name) for name in layout.names]
-        own = np.concatenate(
-            [larger.state.own[:, :NUISANCES], larger.state.own[:, [NUISANCES + p for p in places]]], axis=1
-        )
-        state = State(larger.state.eta[places], own)
+        state = starts.restricted(layout, larger.layout, larger.state)
+        own = state.own
         for r, term in enumerate(self.batch.levels):
             before = frequencies(larger.layout, larger.parameters(r), term.levels)
             after = frequencies(layout, parameters_of(layout, state, r), term.levels)

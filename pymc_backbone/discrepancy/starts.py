@@ -132,6 +132,13 @@ def typical(layout: Layout) -> FloatArray:
     return eta
 
 
+def restricted(layout: Layout, larger: Layout, state: State) -> State:
+    """Return a point of a larger model without the effects that a smaller one lacks."""
+    places = [larger.names.index(name) for name in layout.names]
+    own = [*range(normal_equations.NUISANCES), *(normal_equations.NUISANCES + place for place in places)]
+    return State(state.eta[places], state.own[:, own])
+
+
 def embedded(layout: Layout, smaller: Fit) -> tuple[State, list[tuple[int, int]]]:
     """Return a fit of a smaller model as a start for a larger one, whose other effects begin small.
 
