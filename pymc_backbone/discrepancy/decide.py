@@ -25,7 +25,8 @@ LISTED = 0.95  # probability that the sets listed as possible hold together
 DRIFT_POSSIBLE = 0.05  # probability of a drift with time from which nothing is named
 MOST_OF_THE_GAP = 0.85  # share of the gap that named mechanisms explain together: it shrinks at least sevenfold
 _MOST_LISTED = 16
-_IMITATES = (0.0, 0.01, 0.05, 0.3)  # how probable it is that a set of so many effects imitates what the library lacks
+_IMITATES = (0.0, 0.05, 0.1, 0.15)  # how probable it is that a set of so many effects imitates what the library lacks
+_HARDLY = 300.0  # gap in standard deviations of the noise beyond which that is rarer, in proportion
 _WEIGHT_OF_NOISE = 0.1  # how much rarer residuals like noise are where the library lacks what is missing
 
 
@@ -183,7 +184,9 @@ def _weighed(search: Search, drifting: Mapping[Set, Drifting]) -> Decision:
             left = evidence.lack_of_fit(search.batch, drifting[()].fit)  # what explains the records best may be no set
     none = evidence.PRIOR_NONE * _WEIGHT_OF_NOISE / least_bayes_factor(left.p_value)
     explained = (1.0 - evidence.PRIOR_NONE) / (1.0 - evidence.PRIOR_NONE + none)
-    probabilities = {names: explained * _is_none_other(names) * evidences[names].probability for names in search.fits}
+    probabilities = {
+        names: explained * _is_none_other(search, names) * evidences[names].probability for names in search.fits
+    }
     return Decision(
         verdict=Verdict.AMBIGUOUS,
         best=best,
@@ -314,14 +317,17 @@ def _by_mechanism(search: Search, decision: Decision) -> Decision:
     return replace(decision, mechanisms=missing_mechanisms(search, decision.probabilities, best, gaps, estimates))
 
 
-def _is_none_other(names: Set) -> float:
+def _is_none_other(search: Search, names: Set) -> float:
     """Return the probability that a set which leaves noise is not the imitation of something the library lacks.
 
-    The more effects a set has, the less probable it is beforehand, and the more it can imitate.
+    The more effects a set has, the less probable it is beforehand, and the more it can imitate; but what explains a gap
+    of thousands of standard deviations to the noise is hardly ever an imitation.
     """
     size = min(len(names), len(_IMITATES) - 1)
+    gap = float(np.sqrt(max(search.fits[()].cost - search.fits[names].cost, 0.0)))
+    imitates = _IMITATES[size] * min(1.0, _HARDLY / max(gap, 1.0))
     prior = evidence.PRIOR_OF_SIZE[size]
-    return prior / (prior + evidence.PRIOR_NONE * _IMITATES[size])
+    return prior / (prior + evidence.PRIOR_NONE * imitates)
 
 
 def _listed(chances: Mapping[Set, float], total: float) -> tuple[Set, ...]:

@@ -25,10 +25,15 @@ _RELEASE = (2, 3, 4)  # the specimen's own values that say how it was released a
 _ENOUGH = 1.0  # decrease of the cost below which a fit that is not the last one ends
 _TURNING, _ON_THE_WAY = 20, 6  # iterations over all turning points, and over the first of them
 _NEAR_NOISE = 1.3  # of the turning points' reduced chi-square, from which the samples take over
-_SAME_WAY = 0.005  # relative difference of two costs that were reached on the same way
+_HOPELESS = 4.0  # sum of squares over the turning points, over that of a model that explains the records
+_SAME_WAY = 0.005  # relative difference of two costs over all turning points that were reached on the same way
+_SAME_PLACE = 1e-4  # the same over the first of them
 _FIRST_WINDOW = 12  # turning points
 _WINDOW_GROWTH = 3.0
 _PATIENT, _SHORT = 300, 80
+
+Way = tuple[int, float]
+"""How many turning points were looked at, and the sum of squares over them."""
 
 
 @dataclass
@@ -67,32 +72,50 @@ class Descent:
         )
         return state if found is None else found.state
 
+    def hopeless(self, best: Fit) -> float:
+        """Return the sum of squares over the turning points from which no other model can rival one that explains."""
+        if not self.batch.has_records:
+            return np.inf
+        reached = self.fit(best.layout, self.batch.turning, best.state, iterations=1)
+        cost = 0.0 if reached is None else reached.cost
+        return _HOPELESS * max(cost, float(sum(term.size for term in self.batch.turning)))
+
     def from_afar(
-        self, layout: Layout, state: State, rival: float | None = None, ways: list[float] | None = None
+        self,
+        layout: Layout,
+        state: State,
+        rival: float | None = None,
+        ways: list[Way] | None = None,
+        limit: float = np.inf,
     ) -> Fit | None:
         """Return the minimum that a start from the backbones leads to.
 
-        None where it cannot be simulated, or comes the same way as an earlier start: ``ways`` holds the costs of the
-        turning points that led these to the samples, and gets that of this one.
+        None where it cannot be simulated, or comes the same way as an earlier start: ``ways`` holds where these came
+        by, and gets where this one does. One step over the samples is all where the sum of squares over the turning
+        points stays above ``limit``.
         """
         batch = self.batch
+        iterations = _SHORT
         if batch.has_records:
-            state, cost = self._over_turning_points(layout, state)
-            if ways is not None:
-                if any(abs(cost - known) < _SAME_WAY * known for known in ways):
-                    return None
-                ways.append(cost)
+            reached = self._over_turning_points(layout, state, [] if ways is None else ways, limit)
+            if reached is None:
+                return None
+            state, cost = reached
+            iterations = 1 if cost > limit else _SHORT
         return self.fit(
-            layout, batch.deciding, state, iterations=_SHORT, tolerance=0.03, rival=rival, nuisances=batch.nuisances
+            layout, batch.deciding, state, iterations=iterations, tolerance=0.03, rival=rival, nuisances=batch.nuisances
         )
 
-    def _over_turning_points(self, layout: Layout, state: State) -> tuple[State, float]:
+    def _over_turning_points(
+        self, layout: Layout, state: State, ways: list[Way], limit: float
+    ) -> tuple[State, float] | None:
         """Return the state after a window over the turning points that grows from the first to all of them.
 
-        And the cost of these there; infinite where they cannot be simulated.
+        And the cost there; infinite where they cannot be simulated. The windows grow no further where that is above
+        ``limit``. None where another start came by the same costs.
         """
         most = max(term.times.size for term in self.batch.turning)
-        window = _FIRST_WINDOW
+        window, cost = _FIRST_WINDOW, np.inf
         while True:
             terms = [term.first(window) for term in self.batch.turning]
             is_last = window >= most
@@ -100,9 +123,16 @@ class Descent:
             goal = _NEAR_NOISE * sum(term.size for term in terms)
             found = self.fit(layout, terms, state, iterations=iterations, tolerance=_ENOUGH, goal=goal)
             if found is not None:
-                state = found.state
-            if is_last:
-                return state, np.inf if found is None else found.cost
+                state, cost = found.state, found.cost
+            elif is_last:
+                cost = np.inf
+            near = _SAME_WAY if is_last else _SAME_PLACE
+            if (is_last or window > _FIRST_WINDOW) and found is not None:
+                if any(place == window and abs(cost - known) < near * known for place, known in ways):
+                    return None
+                ways.append((window, cost))
+            if is_last or (window > _FIRST_WINDOW and cost > limit):
+                return state, cost
             window = int(window * _WINDOW_GROWTH)
 
     def from_near(self, layout: Layout, states: Sequence[State], *, rival: float | None = None) -> Fit | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
 
@@ -14,7 +14,7 @@ from ..oscillator import Oscillator
 from . import starts
 from .batch import Batch
 from .curves import level_chi_square
-from .descent import Descent
+from .descent import Descent, Way
 from .joint_fit import Fit
 from .layout import Layout, make_layout
 from .normal_equations import State
@@ -70,6 +70,7 @@ class FittedSets:
     tolerance: Mapping[str, float] = field(default_factory=dict)
     asked: dict[tuple[Set, int], State] = field(default_factory=dict)
     varied: dict[Set, Proposal] = field(default_factory=dict)
+    limited: tuple[Fit | None, float] = (None, np.inf)
 
     def __post_init__(self) -> None:
         self.descent = Descent(self.batch)
@@ -92,6 +93,16 @@ class FittedSets:
     def _is_explained(self) -> bool:
         """Return whether a set leaves hardly more than noise."""
         return min(item.cost for item in self.fits.values()) < EXPLAINED * self.count
+
+    @property
+    def _limit(self) -> float:
+        """Sum of squares over the turning points above which a set is no rival of one that explains the records."""
+        best = min(self.fits.values(), key=lambda item: item.cost, default=None)
+        if best is None or best.cost > EXPLAINED * self.count:
+            return np.inf
+        if best is not self.limited[0]:
+            self.limited = (best, self.descent.hopeless(best))
+        return self.limited[1]
 
     @property
     def _is_spent(self) -> bool:
@@ -153,7 +164,7 @@ class FittedSets:
         is_near = bool(parents) and parents[0].cost < EXPLAINED * self.count
         found: list[Fit] = []
         if not is_near:
-            found = self._proposed(names, rival)
+            found = self._beside(names, rival) or self._proposed(names, rival)
         if is_near or not found:
             for parent in parents[:2] if len(names) > 1 else parents[:1]:
                 self._was_asked(names, parent)
@@ -190,17 +201,57 @@ class FittedSets:
                 break
         return best
 
+    def _beside(self, names: Set, rival: float | None) -> list[Fit]:
+        """Return the fit of a set from one that explains the records and has another effect in the place of one.
+
+        What both hold is kept; the other effect, and what it changes in stiffness and damping, are as the backbones
+        propose them. Nothing where no such set is known, or where that leads away from what the backbones promise.
+        """
+        proposal = self._proposal(names)
+        near = {
+            other: item
+            for other, item in self.fits.items()
+            if len(other) == len(names) and len({*other} - {*names}) == 1 and item.cost < EXPLAINED * self.count
+        }
+        if proposal is None or not near:
+            return []
+        other = min(near, key=lambda key: near[key].cost)
+        if self._was_asked(names, near[other]):
+            return []
+        layout = self.layout(names)
+        promised, eta, own = proposal.starts[0]
+        state, shared = starts.embedded(layout, near[other])
+        is_kept = np.isin(np.arange(eta.size), [here for here, _ in shared])
+        state = replace(state, eta=np.where(is_kept, state.eta, eta))
+        known = self._proposal(other)
+        if known is not None:
+            state.own[:, :2] += own - known.starts[0][2]
+        reached = self.descent.from_near(layout, [state], rival=rival)
+        return [] if reached is None or self._is_lost(reached, promised) else [reached]
+
+    def fit_beside(self, names: Set) -> None:
+        """Fit a set once more where it ended far above what the backbones promise and a set beside it did not."""
+        known, proposal = self.fits.get(names), self._proposal(names)
+        if known is None or proposal is None or not self._is_lost(known, proposal.starts[0][0]):
+            return
+        self.fits[names] = min([known, *self._beside(names, None)], key=lambda item: item.cost)
+
+    def _proposal(self, names: Set) -> Proposal | None:
+        """Return how a set looks in the backbones; None where they were not asked for it or have no start."""
+        found = self.varied.get(names) or self.proposals.get(names)
+        return found if found is not None and found.starts else None
+
     def _proposed(self, names: Set, rival: float | None) -> list[Fit]:
         """Return fits from what the backbones propose for a set, until one keeps what they promise."""
-        proposal = self.varied.get(names) or self.proposals.get(names)
+        proposal = self._proposal(names)
         if proposal is None:
             return []
         layout = self.layout(names)
         found: list[Fit] = []
-        ways: list[float] = []
+        ways: list[Way] = []
         for promised, eta, own in proposal.starts:
             state = self.descent.released(layout, eta, own)
-            reached = self.descent.from_afar(layout, state, rival, ways)
+            reached = self.descent.from_afar(layout, state, rival, ways, self._limit)
             found += [] if reached is None else [reached]
             if reached is not None and not self._is_lost(reached, promised):
                 break
@@ -208,14 +259,14 @@ class FittedSets:
             found += self._without_base(layout, proposal, rival, ways)
         return found
 
-    def _without_base(self, layout: Layout, proposal: Proposal, rival: float | None, ways: list[float]) -> list[Fit]:
+    def _without_base(self, layout: Layout, proposal: Proposal, rival: float | None, ways: list[Way]) -> list[Fit]:
         """Return the fit of a set from where the effects of the model as it is are absent: they may imitate the set."""
         held = np.isin(layout.names, self.layout(()).names) & layout.is_strength
         if not held.any() or held.all():
             return []
         _, eta, own = proposal.starts[0]
         state = self.descent.released(layout, np.where(held, 0.0, eta), own)
-        reached = self.descent.from_afar(layout, state, rival, ways)
+        reached = self.descent.from_afar(layout, state, rival, ways, self._limit)
         return [] if reached is None else [reached]
 
     def _is_lost(self, found: Fit, promised: float) -> bool:

@@ -194,7 +194,7 @@ def batch_of(oscillator: Oscillator, data: Data, measuring: Measuring) -> tuple[
     """Return the batch of records or backbones, and notes on it."""
     if isinstance(data, xr.Dataset):
         return _of_backbones(oscillator, data)
-    measured = measure_batch(_as_records(data), measuring, every_observable=True)
+    measured = measure_batch(_as_records(data), measuring, every_observable=True, whole_range=True)
     found = measured.extraction
     return batch_of_records(oscillator.mass, measured.backbones, found.records, found.cycles), measured.notes
 

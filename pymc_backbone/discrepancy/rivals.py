@@ -46,18 +46,19 @@ def drifting_sets(search: Search) -> dict[Set, Drifting]:
             simple = [part for part in within if len(part) == len(names) - 1 or not is_heavy(search.layout(part))]
             asked += simple or within[:1]
     found: dict[Set, Drifting] = {}
-    _ask(search, asked, found)
+    limit = search.descent.hopeless(search.fits[best])
+    _ask(search, asked, found, limit)
     helped = [names for names in found if names and found[names].fit.cost < search.fits[names].cost - _HELPED]
     helped.sort(key=lambda names: found[names].fit.cost)
-    _ask(search, [other for names in helped[:_ASKED] for other in _of_the_same_kind(search, names)], found)
+    _ask(search, [other for names in helped[:_ASKED] for other in _of_the_same_kind(search, names)], found, limit)
     return found
 
 
-def _ask(search: Search, sets: Iterable[Set], found: dict[Set, Drifting]) -> None:
-    """Add the fits of sets with a drift beside them."""
+def _ask(search: Search, sets: Iterable[Set], found: dict[Set, Drifting], limit: float) -> None:
+    """Add the fits of sets with a drift beside them; that of the base however far it is."""
     for names in dict.fromkeys(sets):
         start = None if names in found else search.fit_set(names)
-        drifting = None if start is None else drift_fit(search.batch, start)
+        drifting = None if start is None else drift_fit(search.batch, start, limit if names else np.inf)
         if drifting is not None:
             found[names] = Drifting(drifting, drift_bonus(drifting))
 
@@ -75,13 +76,18 @@ def _of_the_same_kind(search: Search, names: Set) -> list[Set]:
     return sets
 
 
-def drift_fit(batch: Batch, base: Fit) -> Fit | None:
-    """Return the base model with a frequency and a damping that change with time, in each record as it likes."""
+def drift_fit(batch: Batch, base: Fit, limit: float = np.inf) -> Fit | None:
+    """Return the base model with a frequency and a damping that change with time, in each record as it likes.
+
+    None where the sum of squares over the turning points stays above ``limit``: these are soon fitted.
+    """
     if not batch.has_records:
         return None
     nuisances = (*batch.nuisances, *DRIFTS)
     turning = fit(base.layout, batch.turning, base.state, iterations=20, nuisances=nuisances, tolerance=1.0)
     found = None
+    if turning is not None and turning.cost > limit:
+        return None
     if turning is not None:
         found = fit(base.layout, batch.waveform, turning.state, iterations=40, nuisances=nuisances)
     near = fit(base.layout, batch.waveform, base.state, iterations=40, nuisances=nuisances)

@@ -15,7 +15,7 @@ from .fitted_sets import EXPLAINED, FittedSets
 from .joint_fit import Fit, parameters_of
 from .layout import Layout
 from .normal_equations import State
-from .propose import propose
+from .propose import Proposal, propose
 from .set_fits import Set
 
 _KEPT_PARENTS = 2
@@ -27,6 +27,7 @@ _FLOOR = 1.1  # ratio of costs within which sets leave the same
 _MOST_EXTENDED = 4
 _REACH = 12.0  # difference of the logarithm of evidence by the backbones within which the waveforms are asked, too
 _SETTLED = 2
+_COSTLY_SETTLED = 2  # costly sets that are asked although what is simple leaves noise
 _POSSIBLE_BACKBONE = 3.0  # reduced chi-square up to which a set could explain the backbones
 _NEEDED = 5.0  # chi-square by which a less simple set of the same mechanisms must be better to be extended
 _REFUTED = 100.0  # chi-square above one that explains, beyond which relatives are not asked
@@ -46,11 +47,7 @@ class Search(FittedSets):
         if () not in self.fits:
             return
         if self._is_explained():
-            for k, name in enumerate(sorted(self.candidates, key=lambda name: self._is_costly((name,)))):
-                self.progress("single effects", (k + 1) / len(self.candidates))
-                if self._is_costly((name,)) and self._is_tolerable():
-                    break
-                self.fit_set((name,))
+            self._ask_single_effects()
             if self._is_answered():
                 return
             self._look_again()
@@ -64,6 +61,20 @@ class Search(FittedSets):
         self._look_back()
         if self._is_answered():
             return
+        self._enlarge()
+        self._vary()
+        self._settle()
+
+    def _ask_single_effects(self) -> None:
+        """Fit every effect by itself, until all that is missing is within the tolerance."""
+        for k, name in enumerate(sorted(self.candidates, key=lambda name: self._is_costly((name,)))):
+            self.progress("single effects", (k + 1) / len(self.candidates))
+            if self._is_costly((name,)) and self._is_tolerable():
+                break
+            self.fit_set((name,))
+
+    def _enlarge(self) -> None:
+        """Fit larger sets around the best, others in the place of its effects, and at last what costs much."""
         for size in range(2, self.max_effects + 1):
             before = self.best(size - 1)
             parents = self._parents(size - 1)
@@ -77,8 +88,8 @@ class Search(FittedSets):
             self._look_back()
         self._look_forward()
         self._look_back()
-        self._vary()
-        self._settle()
+        if self._ask_costly() and self._replace():
+            self._look_back()
 
     def _is_answered(self) -> bool:
         """Return whether the model as it is will do, whatever else larger sets may show."""
@@ -124,18 +135,20 @@ class Search(FittedSets):
         fitted = 0
         reach = likeliest = -np.inf
         explained: list[Set] = []
-        for names, proposal in self.proposals.items():
+        for names, proposal in sorted(self.proposals.items(), key=self._order):
             if not names or any(set(known) < set(names) for known in explained):
                 continue
-            if proposal.log_evidence < reach or fitted >= most:
+            if fitted >= most:
                 break
+            if proposal.log_evidence < reach:
+                continue
             if proposal.log_evidence < likeliest - _REACH and self._is_floor():
-                break
+                continue
             if self._is_spent:
                 self.is_cut = True
                 break
-            if self._is_costly(names) and explained and self._is_settled():
-                continue
+            if self._is_costly(names) and explained:
+                continue  # asked later, where what is simple leaves more than noise
             self.progress("sets that the backbones propose", min(fitted / most, 1.0))
             found = self.fit_set(names)
             fitted += 1
@@ -145,6 +158,33 @@ class Search(FittedSets):
             if found.cost < EXPLAINED * self.count:
                 explained.append(names)
                 reach = max(reach, proposal.log_evidence - _REACH)
+
+    def _ask_costly(self) -> bool:
+        """Fit the costly sets that explain the backbones as well as what explains the records does.
+
+        Where that leaves noise and costs little, only those that explain the backbones better. Return whether one of
+        them is now the best.
+        """
+        if not self._is_explained() or not self.has_proposals:
+            return False
+        explained = [names for names, found in self.fits.items() if names and found.cost < EXPLAINED * self.count]
+        known = [self.proposals[names].log_evidence for names in explained if names in self.proposals]
+        is_settled = self._is_settled()
+        least = max(known, default=np.inf) - (0.0 if is_settled else _REACH)
+        before, fitted = self.best(), 0
+        for names, proposal in self.proposals.items():
+            if proposal.log_evidence < least or self._is_spent or (is_settled and fitted >= _COSTLY_SETTLED):
+                break
+            is_new = names not in self.fits and not any(set(smaller) < set(names) for smaller in explained)
+            if is_new and self._is_costly(names):
+                self.progress("sets with states of their own", 0.5)
+                self.fit_set(names)
+                fitted += 1
+        return self.best() != before
+
+    def _order(self, item: tuple[Set, Proposal]) -> float:
+        """Return the place of a set: by its backbones, those that cost much behind the simple ones within reach."""
+        return _REACH * self._is_costly(item[0]) - item[1].log_evidence
 
     def _is_floor(self) -> bool:
         """Return whether several sets end at the same distance from the records: what is left is in none of them."""
@@ -293,9 +333,11 @@ class Search(FittedSets):
             rest = tuple(name for name in best if name != out)
             self.fit_set(rest)
             others = [tuple(sorted((*rest, name))) for name in self.candidates if name not in best]
+            others = [names for names in others if self._is_costly(best) or not self._is_costly(names)]
             for names in self._within_reach(others, best):
                 if not self._is_spent:
                     self.fit_set(names)
+                    self.fit_beside(names)
         for smaller in combinations(best, len(best) - 1):
             self.fit_set(tuple(sorted(smaller)))
         if len(best) < self.max_effects:

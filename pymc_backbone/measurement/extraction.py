@@ -17,7 +17,7 @@ from .._common.checks import FloatArray, InputError, check_levels, check_observa
 from .conditioning.condition import condition
 from .conditioning.conditioned import ConditionedRecord
 from .cycles import Cycles, extract_cycles
-from .levels import backbones_at_levels, default_levels
+from .levels import DEFAULT_LEVELS, backbones_at_levels, default_levels
 from .options import Measuring
 from .outliers import Finding, find_outliers
 from .reading.record import Record
@@ -27,7 +27,8 @@ LEFT_OUT = "left out: "
 """What the note on a record that could not be used begins with."""
 LEAST_SHARE = 0.5
 """Share of the records that must remain: where most cannot be used, something is wrong with all of them."""
-_UNION_LEVELS = 8
+_NARROW = 1.5  # the widest range of a specimen over that which all share, from which the search takes the whole range
+_FEWEST_LEVELS, _MOST_LEVELS = 3, 20
 
 
 @dataclass(frozen=True)
@@ -90,6 +91,7 @@ def measure_batch(
     measuring: Measuring | None = None,
     *,
     every_observable: bool = False,
+    whole_range: bool = False,
     refused: Sequence[str] = (),
     progress: Callable[[str, float], None] | None = None,
 ) -> MeasuredBatch:
@@ -104,6 +106,8 @@ def measure_batch(
     every_observable : bool, optional
         Whether the observables, where none are named, are all that every record tells, the offset among them; else
         frequency and damping.
+    whole_range : bool, optional
+        As in `levels_for`.
     refused : sequence of str, optional
         A sentence for each file that could not be read: they count as records that cannot be used.
     progress : callable, optional
@@ -129,7 +133,7 @@ def measure_batch(
         refused=refused,
         progress=progress,
     )
-    levels, said = levels_for(extraction.cycles, measuring.levels)
+    levels, said = levels_for(extraction.cycles, measuring.levels, whole_range=whole_range)
     observables = measuring.observables
     if observables is None:
         has_offset = every_observable and all(record.offset_is_measured for record in extraction.records)
@@ -208,7 +212,9 @@ def extract_all(
     return Extraction(tuple(conditioned), tuple(cycles), tuple(left_out))
 
 
-def levels_for(cycles: Sequence[Cycles], levels: int | ArrayLike | None = None) -> tuple[FloatArray, list[str]]:
+def levels_for(
+    cycles: Sequence[Cycles], levels: int | ArrayLike | None = None, *, whole_range: bool = False
+) -> tuple[FloatArray, list[str]]:
     """Choose the levels of a batch.
 
     Parameters
@@ -217,6 +223,9 @@ def levels_for(cycles: Sequence[Cycles], levels: int | ArrayLike | None = None) 
         One per specimen.
     levels : int or array_like, optional
         Their number, or the amplitudes [m or rad]; by default as many as `default_levels` takes.
+    whole_range : bool, optional
+        Whether the levels go from the lowest to the highest amplitude of any specimen where the range that all share is
+        much narrower than that of one of them; each then has values at those it reaches.
 
     Returns
     -------
@@ -224,7 +233,7 @@ def levels_for(cycles: Sequence[Cycles], levels: int | ArrayLike | None = None) 
         Those that (nearly) all specimens reach, as `default_levels` chooses them; where they share no range, from the
         lowest to the highest amplitude of any.
     notes : list of str
-        A sentence where they share no range.
+        A sentence where not all specimens reach them.
 
     Raises
     ------
@@ -238,19 +247,41 @@ def levels_for(cycles: Sequence[Cycles], levels: int | ArrayLike | None = None) 
     count = None if levels is None else int(np.asarray(levels))
     if count is not None and count < 1:
         raise InputError(f"`levels` must be at least 1, or a list of amplitudes, got {count}.")
+    widest = max(float(np.log(item.smoothed_amplitude.max() / item.smoothed_amplitude.min())) for item in cycles)
     try:
         at, notes = default_levels(cycles, count), []
     except InputError:
-        low = min(float(item.smoothed_amplitude.min()) for item in cycles)
-        high = max(float(np.partition(item.smoothed_amplitude, -2)[-2]) for item in cycles)
-        fewest = min(item.smoothed_amplitude.size for item in cycles)
-        at = np.geomspace(1.02 * low, 0.98 * high, count or min(_UNION_LEVELS, fewest))
-        notes = [
-            f"the specimens share no range of amplitudes: the levels go from the lowest to the highest, {at[0]:.4g} to "
-            f"{at[-1]:.4g}, and each specimen has values at those it reaches"
-        ]
+        at = _levels_of_any(cycles, count, widest)
+        notes = [f"the specimens share no range of amplitudes: {_of_any(at)}"]
+    else:
+        if whole_range and widest > _NARROW * np.log(at[-1] / at[0]):
+            shared = f"{at[0]:.4g} to {at[-1]:.4g}"
+            at = _levels_of_any(cycles, count, widest)
+            notes = [f"the range of amplitudes that all specimens share, {shared}, is narrow: {_of_any(at)}"]
     _check_number(cycles, at)
     return at, notes
+
+
+def _of_any(levels: FloatArray) -> str:
+    return (
+        f"the levels go from the lowest to the highest, {levels[0]:.4g} to {levels[-1]:.4g}, and each specimen has "
+        "values at those it reaches"
+    )
+
+
+def _levels_of_any(cycles: Sequence[Cycles], count: int | None, widest: float) -> FloatArray:
+    """Return levels from the lowest to the highest amplitude of any specimen, as dense as each of them bears."""
+    low = min(float(item.smoothed_amplitude.min()) for item in cycles)
+    high = max(float(np.partition(item.smoothed_amplitude, -2)[-2]) for item in cycles)
+    most = count or int(np.clip(DEFAULT_LEVELS * np.log(high / low) / widest, DEFAULT_LEVELS, _MOST_LEVELS))
+    while True:
+        at = np.geomspace(1.02 * low, 0.98 * high, most)
+        reached = [(at >= c.smoothed_amplitude.min()) & (at <= c.smoothed_amplitude.max()) for c in cycles]
+        # two cycles for each level, as where all specimens share their levels
+        crowded = any(2 * here.sum() > c.smoothed_amplitude.size for here, c in zip(reached, cycles, strict=True))
+        if count is not None or not crowded or most <= _FEWEST_LEVELS:
+            return at
+        most -= 1
 
 
 def _check_number(cycles: Sequence[Cycles], levels: FloatArray) -> None:
