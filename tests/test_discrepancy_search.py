@@ -12,7 +12,7 @@ from scipy.stats import f, kstest, multivariate_normal
 
 from pymc_backbone.discrepancy import evidence, rivals, starts, verify
 from pymc_backbone.discrepancy.curves import curve, on_levels, prediction_errors, simulate
-from pymc_backbone.discrepancy.decide import decide
+from pymc_backbone.discrepancy.decide import NAMED, _is_none_other, decide
 from pymc_backbone.discrepancy.joint_fit import fit
 from pymc_backbone.discrepancy.locate import mean_gap, where_different
 from pymc_backbone.discrepancy.normal_equations import information, start_state
@@ -67,6 +67,55 @@ def test_probabilities_sum_to_one_and_the_right_set_leads(cubic):
     assert max(found, key=lambda names: found[names].probability) == ("cubic_stiffness",)
     assert cubic.ranked()[0] == cubic.best() == ("cubic_stiffness",)
     assert cubic.best(0) == ()
+
+
+def test_a_set_that_lost_its_way_begins_again_beside_one_that_explains(cubic):
+    names = ("quintic_stiffness",)
+    search = Search(cubic.batch, Oscillator(MASS, ()), (*CANDIDATES, *names), 1)
+    search.fit_set(())
+    from_backbones = min(search._proposed(names, None), key=lambda item: item.cost)
+    search.fit_set(("cubic_stiffness",))
+    assert search.fit_set(names).cost == pytest.approx(from_backbones.cost, abs=0.5)
+    kept = search.fits[names]
+    search.fit_beside(names)
+    assert search.fits[names] is kept  # it keeps what the backbones promise: nothing is done
+    own = kept.state.own.copy()
+    own[:, 0] *= 1.1
+    search.fits[names] = replace(kept, state=replace(kept.state, own=own), chi_square=kept.chi_square + 1e9)
+    search.asked.clear()
+    search.fit_beside(names)
+    assert search.fits[names].cost == pytest.approx(from_backbones.cost, abs=0.5)
+
+
+def test_what_the_turning_points_refute_is_not_fitted_to_the_samples(cubic):
+    """Counted in evaluations; without a set that explains the records nothing is refuted."""
+    search = Search(cubic.batch, Oscillator(MASS, ()), CANDIDATES, 1)
+    search.fit_set(())
+    assert search._limit == np.inf
+    search.fit_set(("cubic_stiffness",))
+    best = search.fits[("cubic_stiffness",)]
+    turning = fit(best.layout, cubic.batch.turning, best.state, iterations=30)
+    assert turning.cost < search._limit < 10.0 * sum(term.size for term in cubic.batch.turning)
+    layout = search.layout(("quadratic_damping",))
+    _, eta, own = search.proposals[("quadratic_damping",)].starts[0]
+    state = search.descent.released(layout, eta, own)
+    assert search.descent.from_afar(layout, state, limit=search._limit).evaluations <= 3
+    assert search.descent.from_afar(layout, state).evaluations > 3
+    ways = []
+    assert search.descent.from_afar(layout, state, ways=ways) is not None
+    assert search.descent.from_afar(layout, state, ways=ways) is None  # the same way once more
+
+
+def test_larger_sets_imitate_more_and_small_gaps_most():
+    def chance(size, gap):
+        names = tuple("abc"[:size])
+        return _is_none_other(
+            SimpleNamespace(fits={(): SimpleNamespace(cost=gap**2), names: SimpleNamespace(cost=0.0)}), names
+        )
+
+    assert [round(chance(size, 100.0), 2) for size in (1, 2, 3)] == [0.99, 0.91, 0.4]
+    assert chance(3, 500.0) < NAMED < chance(3, 5000.0)
+    assert all(chance(size, 1e3) > chance(size, 100.0) for size in (1, 2, 3))
 
 
 def test_an_irrelevant_effect_costs(cubic, linear):

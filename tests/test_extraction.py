@@ -107,6 +107,24 @@ def test_specimens_without_a_common_range_have_levels_of_their_own(rng):
     assert all(here.sum() >= 2 for here in reached) and not np.any(reached[0] & reached[1])
 
 
+def test_a_narrow_common_range_gives_levels_over_the_whole_where_the_search_asks(rng):
+    cycles = extract_all(
+        [decay(rng, "high", 0.1, 24), decay(rng, "middle", 0.07, 24), decay(rng, "low", 0.045, 24)]
+    ).cycles
+    tops = [np.partition(item.smoothed_amplitude, -2)[-2] for item in cycles]
+    bottoms = [item.smoothed_amplitude.min() for item in cycles]
+    shared, said = levels_for(cycles)
+    assert not said and shared[0] > max(bottoms) and shared[-1] < min(tops)
+    levels, (note,) = levels_for(cycles, whole_range=True)
+    assert "is narrow" in note
+    assert levels[0] == pytest.approx(1.02 * min(bottoms)) and levels[-1] == pytest.approx(0.98 * max(tops))
+    for item in cycles:  # two cycles for each level, as elsewhere
+        reached = (levels >= item.smoothed_amplitude.min()) & (levels <= item.smoothed_amplitude.max())
+        assert 3 <= reached.sum() <= item.smoothed_amplitude.size / 2
+    alike = extract_all([decay(rng, "a"), decay(rng, "b")]).cycles
+    np.testing.assert_array_equal(levels_for(alike, whole_range=True)[0], levels_for(alike)[0])
+
+
 def test_no_more_levels_than_cycles(rng):
     """Values at more amplitudes than there are cycles depend on each other exactly; their covariance has no inverse."""
     cycles = extract_all([decay(rng, "a")]).cycles
