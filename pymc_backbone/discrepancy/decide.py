@@ -25,8 +25,8 @@ LISTED = 0.95  # probability that the sets listed as possible hold together
 DRIFT_POSSIBLE = 0.05  # probability of a drift with time from which nothing is named
 MOST_OF_THE_GAP = 0.85  # share of the gap that named mechanisms explain together: it shrinks at least sevenfold
 _MOST_LISTED = 16
-_IMITATES = (0.0, 0.05, 0.1, 0.15)  # how probable it is that a set of so many effects imitates what the library lacks
-_HARDLY = 300.0  # gap in standard deviations of the noise beyond which that is rarer, in proportion
+_IMITATES = (0.0, 0.03, 0.06, 0.15)  # how probable it is that a set of so many effects imitates what the library lacks
+_HARDLY = 200.0  # gap in standard deviations of the noise beyond which that is rarer, in proportion
 _WEIGHT_OF_NOISE = 0.1  # how much rarer residuals like noise are where the library lacks what is missing
 
 

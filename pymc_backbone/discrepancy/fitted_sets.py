@@ -28,6 +28,7 @@ BUDGET = 3e7
 EXPLAINED = 1.1
 """Reduced chi-square up to which a set may be complete."""
 _POOR = 1.5  # reduced chi-square above which a fit may have lost its way
+_NOT_FAR = 2.0  # reduced chi-square of a smaller set up to which the records say where a further effect begins
 _LOST = 6.0  # reduced chi-square of the backbones, over what was promised, from which a fit ended elsewhere
 _NOTED = 1.0  # chi-square above that of the smaller set up to which one step is enough to note a set
 _WORTH = 5.0  # fall of chi-square by which one more effect begins to earn its place
@@ -165,11 +166,20 @@ class FittedSets:
         found: list[Fit] = []
         if not is_near:
             found = self._beside(names, rival) or self._proposed(names, rival)
-        if is_near or not found:
-            for parent in parents[:2] if len(names) > 1 else parents[:1]:
+        if is_near or not found or self._gains_nothing(found, parents):
+            for parent in parents[:2] if len(names) > 1 and (is_near or not found) else parents[:1]:
                 self._was_asked(names, parent)
                 found += self._extended(names, layout, parent, rival)
         return found
+
+    def _gains_nothing(self, found: list[Fit], parents: list[Fit]) -> bool:
+        """Return whether fits from the backbones end no lower than a smaller set that is not far from the noise.
+
+        Levels end below the largest amplitudes: what acts there only, they do not show.
+        """
+        if not parents or parents[0].cost > _NOT_FAR * self.count:
+            return False
+        return min(item.cost for item in found) > parents[0].cost - _WORTH
 
     def _extended(self, names: Set, layout: Layout, parent: Fit, rival: float | None) -> list[Fit]:
         """Return the fit of a set from that of a smaller one, to which the score says what the new effect adds."""

@@ -27,7 +27,7 @@ _FLOOR = 1.1  # ratio of costs within which sets leave the same
 _MOST_EXTENDED = 4
 _REACH = 12.0  # difference of the logarithm of evidence by the backbones within which the waveforms are asked, too
 _SETTLED = 2
-_COSTLY_SETTLED = 2  # costly sets that are asked although what is simple leaves noise
+_COSTLY_SETTLED, _COSTLY_REACH = 2, 3.0  # costly sets that are asked although what is simple leaves noise, their reach
 _POSSIBLE_BACKBONE = 3.0  # reduced chi-square up to which a set could explain the backbones
 _NEEDED = 5.0  # chi-square by which a less simple set of the same mechanisms must be better to be extended
 _REFUTED = 100.0  # chi-square above one that explains, beyond which relatives are not asked
@@ -162,21 +162,22 @@ class Search(FittedSets):
     def _ask_costly(self) -> bool:
         """Fit the costly sets that explain the backbones as well as what explains the records does.
 
-        Where that leaves noise and costs little, only those that explain the backbones better. Return whether one of
-        them is now the best.
+        Where that leaves noise and costs little, only the likeliest of those that have no more effects. Return whether
+        one of them is now the best.
         """
         if not self._is_explained() or not self.has_proposals:
             return False
         explained = [names for names, found in self.fits.items() if names and found.cost < EXPLAINED * self.count]
         known = [self.proposals[names].log_evidence for names in explained if names in self.proposals]
         is_settled = self._is_settled()
-        least = max(known, default=np.inf) - (0.0 if is_settled else _REACH)
+        least = max(known, default=np.inf) - (_COSTLY_REACH if is_settled else _REACH)
         before, fitted = self.best(), 0
+        largest = len(before) if is_settled else self.max_effects
         for names, proposal in self.proposals.items():
             if proposal.log_evidence < least or self._is_spent or (is_settled and fitted >= _COSTLY_SETTLED):
                 break
             is_new = names not in self.fits and not any(set(smaller) < set(names) for smaller in explained)
-            if is_new and self._is_costly(names):
+            if is_new and self._is_costly(names) and len(names) <= largest:
                 self.progress("sets with states of their own", 0.5)
                 self.fit_set(names)
                 fitted += 1
