@@ -37,6 +37,11 @@ class DataTerm(Protocol):
         """Number of residuals."""
         ...
 
+    @property
+    def cycles(self) -> float:
+        """Rough number of cycles that are simulated for it."""
+        ...
+
     def compare(
         self, simulator: Simulator, parameters: FloatArray, nuisances: FloatArray
     ) -> tuple[FloatArray, FloatArray] | None:
@@ -69,6 +74,11 @@ class LevelTerm:
     def size(self) -> int:
         """Number of values."""
         return int(self.values.size)
+
+    @property
+    def cycles(self) -> float:
+        """Rough number of cycles that are simulated: one a level."""
+        return float(self.levels.size)
 
     def compare(
         self, simulator: Simulator, parameters: FloatArray, nuisances: FloatArray
@@ -144,6 +154,11 @@ class TurningTerm:
     def size(self) -> int:
         """Number of residuals."""
         return 2 * int(self.times.size)
+
+    @property
+    def cycles(self) -> float:
+        """Number of cycles."""
+        return 0.5 * self.times.size
 
     def compare(
         self, simulator: Simulator, parameters: FloatArray, nuisances: FloatArray

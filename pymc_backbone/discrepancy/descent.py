@@ -25,6 +25,7 @@ _RELEASE = (2, 3, 4)  # the specimen's own values that say how it was released a
 _ENOUGH = 1.0  # decrease of the cost below which a fit that is not the last one ends
 _TURNING, _ON_THE_WAY = 20, 6  # iterations over all turning points, and over the first of them
 _NEAR_NOISE = 1.3  # of the turning points' reduced chi-square, from which the samples take over
+_PER_CYCLE = 40.0  # values that a cycle counts for at least: it is simulated however few samples are kept
 _HOPELESS = 4.0  # sum of squares over the turning points, over that of a model that explains the records
 _SAME_WAY = 0.005  # relative difference of two costs over all turning points that were reached on the same way
 _SAME_PLACE = 1e-4  # the same over the first of them
@@ -72,11 +73,14 @@ class Descent:
         )
         return state if found is None else found.state
 
-    def hopeless(self, best: Fit) -> float:
-        """Return the sum of squares over the turning points from which no other model can rival one that explains."""
+    def hopeless(self, best: Fit | None) -> float:
+        """Return the sum of squares over the turning points from which no other model can rival one that explains.
+
+        Or, where none does, from which none will.
+        """
         if not self.batch.has_records:
             return np.inf
-        reached = self.fit(best.layout, self.batch.turning, best.state, iterations=1)
+        reached = None if best is None else self.fit(best.layout, self.batch.turning, best.state, iterations=1)
         cost = 0.0 if reached is None else reached.cost
         return _HOPELESS * max(cost, float(sum(term.size for term in self.batch.turning)))
 
@@ -175,7 +179,8 @@ class Descent:
         )  # fmt: skip
         if found is not None:
             weight = 1.0 + 4.0 * is_heavy(layout)
-            self.effort += found.evaluations * sum(term.size for term in terms) * weight
+            values = sum(max(term.size, _PER_CYCLE * term.cycles) for term in terms)
+            self.effort += found.evaluations * values * weight
         return found
 
 

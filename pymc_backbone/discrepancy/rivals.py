@@ -27,6 +27,7 @@ _BEATING = 0.02
 _ALIKE = 4.0
 _ASKED = 3  # sets that are asked with a drift beside them where none leaves noise, and with other laws
 _HELPED = 20.0  # fall of chi-square by a drift from which other laws of the same mechanisms are asked
+_NEAR = 2.0  # reduced chi-square with a drift up to which they are
 
 
 def drifting_sets(search: Search) -> dict[Set, Drifting]:
@@ -46,9 +47,13 @@ def drifting_sets(search: Search) -> dict[Set, Drifting]:
             simple = [part for part in within if len(part) == len(names) - 1 or not is_heavy(search.layout(part))]
             asked += simple or within[:1]
     found: dict[Set, Drifting] = {}
-    limit = search.descent.hopeless(search.fits[best])
+    limit = search.descent.hopeless(search.fits[best] if is_exact else None)
     _ask(search, asked, found, limit)
-    helped = [names for names in found if names and found[names].fit.cost < search.fits[names].cost - _HELPED]
+    helped = [
+        names
+        for names in found
+        if names and found[names].fit.cost < min(search.fits[names].cost - _HELPED, _NEAR * search.count)
+    ]
     helped.sort(key=lambda names: found[names].fit.cost)
     _ask(search, [other for names in helped[:_ASKED] for other in _of_the_same_kind(search, names)], found, limit)
     return found
@@ -57,7 +62,9 @@ def drifting_sets(search: Search) -> dict[Set, Drifting]:
 def _ask(search: Search, sets: Iterable[Set], found: dict[Set, Drifting], limit: float) -> None:
     """Add the fits of sets with a drift beside them; that of the base however far it is."""
     for names in dict.fromkeys(sets):
-        start = None if names in found else search.fit_set(names)
+        if names in found or (search.is_cut and names not in search.fits):
+            continue
+        start = search.fit_set(names)
         drifting = None if start is None else drift_fit(search.batch, start, limit if names else np.inf)
         if drifting is not None:
             found[names] = Drifting(drifting, drift_bonus(drifting))
