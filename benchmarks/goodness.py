@@ -158,10 +158,18 @@ def right_model(name: str, kind: str, count: int, seed: int, n_specimens: int) -
     return {**uniformity(p_values), "passed": passed / count}
 
 
+def draw_effect(oscillator: Oscillator, name: str, release: float, rng: np.random.Generator) -> dict[str, float]:
+    """Draw an effect from its default priors: strength over two decades below its bound, the rest between."""
+    bounds = oscillator.default_bounds(release, 2.0 * np.pi * FREQUENCY)
+    strength, *others = (parameter.name for parameter in LIBRARY[name].parameters)
+    low, high = bounds[strength]
+    side = -1.0 if low < 0.0 and rng.random() < 0.5 else 1.0
+    drawn = {strength: side * (-low if side < 0.0 else high) * 10.0 ** rng.uniform(-2.0, 0.0)}
+    return {**drawn, **{other: rng.uniform(*bounds[other]) for other in others}}
+
+
 def power(name: str, seed: int, count: int, n_specimens: int = 3) -> dict[str, float]:
     """Return how often a linear model is refused where this effect is missing, at a distance of `DISTANCE`."""
-    from strengths import draw_parameters, draw_strength
-
     rng = np.random.default_rng([seed, *name.encode()])
     base = base_parameters()
     linear = Oscillator(MASS, ())
@@ -174,11 +182,8 @@ def power(name: str, seed: int, count: int, n_specimens: int = 3) -> dict[str, f
     for _ in range(40 * count):
         if len(p_values) == count:
             break
-        drawn, _strength = draw_parameters(
-            name, draw_strength(name, rng, visible=True), rng,
-            mass=MASS, stiffness=base["linear_stiffness"], damping=base["viscous_damping"], amplitude=release,
-        )  # fmt: skip
-        parameters = np.array([[{**base, **drawn}[p] for p in true.parameter_names]] * n_specimens)
+        drawn = {**draw_effect(true, name, release, rng), **base}
+        parameters = np.array([[drawn[p] for p in true.parameter_names]] * n_specimens)
         clean = batch(true, parameters, None, levels)
         if clean is None:
             continue

@@ -14,6 +14,7 @@ import pymc_backbone as pb
 from pymc_backbone._common.backbone_dataset import backbone_dataset
 from pymc_backbone.inference.fit_verdict import ExcludedBy, FitEntry, GoodnessOfFit, SpecimenFit
 from pymc_backbone.inference.refit import refit
+from pymc_backbone.measurement.extraction import measure_batch
 from pymc_backbone.reporting.output_folder import plain
 from pymc_backbone.simulation.response import make_response
 
@@ -80,6 +81,27 @@ def test_p_value_without_correction_for_what_was_fitted_would_not_be_uniform(rng
     fits = [check(DUFFING, measured(rng, n=2, cubic=CUBIC), "specimen", rng) for _ in range(60)]
     uncorrected = [stats.chi2.sf(sum(one.chi_square for one in fit.specimens), 24) for fit in fits]
     assert stats.kstest(uncorrected, "uniform").pvalue < 1e-3
+
+
+def test_values_read_off_smooth_curves_count_as_what_they_tell(rng):
+    """Whole records of a linear oscillator: 20 level values and two parameters, but no 18 independent ones.
+
+    With as many degrees of freedom as values every p-value of what is right lies near one: the negative control.
+    """
+    time = np.arange(0.0, 30 * 2.0 * np.pi / OMEGA, 2.0 * np.pi / OMEGA / 25)
+    ratio = DAMPING / (2.0 * MASS * OMEGA)
+    exact = 0.01 * np.exp(-ratio * OMEGA * time) * np.cos(OMEGA * np.sqrt(1.0 - ratio**2) * time)
+    records = [pb.Record(f"s{i}", time, exact + 3e-5 * rng.standard_normal(time.size)) for i in range(24)]
+    backbones = measure_batch(records).backbones
+    fit = check(LINEAR, backbones, "specimen", rng)
+    p_values = np.array([one.p_value for one in fit.specimens])
+    # The noise is known to some 20 %: reduced chi-squares of 0.75 to 1, whose mean over 24 specimens of 8 degrees each
+    # is known to 0.1 by counting.
+    assert 0.6 < fit.reduced_chi_square < 1.25 and 5.0 < fit.degrees_of_freedom / 24 < 12.0
+    assert 0.1 < np.mean(p_values < 0.5) < 0.75 and p_values.min() > 1e-3
+    counted = check(LINEAR, backbones.drop_vars("noise_covariance"), "specimen", rng)
+    assert counted.degrees_of_freedom == 18 * 24 and counted.reduced_chi_square < 0.4
+    assert min(one.p_value for one in counted.specimens) > 0.5
 
 
 @pytest.mark.parametrize("kind", ["specimen", "pooled", "population"])

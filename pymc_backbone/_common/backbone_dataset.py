@@ -18,6 +18,7 @@ def backbone_dataset(
     covariance: FloatArray,
     amplitude_unit: str,
     notes: list[str],
+    noise_covariance: FloatArray | None = None,
 ) -> xr.Dataset:
     """Put level values and their covariance into the Dataset that measured and simulated backbones share.
 
@@ -32,24 +33,28 @@ def backbone_dataset(
     value : (specimen, observable, level) array
         Hz for frequency, - for damping (logarithmic decrement) and offset.
     covariance : (specimen, observable, level, level) array
-        Of each curve over the levels.
+        Of each curve over the levels: noise, and doubt about how smooth the curve is.
     amplitude_unit : str
         m or rad.
     notes : list of str
         Kept in the attributes.
+    noise_covariance : (specimen, observable, level, level) array, optional
+        What noise alone has of the covariance.
 
     Returns
     -------
     xarray.Dataset
-        ``value``, ``standard_error``, ``covariance``, and the units of the observables.
+        ``value``, ``standard_error``, ``covariance``, ``noise_covariance`` where given, and units of the observables.
     """
     error = np.sqrt(np.diagonal(covariance, axis1=2, axis2=3))
     dims: tuple[Any, ...] = ("specimen", "observable", "level")
+    more = {} if noise_covariance is None else {"noise_covariance": ((*dims, "level_other"), noise_covariance)}
     return xr.Dataset(
         {
             "value": (dims, value),
             "standard_error": (dims, error),
             "covariance": ((*dims, "level_other"), covariance),
+            **more,
         },
         coords={
             "specimen": names,

@@ -58,11 +58,14 @@ class FitEntry:
 
 @dataclass(frozen=True)
 class SpecimenFit:
-    """How well one specimen is fitted with parameters of its own: chi-square at its best, degrees of freedom, p."""
+    """How well one specimen is fitted with parameters of its own: chi-square at its best, degrees of freedom, p.
+
+    Both as `goodness_of_fit` counts them: chi-square has the distribution of so many degrees of freedom.
+    """
 
     specimen: str
     chi_square: float
-    degrees_of_freedom: int
+    degrees_of_freedom: float
     reduced_chi_square: float
     p_value: float
 
@@ -90,8 +93,9 @@ class GoodnessOfFit:
         uniform from 0 to 1 then, where the standard errors are right; NaN where nothing can be said.
     reduced_chi_square : float
         Squared distance over degrees of freedom; 1 is what measurement error explains. NaN without standard errors.
-    degrees_of_freedom : int
-        Level values less fitted parameters, over all specimens.
+    degrees_of_freedom : float
+        Independent level values less fitted parameters, over all specimens: as many as there are, or fewer where they
+        were read off smoothed curves.
     specimens : tuple of SpecimenFit
         Each by itself.
     entries : tuple of FitEntry
@@ -119,7 +123,7 @@ class GoodnessOfFit:
     likelihood: str
     p_value: float
     reduced_chi_square: float
-    degrees_of_freedom: int
+    degrees_of_freedom: float
     specimens: tuple[SpecimenFit, ...]
     entries: tuple[FitEntry, ...]
     pooling_p_value: float = float("nan")

@@ -4,9 +4,9 @@ Two questions, kept apart because they have different answers:
 
 *Can the model describe the specimens?* Every specimen is fitted with parameters of its own, inside the priors, from the
 draws of the posterior that come nearest. Its squared distance has a known distribution if the model is right: as many
-degrees of freedom as level values beyond the fitted parameters. The p-value of the sum is calibrated, which a plain
-posterior predictive p-value is not: that uses the data twice and hardly ever comes near zero or one (Robins, van der
-Vaart, Ventura, J. Am. Stat. Assoc. 95 (2000)). Scatter of the specimens plays no part in it.
+degrees of freedom as independent level values beyond the fitted parameters. The p-value of the sum is calibrated, which
+a plain posterior predictive p-value is not: that uses the data twice and hardly ever comes near zero or one (Robins,
+van der Vaart, Ventura, J. Am. Stat. Assoc. 95 (2000)). Scatter of the specimens plays no part in it.
 
 *Does the posterior describe them?* Each level value is compared with the backbones that draws of the posterior give, in
 units of standard error, posterior and, where one parameter set stands for all, scatter. A pooled posterior is asked if
@@ -16,6 +16,7 @@ the specimens are alike, one of a population if its distribution lies where thei
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -99,6 +100,13 @@ def goodness_of_fit(
 
     Notes
     -----
+    Level values that were read off smoothed curves are fewer than they seem. Their covariance holds the noise and the
+    doubt about how smooth the curve is; where the curve is smooth indeed, the directions in which it might have been
+    rough hardly move. So the squared distance has the distribution of ``sum(w_i chi2_1)``, with ``w`` the eigenvalues
+    of the part of the covariance that is noise (``noise_covariance`` of the backbones), in units of all of it and
+    beside the fitted directions. It is taken for the chi-square distribution of the same mean and variance, of
+    ``sum(w)^2 / sum(w^2)`` degrees of freedom (Satterthwaite, Biometrics Bulletin 2 (1946) 110).
+
     Where a population has no standard errors, the p-value comes from the residuals of the specimens' own fits: if the
     model is right they are as often above as below, so the sum over the values of the squared mean over the specimens,
     in units of their spread, is compared with what random signs of whole specimens give (4999 of them).
@@ -249,29 +257,58 @@ def _fit_all(
     return fits
 
 
-def _verdict(batch: LevelValues, fits: Sequence[Refit | None]) -> tuple[tuple[SpecimenFit, ...], float, float, int]:
+def _verdict(batch: LevelValues, fits: Sequence[Refit | None]) -> tuple[tuple[SpecimenFit, ...], float, float, float]:
     """Return every specimen's fit, and p-value, reduced chi-square and degrees of freedom of all."""
-    specimens = []
-    for name, size, found in zip(batch.names, batch.sizes(), fits, strict=True):
-        degrees = 0 if found is None else max(size - found.fitted, 0)
-        square = np.nan if found is None or not batch.has_errors else found.chi_square
-        is_judged = batch.has_errors and degrees > 0
-        specimens.append(
-            SpecimenFit(
-                name,
-                square,
-                degrees,
-                square / degrees if is_judged else np.nan,
-                float(chi2.sf(square, degrees)) if is_judged else np.nan,
-            )
+    specimens, total = [], _Distance()
+    for s, (name, size, found) in enumerate(zip(batch.names, batch.sizes(), fits, strict=True)):
+        own = (
+            _Distance() if found is None else _Distance.of(found, size, None if batch.noise is None else batch.noise[s])
         )
-    degrees = sum(one.degrees_of_freedom for one in specimens)
-    if not degrees:
-        return tuple(specimens), np.nan, np.nan, 0
+        specimens.append(
+            SpecimenFit(name, *(own.judged() if batch.has_errors else (np.nan, own.degrees, np.nan, np.nan)))
+        )
+        total = total + own
+    if not total.degrees:
+        return tuple(specimens), np.nan, np.nan, 0.0
     if not batch.has_errors:
-        return tuple(specimens), _sign_flips(fits), np.nan, degrees
-    total = sum(one.chi_square for one in specimens if one.degrees_of_freedom)
-    return tuple(specimens), float(chi2.sf(total, degrees)), float(total / degrees), degrees
+        return tuple(specimens), _sign_flips(fits), np.nan, total.degrees
+    _, degrees, reduced, p_value = total.judged()
+    return tuple(specimens), p_value, reduced, degrees
+
+
+@dataclass(frozen=True)
+class _Distance:
+    """A squared distance, with the mean, and half the variance, that it has if the model is right."""
+
+    square: float = 0.0
+    mean: float = 0.0
+    half_variance: float = 0.0
+
+    @classmethod
+    def of(cls, found: Refit, size: int, noise: FloatArray | None) -> _Distance:
+        """Return that of a fit to ``size`` values, whose whitened noise has the covariance ``noise`` (d, d)."""
+        if size <= found.fitted:
+            return cls()
+        if noise is None:
+            return cls(found.chi_square, size - found.fitted, size - found.fitted)
+        beside = np.eye(len(noise)) - found.directions @ found.directions.T
+        left = beside @ noise @ beside
+        return cls(found.chi_square, float(np.trace(left)), float((left**2).sum()))
+
+    def __add__(self, other: _Distance) -> _Distance:
+        return _Distance(self.square + other.square, self.mean + other.mean, self.half_variance + other.half_variance)
+
+    @property
+    def degrees(self) -> float:
+        """Degrees of freedom of the chi-square distribution with that mean and variance, up to a factor."""
+        return self.mean**2 / self.half_variance if self.half_variance > 0.0 else 0.0
+
+    def judged(self) -> tuple[float, float, float, float]:
+        """Return chi-square, degrees of freedom, their ratio and the p-value; NaN where nothing is left to judge by."""
+        if not self.degrees:
+            return np.nan, 0.0, np.nan, np.nan
+        square = self.square * self.mean / self.half_variance
+        return square, self.degrees, square / self.degrees, float(chi2.sf(square, self.degrees))
 
 
 def _sign_flips(fits: Sequence[Refit | None]) -> float:

@@ -27,6 +27,7 @@ class LevelValues:
     measured: FloatArray  # (n, d), 0 where there is none
     whitening: FloatArray  # (n, d, d)
     has_errors: bool
+    noise: FloatArray | None = None  # (n, d, d), of whitened residuals; None: the identity
 
     @classmethod
     def of(cls, data: xr.Dataset) -> LevelValues:
@@ -38,7 +39,9 @@ class LevelValues:
         has_errors = bool((np.isfinite(errors) & (errors > 0.0))[held].all())
         if has_errors:
             measured, whitening, _ = whiten_specimens(data)
+            noise = _noise(data, whitening)
         else:
+            noise = None
             flat = values.reshape(len(values), -1)
             spread = np.nanstd(flat, axis=0)
             spread = np.where(spread > 0.0, spread, np.maximum(np.abs(np.nanmean(flat, axis=0)), 1e-12))
@@ -52,6 +55,7 @@ class LevelValues:
             measured,
             whitening,
             has_errors,
+            noise,
         )
 
     @property
@@ -66,6 +70,18 @@ class LevelValues:
     def sizes(self) -> list[int]:
         """Count the level values of every specimen."""
         return [int(np.isfinite(one).sum()) for one in self.values]
+
+
+def _noise(data: xr.Dataset, whitening: FloatArray) -> FloatArray | None:
+    """Return what noise alone makes of whitened level values (n, d, d); None where that is all there is."""
+    if "noise_covariance" not in data:
+        return None
+    given = np.nan_to_num(np.asarray(data["noise_covariance"], dtype=float))  # (n, o, l, l)
+    n, observables, levels, _ = given.shape
+    whole = np.zeros((n, observables, levels, observables, levels))
+    for o in range(observables):
+        whole[:, o, :, o] = given[:, o]
+    return np.asarray(whitening @ whole.reshape(n, observables * levels, -1) @ np.swapaxes(whitening, 1, 2))
 
 
 def compare_values(data: xr.Dataset, predicted: FloatArray, scatter: FloatArray | None) -> list[FitEntry]:

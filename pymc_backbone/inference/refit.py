@@ -33,23 +33,28 @@ class Refit:
         Simulated there.
     residual : (d,) array
         Standardised; zero where nothing was measured.
-    fitted : int
-        Directions that the data determine beyond their limits: parameters that count against the level values.
     at_low, at_high : (p,) array of bool
         Which ended at a limit that holds them back.
+    directions : (d, fitted) array
+        Of the residual, orthonormal: what the fitted parameters take out of it.
     """
 
     point: FloatArray
     values: FloatArray
     residual: FloatArray
-    fitted: int
     at_low: NDArray[np.bool_]
     at_high: NDArray[np.bool_]
+    directions: FloatArray
 
     @property
     def chi_square(self) -> float:
         """Squared distance in standard errors."""
         return float(self.residual @ self.residual)
+
+    @property
+    def fitted(self) -> int:
+        """Directions that the data determine beyond their limits: parameters that count against the level values."""
+        return int(self.directions.shape[1])
 
 
 def refit(
@@ -117,18 +122,19 @@ def refit(
     residual, jacobian, values = here
     gradient = jacobian.T @ residual
     at_low, at_high = is_free & (point <= low) & (gradient > 0.0), is_free & (point >= high) & (gradient < 0.0)
-    return Refit(point, values, residual, _determined(jacobian, is_free & ~at_low & ~at_high, width), at_low, at_high)
+    directions = _determined(jacobian, is_free & ~at_low & ~at_high, width)
+    return Refit(point, values, residual, at_low, at_high, directions)
 
 
-def _determined(jacobian: FloatArray, moving: NDArray[np.bool_], width: FloatArray) -> int:
-    """Count directions in which the data say more than the limits do."""
+def _determined(jacobian: FloatArray, moving: NDArray[np.bool_], width: FloatArray) -> FloatArray:
+    """Return directions of the residual (d, k) in which the data say more than the limits do."""
     inner = jacobian[:, moving]
     if not inner.size:
-        return 0
-    singular = np.linalg.svd(inner, compute_uv=False)
+        return np.zeros((jacobian.shape[0], 0))
+    left, singular, _ = np.linalg.svd(inner, full_matrices=False)
     # Scaled by the limits' spread, a direction is seen from one on; without limits, where it is seen at all.
     least = 1.0 if np.isfinite(width[moving]).all() else 1e-6 * float(singular[0])
-    return int(np.sum(singular > least))
+    return np.asarray(left[:, singular > least])
 
 
 def _linearise(

@@ -100,8 +100,9 @@ def backbones_at_levels(
     Returns
     -------
     xarray.Dataset
-        ``value`` and ``standard_error`` (specimen, observable, level), ``covariance`` (specimen, observable, level,
-        level_other).
+        ``value`` and ``standard_error`` (specimen, observable, level), ``covariance`` and ``noise_covariance``
+        (specimen, observable, level, level_other): of all that is in doubt, and what noise alone has of it, the
+        smoothness of the curve taken as it was found.
         NaN at levels outside a specimen's own cycles: nothing is extrapolated.
 
     Raises
@@ -125,7 +126,7 @@ def backbones_at_levels(
     chosen = check_observables(observables)
     at = default_levels(items) if levels is None else check_levels(levels)
     shape = (len(items), len(chosen), at.size)
-    value, covariance = np.full(shape, np.nan), np.full((*shape, at.size), np.nan)
+    value, covariance, noise = np.full(shape, np.nan), *np.full((2, *shape, at.size), np.nan)
     notes: list[str] = [note for item in items for note in item.notes]
     for i, item in enumerate(items):
         # the outermost cycles carry half a per cent of slack, so that a level chosen at an end is not lost to rounding
@@ -136,20 +137,21 @@ def backbones_at_levels(
         if not reached.size:
             continue
         for j, observable in enumerate(chosen):
-            estimate, spread = _level_values(item, observable, at[reached])
+            estimate, spread, of_noise = _level_values(item, observable, at[reached])
             value[i, j, reached] = estimate
             covariance[i, j, reached[:, None], reached] = spread
+            noise[i, j, reached[:, None], reached] = of_noise
     if np.all(np.isnan(value)):
         low, high = min(c.smoothed_amplitude.min() for c in items), max(c.smoothed_amplitude.max() for c in items)
         raise InputError(
             f"`levels` must lie inside the measured amplitudes, {low:.4g} to {high:.4g} {amplitude_unit}, got "
             f"{at[0]:g} to {at[-1]:g} {amplitude_unit}."
         )
-    return backbone_dataset(names, chosen, at, value, covariance, amplitude_unit, notes)
+    return backbone_dataset(names, chosen, at, value, covariance, amplitude_unit, notes, noise)
 
 
-def _level_values(item: Cycles, observable: str, levels: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the level values of one observable and their covariance."""
+def _level_values(item: Cycles, observable: str, levels: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the level values of one observable, their covariance, and what noise alone has of it."""
     amplitude = item.smoothed_amplitude
     step = 1e-4
     beside = np.where(levels * (1.0 + step) <= amplitude.max(), levels * (1.0 + step), levels * (1.0 - step))
@@ -177,5 +179,9 @@ def _level_values(item: Cycles, observable: str, levels: FloatArray) -> tuple[Fl
     blur = (slope / levels)[:, None] * (weights @ item.smoothed_amplitude_design)
     # errors shared through the template vary smoothly with amplitude: smoothing passes them on as they are
     shared = weights @ item.shared[QUANTITIES.index(observable)]
-    covariance = curve.covariance[:n, :n] + blur @ item.smoothed_amplitude_spread @ blur.T + shared @ shared.T
-    return curve.value[:n], covariance
+    beside_the_curve = blur @ item.smoothed_amplitude_spread @ blur.T + shared @ shared.T
+    return (
+        curve.value[:n],
+        curve.covariance[:n, :n] + beside_the_curve,
+        curve.noise_covariance[:n, :n] + beside_the_curve,
+    )

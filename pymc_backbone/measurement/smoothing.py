@@ -39,7 +39,9 @@ class Curve:
     coefficients : (r,) array
         The curve's.
     spread : (r, r) array
-        Their covariance.
+        Their covariance: noise, and doubt about how smooth the curve is.
+    noise_spread : (r, r) array
+        What noise alone would make of them, the smoothness as it was weighted.
     scatter : float
         Mean squared normalised residual (at least 1).
     """
@@ -47,6 +49,7 @@ class Curve:
     design: FloatArray
     coefficients: FloatArray
     spread: FloatArray
+    noise_spread: FloatArray
     scatter: float
 
     @property
@@ -58,6 +61,40 @@ class Curve:
     def covariance(self) -> FloatArray:
         """Its covariance (m, m), which a record of many cycles has no memory for."""
         return self.design @ self.spread @ self.design.T
+
+    @property
+    def noise_covariance(self) -> FloatArray:
+        """What noise alone would make of it (m, m)."""
+        return self.design @ self.noise_spread @ self.design.T
+
+
+@dataclass(frozen=True, eq=False)
+class _Family:
+    """Curves of one prior on one abscissa, one for each of s smoothnesses; k directions of bending are seen.
+
+    ``logs`` (s,) are logarithms of weights, ``means`` (s, basis) coefficients. ``free`` (basis, n) makes coefficients
+    of white values where nothing bends, ``seen`` (k, n) what they say of each direction of bending in units of its
+    noise, ``shrunk`` (s, k) is the share of that which is taken, ``basis`` (basis, k) its coefficients. ``blind``
+    (basis, basis) is the spread of what is not seen, ``scatters`` (s,) the factor on the noise variance.
+    """
+
+    logs: FloatArray
+    means: FloatArray
+    free: FloatArray
+    seen: FloatArray
+    shrunk: FloatArray
+    basis: FloatArray
+    blind: FloatArray
+    scatters: FloatArray
+
+    def spread(self, weights: FloatArray) -> FloatArray:
+        """Return the covariance (basis, basis) of curves of their own noise, averaged with ``weights`` (s,)."""
+        bent = (self.basis * ((weights * self.scatters) @ self.shrunk**2)) @ self.basis.T
+        return bent + float(weights @ self.scatters) * (self.free @ self.free.T + self.blind)
+
+    def influence(self, weights: FloatArray) -> FloatArray:
+        """Return what noise of unit variance in each white value does to the averaged coefficients (basis, n)."""
+        return float(weights.sum()) * self.free + (self.basis * (weights @ self.shrunk)) @ self.seen
 
 
 @lru_cache(maxsize=64)
@@ -143,44 +180,49 @@ def smooth(
         Value, covariance, and scatter.
     """
     n = values.size
-    bands = regularised_bands(bands)
-    collected = []
-    for number, place in enumerate(places):
-        design = _design(place, place)
-        white = _whiten(bands, np.column_stack([values, design]))
-        if n > white.shape[1]:
-            # the triangle carries every inner product the models need
-            white = np.linalg.qr(white, mode="r")
+    families: list[tuple[slice, _Family]] = []
+    for number, white in enumerate(_whiten_all(places, values, bands)):
         models: list[tuple[int, float | None]] = [(order, None) for order in orders if n > order + 1]
         if kinks and number == 0 and n > 5:
             models += [(2, kink) for kink in KINKS]
-        for order, kink in models:
-            collected.append((number, *_smooth_as(white, n, order, kink, scatter_prior, undersmoothing)))
-    if not collected:
+        here = slice(_SIZE * number, _SIZE * (number + 1))
+        families += [(here, _smooth_as(white, n, *model, scatter_prior, undersmoothing)) for model in models]
+    if not families:
         raise ValueError("smoothing needs at least four values")
-    logs = np.concatenate([item[1] for item in collected])
+    logs = np.concatenate([family.logs for _, family in families])
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
-    means, parts = [], []
-    spread, scatter, start = np.zeros((_SIZE * len(places),) * 2), 0.0, 0
-    for number, log_weights, mean, basis, variances, fixed, scatters in collected:
-        own = weights[start : start + log_weights.size]
-        here = slice(_SIZE * number, _SIZE * (number + 1))
-        spread[here, here] += (basis * ((own * scatters) @ variances)) @ basis.T + (own @ scatters) * fixed
-        means.append(mean)
-        parts.append(here)
-        scatter += float(own @ scatters)
-        start += log_weights.size
-    every = np.zeros((weights.size, spread.shape[0]))
+    size = _SIZE * len(places)
+    spread, scatter = np.zeros((size, size)), 0.0
+    influence = np.zeros((size, families[0][1].free.shape[1]))
+    every = np.zeros((weights.size, size))
     start = 0
-    for here, mean in zip(parts, means, strict=True):
-        every[start : start + len(mean), here] = mean
-        start += len(mean)
+    for here, family in families:
+        taken = slice(start, start + family.logs.size)
+        own = weights[taken]
+        spread[here, here] += family.spread(own)
+        influence[here] += family.influence(own)
+        every[taken, here] = family.means
+        scatter += float(own @ family.scatters)
+        start = taken.stop
     coefficients = weights @ every
     apart = every - coefficients
     spread += (apart * weights[:, None]).T @ apart
     design = np.hstack([_design(place, target) for place, target in zip(places, targets, strict=True)])
-    return Curve(design, coefficients, spread, scatter)
+    return Curve(design, coefficients, spread, scatter * (influence @ influence.T), scatter)
+
+
+def _whiten_all(places: list[FloatArray], values: FloatArray, bands: FloatArray) -> list[FloatArray]:
+    """Return ``values`` and spline functions (n, 1 + basis) of each abscissa, of white noise that all have in common.
+
+    Of more values than functions only the triangle is kept, which carries every inner product that the models need.
+    The values stand last in it, so that their noise stays white.
+    """
+    columns = [*(_design(place, place) for place in places), values]
+    white = _whiten(regularised_bands(bands), np.column_stack(columns))
+    if white.shape[0] > white.shape[1]:
+        white = np.linalg.qr(white, mode="r")
+    return [white[:, [-1, *range(_SIZE * k, _SIZE * (k + 1))]] for k in range(len(places))]
 
 
 def log_evidence(places: list[FloatArray], values: FloatArray, bands: FloatArray, *, kinks: bool = False) -> float:
@@ -197,18 +239,14 @@ def log_evidence(places: list[FloatArray], values: FloatArray, bands: FloatArray
         Up to a constant that does not depend on ``bands``, which are taken at their word: no scatter beyond them.
     """
     n = values.size
-    bands = regularised_bands(bands)
-    determinant = float(np.log(cholesky_banded(bands, lower=True)[0]).sum())
+    determinant = float(np.log(cholesky_banded(regularised_bands(bands), lower=True)[0]).sum())
     found = []
-    for number, place in enumerate(places):
-        white = _whiten(bands, np.column_stack([values, _design(place, place)]))
-        if n > white.shape[1]:
-            white = np.linalg.qr(white, mode="r")
+    for number, white in enumerate(_whiten_all(places, values, bands)):
         models: list[tuple[int, float | None]] = [(2, None), (3, None)]
         if kinks and number == 0:
             models += [(2, kink) for kink in KINKS]
         for order, kink in models:
-            logs = _smooth_as(white, n, order, kink, _CERTAIN, 1.0)[0]
+            logs = _smooth_as(white, n, order, kink, _CERTAIN, 1.0).logs
             free = white[:, 1:] @ _bending_roots(order, kink)[:, :order]
             cost = float(np.log(np.abs(np.diag(np.linalg.qr(free, mode="r")))).sum())
             found.append(float(np.log(np.mean(np.exp(logs - logs.max()))) + logs.max()) - cost)
@@ -229,8 +267,8 @@ def _smooth_as(
     kink: float | None,
     scatter_prior: float,
     undersmoothing: float,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return weights (s,) as logarithms and coefficients (s, basis) for every smoothness, and what spread has."""
+) -> _Family:
+    """Return the curves of one prior for every smoothness."""
     roots = _bending_roots(order, kink)
     y, design = white[:, 0], white[:, 1:] @ roots
     free, rough = design[:, :order], design[:, order:]
@@ -249,7 +287,8 @@ def _smooth_as(
         d2 = d2_full[keep]
         v = (rough.T @ u[:, keep]) / np.sqrt(d2)
     d = np.sqrt(d2)
-    gamma = (v.T @ (rough.T @ y)) / d
+    seen = (v.T @ rough.T) / d[:, None]
+    gamma = seen @ y
     rest = max(float(y @ y - gamma @ gamma), 0.0)
     solve_free = np.linalg.solve(r_free.T, roots[:, :order].T).T
     bend_at = roots[:, order:] - solve_free @ rough_part
@@ -263,12 +302,10 @@ def _smooth_as(
     logs = -0.5 * np.log(ratio).sum(axis=1) - 0.5 * chi2 / scatters - 0.5 * dof * np.log(scatters)
     tau = tau * undersmoothing
     ratio = 1.0 + tau[:, None] * d2
-    coefficients = tau[:, None] * d / ratio * gamma
-    means = solve_free @ y_part + coefficients @ basis.T
-    variances = (tau[:, None] * d / ratio) ** 2
+    shrunk = tau[:, None] * d / ratio
+    means = solve_free @ y_part + (shrunk * gamma) @ basis.T
     # directions of bending the record says nothing about keep their prior variance
-    blind = bend_at - basis @ v.T
-    fixed = solve_free @ solve_free.T
+    unseen = bend_at - basis @ v.T
     weights = np.exp(logs - logs.max())
-    fixed = fixed + float(weights @ tau / weights.sum()) * (blind @ blind.T)
-    return logs, means, basis, variances, fixed, scatters
+    blind = float(weights @ tau / weights.sum()) * (unseen @ unseen.T)
+    return _Family(logs, means, solve_free @ q_free.T, seen, shrunk, basis, blind, scatters)

@@ -92,7 +92,7 @@ def _header(result: Mapping[str, Any], fit: GoodnessOfFit, word: str) -> str:
     pairs: list[tuple[object, object]] = [
         (probability(fit.p_value), "chance of such a misfit if the model were right"),
         (number(fit.reduced_chi_square, 3), "reduced chi-square: 1 is what measurement error explains"),
-        (fit.degrees_of_freedom, "degrees of freedom: level values less fitted parameters"),
+        (number(fit.degrees_of_freedom, 3), "degrees of freedom: independent level values less fitted parameters"),
     ]
     if fit.pooling_p_value == fit.pooling_p_value:
         pairs.append((probability(fit.pooling_p_value), "chance of such a scatter if the specimens were alike"))
@@ -114,7 +114,7 @@ def _misfit(fit: GoodnessOfFit) -> str:
         (
             one.specimen,
             number(one.chi_square, 3),
-            one.degrees_of_freedom,
+            number(one.degrees_of_freedom, 3),
             number(one.reduced_chi_square, 3),
             probability(one.p_value).removeprefix("p ").removeprefix("= ") if one.p_value == one.p_value else "-",
         )
