@@ -86,7 +86,7 @@ def test_the_example_is_named_where_it_is_hidden(example, rng):
     assert study.verdict == "found", study.sentence
     assert study.missing_effects == ("rubber_stop",) and study.probability > 0.9
     (reason,) = study.reasons
-    assert reason.startswith("Rubber stop: ") and reason.endswith(example.EFFECT.summary)
+    assert reason.startswith("Rubber stop: ") and reason.endswith("In other words: stop of rubber.")
     estimate = study.parameters["rubber_stop"]["rubber_stop_stiffness"]
     assert estimate.mean == pytest.approx(0.4 * STIFFNESS / AMPLITUDE**6, rel=0.1)
     # Negative control: without it among the candidates, nothing else is taken for it.

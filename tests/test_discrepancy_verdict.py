@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
@@ -15,7 +16,7 @@ from scipy.integrate import solve_ivp
 
 import pymc_backbone as pb
 from pymc_backbone._common.text import capitalised, in_words
-from pymc_backbone.discrepancy import candidate_table, decide, rivals, shares, verdict_words
+from pymc_backbone.discrepancy import candidate_table, decide, rivals, shares, verdict_words, words
 from pymc_backbone.discrepancy.question import TOLERANCE
 from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.discrepancy.study import LawProbability, MissingMechanism
@@ -143,6 +144,61 @@ def test_a_base_that_holds_an_effect(rng):
 def test_a_base_whose_effect_is_not_there_is_adequate(rng):
     study = study_of(make_records(rng), base=("cubic_stiffness",), candidates=("coulomb_friction", "quadratic_damping"))
     assert study.verdict == "adequate"
+
+
+def test_friction_of_the_base_that_is_not_there_is_adequate(rng):
+    """Its best fit lies at zero, the edge of what is physical, where a decay that sticks cannot be simulated."""
+    study = study_of(make_records(rng), base=("coulomb_friction",), candidates=("cubic_stiffness", "quadratic_damping"))
+    check_whole(study)
+    assert study.verdict == "adequate" and study.missing_effects == ()
+    friction = study.parameters["coulomb_friction"]["friction_force"]
+    assert 0.0 <= friction.mean < 5.0 * max(friction.sd, 1e-12) and friction.mean < 1e-3 * STIFFNESS * AMPLITUDE
+    # negative control: with a spring that hardens, that is what is found beside the same base
+    hardening = study_of(
+        make_records(rng, ("cubic_stiffness",)), base=("coulomb_friction",), candidates=("cubic_stiffness",)
+    )
+    assert hardening.verdict == "found" and hardening.missing_effects == ("cubic_stiffness",)
+
+
+@pytest.mark.parametrize(
+    ("p_value", "share", "limit", "by"),
+    [
+        (0.3, 0.02, 0.0, AdequateBy.STATISTICS),
+        (0.3, 0.02, 0.05, AdequateBy.STATISTICS),
+        (1e-9, 0.02, 0.05, AdequateBy.TOLERANCE),
+        (1e-9, 0.02, 0.01, None),
+    ],
+)
+def test_a_base_that_only_the_tolerance_saves_is_not_adequate_by_statistics(p_value, share, limit, by, monkeypatch):
+    weighed = replace(
+        decision_of("ambiguous", best=(), probabilities={(): 0.9}), p_missing=0.0,
+        lack=SimpleNamespace(p_value=p_value, share=share),
+    )  # fmt: skip
+    monkeypatch.setattr(decide, "prune", lambda search, best, tolerance: (best, ()))
+    monkeypatch.setattr(decide, "_departing", lambda search, decision: replace(decision, verdict=Verdict.UNEXPLAINED))
+    decision = decide._judged(None, weighed, {"waveform": limit}, None)
+    assert decision.adequate_by is by and (decision.verdict is Verdict.ADEQUATE) == (by is not None)
+
+
+@pytest.mark.parametrize(
+    ("summary", "measured", "told"),
+    [
+        (LIBRARY["coulomb_friction"].summary, True, " In other words: dry friction."),
+        (LIBRARY["bouc_wen"].summary, True, " In other words: Bouc-Wen hysteresis."),
+        (LIBRARY["coulomb_friction"].summary, False, f" {LIBRARY['coulomb_friction'].summary}"),
+        ("My own damper.", True, " My own damper."),
+        ("", True, ""),
+    ],
+)
+def test_the_library_does_not_contradict_what_was_measured(summary, measured, told):
+    """'Frequency rises' was measured: 'frequency unchanged' must not follow."""
+    assert words._said_by_the_library(summary, measured) == told
+
+
+def test_no_summary_of_the_library_says_what_an_effect_does_before_its_colon():
+    for effect in LIBRARY.values():
+        what = effect.summary.partition(":")[0]
+        assert what != effect.summary and not re.search(r"frequency|offset|no damping|rises|unchanged", what)
 
 
 def test_a_weak_effect_is_named_but_below_the_tolerance(rng):
@@ -353,6 +409,11 @@ def test_words_of_each_verdict():
             "adequate",
             {"adequate_by": AdequateBy.TOLERANCE, "drift_probability": 0.9},
             "a drift with time is detectable",
+        ),
+        (
+            "adequate",
+            {"adequate_by": AdequateBy.TOLERANCE, "best": ()},
+            "what it leaves, 1.20% of the motion, is more than measurement error",
         ),
     ):
         decision = decision_of(verdict, **{"best": ("cubic_stiffness",), **options})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-_PEOPLE = {"bouc-wen": "Bouc-Wen", "coulomb": "Coulomb", "iwan": "Iwan", "jenkins": "Jenkins"}
+_PEOPLE = {"bouc-wen": "Bouc-Wen", "coulomb": "Coulomb", "hertzian": "Hertzian", "iwan": "Iwan", "jenkins": "Jenkins"}
 """Names of people in the names of effects and parameters."""
 _HYPHENATED = ("bouc-wen", "displacement-dependent")
 """Words of such names that belong together."""
@@ -44,6 +44,18 @@ def capitalised(text: str) -> str:
     'Quadratic damping + Coulomb friction'
     """
     return text[:1].upper() + text[1:]
+
+
+def in_a_sentence(text: str) -> str:
+    """Return text that began a sentence as it stands inside of one: names of people keep their capital.
+
+    Examples
+    --------
+    >>> in_a_sentence("Dry friction"), in_a_sentence("Bouc-Wen hysteresis")
+    ('dry friction', 'Bouc-Wen hysteresis')
+    """
+    first = text.split(" ", 1)[0]
+    return text if first in _PEOPLE.values() else text[:1].lower() + text[1:]
 
 
 def natural_key(text: str) -> tuple[tuple[int, int, str], ...]:

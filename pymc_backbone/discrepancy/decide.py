@@ -120,7 +120,9 @@ def decide(search: Search, drifting: Mapping[Set, Drifting], tolerance: Mapping[
 def _judged(search: Search, weighed: Decision, tolerance: Mapping[str, float], drifting: Fit | None) -> Decision:
     """Return the verdict: each question in turn, until one is answered."""
     if weighed.best == () and not is_unexplained(weighed.lack, tolerance):
-        return replace(weighed, verdict=Verdict.ADEQUATE, adequate_by=AdequateBy.STATISTICS)
+        # what no noise would leave is forgiven by the tolerance alone
+        by = AdequateBy.TOLERANCE if is_unexplained(weighed.lack, {}) else AdequateBy.STATISTICS
+        return replace(weighed, verdict=Verdict.ADEQUATE, adequate_by=by)
     if weighed.p_missing > evidence.MISSING:
         return replace(
             weighed, best=(), probability=weighed.probabilities[()], verdict=Verdict.ADEQUATE,

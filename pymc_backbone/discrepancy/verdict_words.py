@@ -148,6 +148,12 @@ def _of_unexplained(decision: Decision) -> str:
 
 def _of_adequate(decision: Decision) -> str:
     """Return the sentence where nothing needs to be added; what speaks against it is said too."""
+    if decision.adequate_by is AdequateBy.TOLERANCE and not decision.best and decision.drift_probability <= 0.5:
+        share = f"{decision.lack.share:.2%} of the motion"
+        return (
+            f"The model is adequate: what it leaves, {share}, is more than measurement error (p = "
+            f"{decision.lack.p_value:.2g}), but less than the tolerance."
+        )
     if decision.adequate_by is AdequateBy.TOLERANCE:
         what = _below(decision) if decision.below else "a drift with time is"
         verb = "change" if len(decision.below) > 1 else "changes"

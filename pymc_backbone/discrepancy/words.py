@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .._common.checks import OBSERVABLES, FloatArray
-from .._common.text import capitalised, in_words
+from .._common.text import capitalised, in_a_sentence, in_words
 from . import starts
 from .batch import Batch
 from .curves import curve, measured, on_levels
@@ -22,17 +22,28 @@ _SEPARATED = 5.0  # logarithm of the odds that decides
 
 
 def reasons(batch: Batch, found: Fit, names: Set) -> tuple[str, ...]:
-    """Say for each effect how frequency and damping depart from the model without it, with the power of amplitude."""
+    """Say for each effect how frequency and damping depart from the model without it, with the power of amplitude.
+
+    What the library says an effect does is told where nothing stands out at single levels. Elsewhere it could
+    contradict what was measured (a second effect in the set, or another amplitude), so only what the effect is is told.
+    """
     sentences = []
     brought = on_levels(batch, found)
-    summaries = {effect.name: effect.summary.rstrip(".") for effect in found.layout.oscillator.effects}
+    summaries = {effect.name: effect.summary for effect in found.layout.oscillator.effects}
     for name in names:
         parts = [sentence for sentence in (_power_law(batch, brought, name, row) for row in (0, 1, 2)) if sentence]
         unseen = "the waveforms show it" if batch.has_records else "all levels together show it"
         text = "; ".join(parts) if parts else f"too small to be seen at single levels; {unseen}"
-        summary = f" {summaries[name]}." if summaries[name] else ""
-        sentences.append(f"{capitalised(in_words(name))}: {text}.{summary}")
+        sentences.append(f"{capitalised(in_words(name))}: {text}.{_said_by_the_library(summaries[name], bool(parts))}")
     return tuple(sentences)
+
+
+def _said_by_the_library(summary: str, is_measured: bool) -> str:
+    """Return what may follow the measured trends: what the effect is, and what it does where nothing was measured."""
+    what, colon, _ = summary.partition(":")
+    if not is_measured or not colon:
+        return f" {summary.rstrip('.')}." if summary else ""
+    return f" In other words: {in_a_sentence(what)}."
 
 
 def _power_law(batch: Batch, found: Fit, name: str, row: int) -> str:
