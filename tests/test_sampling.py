@@ -66,6 +66,41 @@ def test_search_finds_a_narrow_target_and_no_chain_is_frozen(rng, random_seed):
         assert all(np.unique(chain).size > 10 for chain in posterior[name].values)
 
 
+@pytest.mark.parametrize("likelihood", ["specimen", "pooled", "population"])
+def test_slopes_of_the_search_are_those_of_the_distances(rng, likelihood):
+    """Of each unknown, by central differences of what is searched; a level that is not reached has none."""
+    data = noisy(rng, 9)
+    data["value"][0, :, 0] = data["standard_error"][0, :, 0] = np.nan
+    if likelihood == "population":
+        data = data.isel(specimen=slice(1, None))
+    finder = StartFinder(build_model(DUFFING, data, BOUNDS, likelihood=likelihood), 1)
+    assert finder._has_slopes
+    point, unpack = finder._flatten(finder.draw_point(3))
+    exact = finder._slopes_of_distances(point, unpack)
+    steps = 1e-4 * np.eye(point.size)
+    differences = [(finder.distances(unpack(point + h)) - finder.distances(unpack(point - h))) / 2e-4 for h in steps]
+    expected = np.column_stack(differences)
+    # the simulator's own rounding, 1e-10 of a frequency, over the step in standard errors
+    assert exact == pytest.approx(expected, abs=1e-5 * np.abs(expected).max())
+    assert np.abs(exact).max(axis=0).min() > 0.0
+
+
+def test_search_does_not_simulate_every_specimen_for_every_unknown(rng, monkeypatch):
+    """24 specimens have 72 unknowns: differences of the distances would simulate the batch 72 times at each step."""
+    finder = StartFinder(build_model(DUFFING, noisy(rng, 24), BOUNDS, likelihood="specimen"), 1)
+    batches = []
+    simulate = type(finder.targets[0].response).evaluate_many
+    monkeypatch.setattr(
+        type(finder.targets[0].response), "evaluate_many",
+        lambda self, theta: (batches.append(len(theta)), simulate(self, theta))[1],
+    )  # fmt: skip
+    point = finder.draw_point(3)
+    solved = finder._search(point)
+    assert 1 < len(batches) <= 61 and set(batches) == {24}
+    # the nearest point: half a squared standard error for each of 480 values, and what the prior costs
+    assert np.mean(finder.distances(solved) ** 2) < 1.5 < np.mean(finder.distances(point) ** 2)
+
+
 @pytest.mark.parametrize("step", ["metropolis", "elementwise", "demetropolisz", "slice", "nuts", "nutpie"])
 def test_every_step_samples_the_same_posterior(step):
     density = fit_density(batch(np.random.default_rng(5), 30), kind="joint", marginal="normal")

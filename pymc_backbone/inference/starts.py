@@ -29,6 +29,7 @@ _PRIOR_PRECISION = 3.0 / np.pi**2  # of a Uniform prior on PyMC's unconstrained 
 _AT_BOUND = 25.0  # unconstrained value that lies 1e-11 of the interval beside its bound
 _FAILED = 30.0  # standardised distance that stands for a failed simulation in a search
 _HINT_DRAWS = 64
+_THETA_STEP = 1e-6  # of central differences of parameters by unconstrained values
 
 
 class StartFinder:
@@ -278,13 +279,66 @@ class StartFinder:
         bounded = self._bounded(point)
 
         def residuals(vector: FloatArray) -> FloatArray:
-            inside = vector[bounded]
-            # 4 log cosh(u / 2) is twice the loss in log-density of a Uniform prior, up to a constant
-            prior = np.sign(inside) * 2.0 * np.sqrt(np.logaddexp(0.5 * inside, -0.5 * inside) - np.log(2.0))
-            return np.concatenate([self.distances(unpack(vector)), prior])
+            return np.concatenate([self.distances(unpack(vector)), _residual_of_prior(vector[bounded])])
 
-        solution: Any = least_squares(residuals, start, method="trf", x_scale="jac", max_nfev=60)
+        def slopes(vector: FloatArray) -> FloatArray:
+            prior = np.zeros((int(bounded.sum()), vector.size))
+            prior[:, bounded] = np.diag(_slope_of_prior(vector[bounded]))
+            return np.vstack([self._slopes_of_distances(vector, unpack), prior])
+
+        solution: Any = least_squares(
+            residuals,
+            start,
+            slopes if self._has_slopes else "2-point",
+            method="trf",
+            x_scale="jac",
+            max_nfev=60,
+        )
         return unpack(solution.x)
+
+    @property
+    def _has_slopes(self) -> bool:
+        """Whether the simulators know their sensitivities, and distances are in units of single values."""
+        return all(
+            isinstance(target.response, OscillatorResponse)
+            and (target.density is None or target.density.kind == "product")
+            for target in self.targets
+        )
+
+    def _slopes_of_distances(
+        self, vector: FloatArray, unpack: Callable[[FloatArray], dict[str, FloatArray]]
+    ) -> FloatArray:
+        """Return the derivatives of `distances` by the unconstrained values.
+
+        One simulation with sensitivities for each parameter vector, chained with differences of the parameters, which
+        cost no simulation: with differences of the distances every unknown of one specimen would simulate all of them.
+        """
+        assert self.thetas is not None
+        thetas = self.thetas
+        step = _THETA_STEP * np.maximum(np.abs(vector), 1.0)
+
+        def at(values: FloatArray) -> list[FloatArray]:
+            found = thetas(self._inputs(unpack(values)))
+            return [np.atleast_2d(np.asarray(theta, dtype=np.float64)) for theta in found]
+
+        centre = at(vector)
+        ends = [(at(vector + h), at(vector - h)) for h in np.diag(step)]
+        parts = []
+        for index, target in enumerate(self.targets):
+            by_unknown = np.array(
+                [(up[index] - down[index]) / (2.0 * h) for (up, down), h in zip(ends, step, strict=True)]
+            )
+            spread = np.where(target.spread > 0.0, target.spread, 1.0)
+            simulated = np.zeros((*target.centre.shape, vector.size))
+            rows = [target.response.evaluate(np.ascontiguousarray(theta), True) for theta in centre[index]]
+            for s in range(len(simulated)):
+                k = s if len(rows) > 1 else 0
+                _, by_parameter, completed = rows[k]
+                if completed:
+                    simulated[s] = by_parameter @ by_unknown[:, k].T
+            known = np.isfinite(target.centre)[..., None]
+            parts.append(np.where(known, simulated / spread[..., None], 0.0).reshape(-1, vector.size))
+        return np.concatenate(parts)
 
     def _explain(self, draws: list[dict[str, FloatArray]]) -> str:
         """Say in one sentence which observable and level no prior point reaches."""
@@ -317,6 +371,22 @@ class StartFinder:
             "follow the measured backbones: add an effect, widen the priors, or use a density without hard edges "
             "(`marginal='normal'`)."
         )
+
+
+def _residual_of_prior(inside: FloatArray) -> FloatArray:
+    """Return what Uniform priors add to least squares, on the unconstrained scale.
+
+    4 log cosh(u / 2) is twice the loss in log-density, up to a constant.
+    """
+    return np.asarray(np.sign(inside) * 2.0 * np.sqrt(np.logaddexp(0.5 * inside, -0.5 * inside) - np.log(2.0)))
+
+
+def _slope_of_prior(inside: FloatArray) -> FloatArray:
+    """Return the derivative of `_residual_of_prior`: tanh(u / 2) / r / 1, which is 1 / sqrt(2) at zero."""
+    residual = np.abs(_residual_of_prior(inside))
+    is_zero = residual < 1e-6
+    slope = np.tanh(0.5 * np.abs(inside)) / np.where(is_zero, 1.0, residual)
+    return np.asarray(np.where(is_zero, np.sqrt(0.5), slope))
 
 
 def _simulate(target: Target, theta: FloatArray) -> FloatArray:
