@@ -178,6 +178,36 @@ def test_one_bad_specimen_among_good_ones_is_named(rng):
     assert any("parameters of its own: S5" in sentence for sentence in fit.sentences())
 
 
+def test_a_population_that_comes_out_too_narrow_is_said(rng):
+    """One posterior is as wide as the batch, one a tenth of that, as products of many levels make it; both fit."""
+    data = measured(rng, n=12, cubic=CUBIC, scatter=0.02)
+    fits = []
+    for wide in (1.0, 0.1):
+        posterior = drawn(DUFFING, data, "population", rng)
+        for name in DUFFING.parameter_names:
+            factor = 1.0 + wide * 0.015 * rng.standard_normal((1, 40))
+            posterior["posterior"][name] = posterior["posterior"][name] * factor
+        fits.append(pb.goodness_of_fit(DUFFING, data, posterior, BOUNDS, likelihood="population"))
+    wide, narrow = fits
+    assert wide.narrow == () and wide.sentences() == []
+    assert narrow.narrow and narrow.describes_specimens
+    worst = narrow.narrow[0]
+    held = data["value"].sel(observable=worst.observable, level=worst.level)
+    error = data["standard_error"].sel(observable=worst.observable, level=worst.level)
+    assert worst.measured**2 == pytest.approx(float(held.var(ddof=1) - (error**2).mean()))
+    assert worst.simulated < 0.5 * worst.measured
+    assert any("narrower than it was measured" in sentence for sentence in narrow.sentences())
+    assert narrow.as_dict()["narrow"][0]["level"] == worst.level
+    # chance: of three specimens a variance five times as large proves nothing, of twelve it does
+    posterior = drawn(DUFFING, data, "population", rng)
+    for name in DUFFING.parameter_names:
+        factor = 1.0 + 0.4 * 0.015 * rng.standard_normal((1, 40))
+        posterior["posterior"][name] = posterior["posterior"][name] * factor
+    few = data.isel(specimen=slice(0, 3))
+    assert pb.goodness_of_fit(DUFFING, few, posterior, BOUNDS, likelihood="population").narrow == ()
+    assert pb.goodness_of_fit(DUFFING, data, posterior, BOUNDS, likelihood="population").narrow != ()
+
+
 def test_population_without_standard_errors_is_judged_by_signs(rng):
     def without(data: xr.Dataset) -> xr.Dataset:
         return data.assign(standard_error=0.0 * data["standard_error"], covariance=0.0 * data["covariance"])

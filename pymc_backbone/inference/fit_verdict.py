@@ -81,6 +81,19 @@ class ExcludedBy:
 
 
 @dataclass(frozen=True)
+class Narrow:
+    """A level value that scatters less over draws of the posterior of a population than over its specimens.
+
+    ``measured`` and ``simulated`` are standard deviations, measurement error taken out.
+    """
+
+    observable: str
+    level: float
+    measured: float
+    simulated: float
+
+
+@dataclass(frozen=True)
 class GoodnessOfFit:
     """Whether a model describes what was measured; `goodness_of_fit` makes one.
 
@@ -104,6 +117,8 @@ class GoodnessOfFit:
         Chance that specimens which are alike differ by so much; NaN unless the posterior is pooled.
     displaced : tuple of FitEntry
         Where the simulated population lies beside the measured one.
+    narrow : tuple of Narrow
+        Where it scatters less than half as much, and not by chance, the worst first.
     excluded : tuple of ExcludedBy
         Priors that exclude the data.
     amplitude_unit : str
@@ -128,6 +143,7 @@ class GoodnessOfFit:
     entries: tuple[FitEntry, ...]
     pooling_p_value: float = float("nan")
     displaced: tuple[FitEntry, ...] = ()
+    narrow: tuple[Narrow, ...] = ()
     excluded: tuple[ExcludedBy, ...] = ()
     amplitude_unit: str = "m"
     levels: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
@@ -180,6 +196,7 @@ class GoodnessOfFit:
             "degrees_of_freedom": self.degrees_of_freedom,
             "pooling_p_value": self.pooling_p_value,
             "worst": None if worst is None else asdict(worst),
+            "narrow": [asdict(one) for one in self.narrow],
             "prior_excludes": [asdict(one) for one in self.excluded],
             "specimens": [asdict(one) for one in self.specimens],
             "entries": [asdict(entry) for entry in self.entries],
@@ -244,7 +261,19 @@ class GoodnessOfFit:
                 f"The posterior lies beside the measured population although the model can describe each specimen: "
                 f"{where}. Widen the priors, or use another density."
             )
+        if self.narrow:
+            found.append(self._narrowness(self.narrow[0]))
         return found
+
+    def _narrowness(self, one: Narrow) -> str:
+        unit = OBSERVABLE_UNITS.get(one.observable, "1")
+        unit = "" if unit == "1" else f" {unit}"
+        return (
+            f"The population comes out narrower than it was measured: {one.observable} at {one.level:.4g} "
+            f"{self.amplitude_unit} has a standard deviation of {one.measured:.2g}{unit} over the specimens, of "
+            f"{one.simulated:.2g}{unit} over the posterior. A product density counts levels that share their "
+            "parameters as if each told something new; use the joint density."
+        )
 
     def describe(self, entry: FitEntry) -> str:
         """Say how far off one level value is."""

@@ -29,7 +29,7 @@ from .._common.threads import with_one_thread
 from ..oscillator import Oscillator
 from ..simulation.response import Response, make_response
 from .fit_verdict import P_LIMIT, ExcludedBy, GoodnessOfFit, SpecimenFit
-from .level_values import LevelValues, compare_values, find_displaced
+from .level_values import LevelValues, compare_values, find_displaced, find_narrow
 from .model import likelihood_of, select_observables
 from .options import LIKELIHOODS
 from .refit import Refit, refit
@@ -163,6 +163,7 @@ def goodness_of_fit(
         if kind == "pooled"
         else np.nan,
         displaced=displaced,
+        narrow=find_narrow(data, predicted) if kind == "population" else (),
         excluded=excluded,
         amplitude_unit=str(data.attrs.get("amplitude_unit", "m")),
         levels=np.asarray(data["level"], dtype=float),

@@ -7,13 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
+from scipy.stats import chi2
 from scipy.stats import t as student
 
 from .._common.checks import FloatArray
 from ..likelihood.specimen_likelihood import whiten_specimens
-from .fit_verdict import SPECIMEN_LIMIT, FitEntry
+from .fit_verdict import SPECIMEN_LIMIT, FitEntry, Narrow
 
 _DISPLACED = 1.0  # standard deviations of the measured population
+_NARROW = 4.0  # times the variance of the simulated population: what the measured one has more is said
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,6 +133,30 @@ def find_displaced(entries: Sequence[FitEntry], batch: LevelValues) -> tuple[Fit
         if chance < SPECIMEN_LIMIT and abs(entry.measured - entry.predicted) > _DISPLACED * entry.scatter:
             found.append(entry)
     return tuple(sorted(found, key=lambda entry: -abs(entry.z)))
+
+
+def find_narrow(data: xr.Dataset, predicted: FloatArray) -> tuple[Narrow, ...]:
+    """Return where draws (1, d, o, l) scatter less than half as much as the specimens do, and not by chance.
+
+    The chance is that of a sample variance of normal values; that of the measurement is taken out.
+    """
+    values = np.asarray(data["value"], dtype=float)
+    errors = np.asarray(data["standard_error"], dtype=float) if "standard_error" in data else np.zeros_like(values)
+    limit = SPECIMEN_LIMIT / (values.shape[1] * values.shape[2])
+    found = []
+    for o, observable in enumerate(map(str, data["observable"].values)):
+        for k, level in enumerate(np.asarray(data["level"], dtype=float)):
+            held = np.isfinite(values[:, o, k])
+            drawn = predicted[0, :, o, k][np.isfinite(predicted[0, :, o, k])]
+            if held.sum() < 3 or drawn.size < 2:
+                continue
+            measured, error = float(values[held, o, k].var(ddof=1)), float(np.nanmean(errors[held, o, k] ** 2))
+            simulated, freedom = float(drawn.var(ddof=1)), int(held.sum()) - 1
+            own = measured - np.nan_to_num(error)
+            expected = simulated + np.nan_to_num(error)
+            if own > _NARROW * simulated and freedom * measured > chi2.isf(limit, freedom) * expected:
+                found.append(Narrow(observable, float(level), float(np.sqrt(own)), float(np.sqrt(simulated))))
+    return tuple(sorted(found, key=lambda one: one.simulated / one.measured))
 
 
 def _spread(drawn: FloatArray) -> tuple[float, float, float, float, float]:

@@ -77,7 +77,8 @@ RESULT_KEYS = {
     "comparison": "for each observable and level: mean and sd over the specimens, measured and simulated",
     "interrupted": "what is missing where a stored run was ended with Ctrl-C, a sentence; else null",
     "fit": "whether the model fits: passes, sentence, p_value, reduced_chi_square, degrees_of_freedom, "
-    "pooling_p_value, worst, prior_excludes, and lists of specimens and of entries (observable, level, specimen)",
+    "pooling_p_value, worst, narrow (where the population comes out too narrow), prior_excludes, and "
+    "lists of specimens and of entries (observable, level, specimen)",
     "findings": "sentences on what is wrong with the fit and the posterior; empty if nothing was found",
     "notes": "what was assumed or done while reading and conditioning the records",
     "failures": "number of simulations that gave no backbone; 0 too where they are not counted (see 'simulations')",
