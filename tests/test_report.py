@@ -19,7 +19,7 @@ from pymc_backbone.discrepancy.study import Candidate
 from pymc_backbone.discrepancy.verdict import NamedLevel, Status, Verdict
 from pymc_backbone.effects import LIBRARY
 from pymc_backbone.reporting.candidate_plots import plot_candidates
-from pymc_backbone.reporting.html import number, table, unit
+from pymc_backbone.reporting.html import MOST_RECORDS, noted, number, table, unit
 from pymc_backbone.reporting.output_folder import DIAGNOSIS_FIGURES, FIGURES, read_result
 from pymc_backbone.reporting.report import report_html
 from pymc_backbone.reporting.report_model import parameters
@@ -222,6 +222,22 @@ def test_page_is_whole_and_holds_everything_inside(studies, verdict):
     assert study.base.equation.splitlines()[0] in words
     if study.extended is not None:
         assert study.extended.equation.splitlines()[0] in words
+
+
+def test_what_was_cut_is_said_in_the_open_record_by_record():
+    names = [f"run {i + 1}" for i in range(14)]
+    common = [f"{name}: no unit was given, m was assumed" for name in names]
+    own = [f"{name}: the first {i + 1} s were dropped" for i, name in enumerate(names) if i != 3]
+    page = noted([*common, *own, "run 2: warning: it beats", "levels were shared", "left out: run 99: silent"], names)
+    visible = page.partition("<details")[0]
+    assert visible.count("<tr") == 1 + MOST_RECORDS  # a head, all of them, and what the first ones have of their own
+    assert "all 14" in visible and visible.count("no unit was given") == 1 and "the first 1 s were dropped" in visible
+    assert "run 4<" not in page  # of which nothing more is to be said
+    assert "warning: it beats" in visible and "left out: run 99" in visible and visible.count("it beats") == 1
+    assert "2 more records" in page and "the first 14 s were dropped" not in visible and "levels were shared" in page
+    for name in ("run 1", "<b>"):
+        page = noted([f"{name}: cut", "other"], [name])
+        assert "<b>" not in page and "cut" in page.partition("<details")[0]
 
 
 def test_two_uncertainties_of_one_number_have_names(studies):

@@ -22,7 +22,7 @@ from pymc_backbone.measurement.options import Measuring
 from pymc_backbone.measurement.reading.options import Reading
 from pymc_backbone.oscillator import Oscillator
 from pymc_backbone.reporting.output_folder import RESULT_KEYS, backbone_table, read_result
-from pymc_backbone.reporting.terminal import compare, describe_measured
+from pymc_backbone.reporting.terminal import compare, damping_ratio_words, describe_measured
 from pymc_backbone.simulation.backbones import simulate_population
 from pymc_backbone.workflows import demo, infer
 from pymc_backbone.workflows import update as run
@@ -243,6 +243,19 @@ def test_comparison_has_the_moments_of_both(rng):
     assert row["measured_sd"] == pytest.approx(np.std(values, ddof=1))
     assert row["measured_standard_error"] == pytest.approx(0.0002)
     assert row["simulated_mean"] == pytest.approx(simulated["value"].sel(observable="damping").values[:, 1].mean())
+
+
+def test_damping_is_said_as_ratio_and_quality_factor_once_and_rightly(rng):
+    """Of a viscous damper the decrement is 2 pi zeta / sqrt(1 - zeta^2), and Q = 1 / (2 zeta)."""
+    for zeta in (0.001, 0.02, 0.3):
+        decrement = 2.0 * np.pi * zeta / np.sqrt(1.0 - zeta**2)
+        text = damping_ratio_words([np.nan, decrement], [0.01, 0.02], "m")
+        assert f"{100.0 * zeta:.3g} % (Q = {0.5 / zeta:.3g}) at 0.02 m" in text and text.count("%") == 1
+    assert damping_ratio_words([np.nan, -0.1], [0.01, 0.02], "m") == ""
+    backbones = make_backbones(rng, 3)
+    assert describe_measured(backbones).count("damping ratio") == 1
+    alone = backbones.sel(observable=["frequency"])
+    assert "damping ratio" not in describe_measured(alone)
 
 
 def test_one_specimen_has_no_scatter(rng):

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import base64
 import html
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from urllib.parse import quote
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from .pictures import png
+
+MOST_RECORDS = 12  # that are told of in the open
 
 STYLE = """\
 :root{--page:#f3f5f7;--card:#fff;--ink:#1a2330;--soft:#5a6675;--line:#dde3ea;--tone:#0b5cad;--wash:#e8f1fb;--mark:#f7f9fb}
@@ -143,12 +145,48 @@ def bullets(sentences: Iterable[object]) -> str:
     return f"<ul>{items}</ul>" if items else ""
 
 
-def noted(notes: Sequence[str]) -> str:
-    """Return what was assumed or done: warnings and records left out in the open, the rest folded where it is long."""
+def noted(notes: Sequence[str], names: Sequence[str] = ()) -> str:
+    """Return what was assumed or done: one line for each record, warnings first; what is about no record is folded.
+
+    Parameters
+    ----------
+    notes : sequence of str
+        Sentences; what is about one record begins with its name and a colon.
+    names : sequence of str
+        The records. Of many, those behind the first are folded away.
+    """
     loud = [note for note in notes if "warning: " in note or note.startswith("left out: ")]
-    quiet = [note for note in notes if note not in loud]
-    folded = details(f"Notes: what was assumed or done ({len(quiet)})", bullets(quiet), is_open=0 < len(quiet) <= 5)
-    return (f"<h3>Look at these records</h3>{bullets(loud)}" if loud else "") + folded
+    own: dict[str, list[str]] = {name: [] for name in names}
+    others = []
+    for note in notes:
+        name, colon, said = note.partition(": ")
+        if note in loud:
+            continue
+        if colon and name in own:
+            own[name].append(said)
+        else:
+            others.append(note)
+    columns = (("record", "head"), ("what was cut, subtracted or assumed", "text"))
+    rows = _by_record(own)
+    more = f"{len(rows) - MOST_RECORDS} more records"
+    folded = details(f"Other notes ({len(others)})", bullets(others), is_open=0 < len(others) <= 5)
+    return (
+        (f"<h3>Look at these records</h3>{bullets(loud)}" if loud else "")
+        + table(columns, rows[:MOST_RECORDS])
+        + details(more, table(columns, rows[MOST_RECORDS:]))
+        + folded
+    )
+
+
+def _by_record(own: Mapping[str, Sequence[str]]) -> list[tuple[str, str]]:
+    """Return a row for what is true of all records, then one for each of which more is to be said."""
+    common = [said for said in next(iter(own.values()), ()) if all(said in every for every in own.values())]
+    common = common if len(own) > 1 else []
+    rows = [(f"all {len(own)}", "; ".join(common))] if common else []
+    for name, every in own.items():
+        said = "; ".join(one for one in every if one not in common)
+        rows += [(name, said)] if said else []
+    return rows
 
 
 def tiles(pairs: Sequence[tuple[object, object]]) -> str:

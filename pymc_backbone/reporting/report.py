@@ -136,7 +136,7 @@ def _data(study: Study, figures: Mapping[str, Figure]) -> str:
         "Data",
         table(columns, rows),
         paragraph(f"Specimens: {', '.join(named)}.", "soft"),
-        noted(notes),
+        noted(notes, named),
         details("The records", picture),
     )
 

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from ..discrepancy.study import HeldOut, Study
 from .html import Raw, escape, image, number, paragraph, section, table, unit
 from .style import engineering
+from .terminal import measured_damping_words
 
 
 def curves(study: Study, figures: Mapping[str, Figure]) -> str:
@@ -25,7 +26,8 @@ def curves(study: Study, figures: Mapping[str, Figure]) -> str:
     note = "Bars span 95 % of measurement error, bands of the gap that of its mean over the specimens."
     if tolerances:
         note += f" Grey: the tolerance ({tolerances})."
-    return section(words, *parts, paragraph(note, "soft")) if words else ""
+    note += f" {measured_damping_words(study.backbones)}"
+    return section(words, *parts, paragraph(note.rstrip(), "soft")) if words else ""
 
 
 def where(study: Study) -> str:

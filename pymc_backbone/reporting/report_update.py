@@ -28,7 +28,7 @@ from .html import (
     unit,
 )
 from .report import settings_table
-from .terminal import FOUND_NOTHING, POPULATION_WORDS, meaningful_digits
+from .terminal import FOUND_NOTHING, POPULATION_WORDS, damping_ratio_words, meaningful_digits
 
 MOST_ROWS = 12
 
@@ -58,7 +58,7 @@ def update_report_html(
                 "Measured against predicted",
                 image(figures.get("predictive"), "measured and predicted backbones over amplitude", is_wide=True),
             ),
-            _misfit(fit),
+            _misfit(fit, result),
             _population(result, figures),
             _parameters(result, figures),
             _sampling(result, figures),
@@ -108,7 +108,14 @@ def _header(result: Mapping[str, Any], fit: GoodnessOfFit, word: str) -> str:
     )
 
 
-def _misfit(fit: GoodnessOfFit) -> str:
+def _ratio(result: Mapping[str, Any]) -> str:
+    """Say the measured damping as a damping ratio, too."""
+    rows = [row for row in result["comparison"] if row["observable"] == "damping"]
+    decrements, levels = [row["measured_mean"] for row in rows], [row["level"] for row in rows]
+    return damping_ratio_words(decrements, levels, str(result["amplitude_unit"]))
+
+
+def _misfit(fit: GoodnessOfFit, result: Mapping[str, Any]) -> str:
     """List how each specimen is fitted, and the level values that are furthest off."""
     rows = [
         (
@@ -168,6 +175,7 @@ def _misfit(fit: GoodnessOfFit) -> str:
         note,
         each,
         rest,
+        paragraph(_ratio(result), "soft"),
         details("The level values that are furthest from the posterior predictive", values, is_open=not fit.passes),
     )
 
@@ -279,7 +287,7 @@ def _data(result: Mapping[str, Any], figures: Mapping[str, Figure]) -> str:
     return section(
         "Data",
         paragraph(f"Specimens: {', '.join(result['specimens'])}.", "soft"),
-        noted(notes),
+        noted(notes, [str(name) for name in result["specimens"]]),
         details("Records, backbones and densities", *pictures),
     )
 

@@ -115,7 +115,52 @@ def describe_measured(backbones: xr.Dataset) -> str:
                     str(int(here.sum())),
                 )
             )
-    return f"{describe_batch(backbones)}\n\n{aligned(rows)}"
+    table = f"{describe_batch(backbones)}\n\n{aligned(rows)}"
+    ratio = measured_damping_words(backbones)
+    return f"{table}\n\n{ratio}" if ratio else table
+
+
+def measured_damping_words(backbones: xr.Dataset) -> str:
+    """Say the measured damping, averaged over the specimens, as `damping_ratio_words` does; empty without any."""
+    if "damping" not in backbones["observable"].values:
+        return ""
+    mean = backbones["value"].sel(observable="damping").mean("specimen")
+    return damping_ratio_words(
+        mean.values.tolist(), backbones["level"].values.tolist(), str(backbones.attrs.get("amplitude_unit", "m"))
+    )
+
+
+def damping_ratio_words(decrements: Sequence[float], levels: Sequence[float], unit: str) -> str:
+    """Say a damping, which is the logarithmic decrement of a cycle, as damping ratio and quality factor.
+
+    Parameters
+    ----------
+    decrements : sequence of float
+        Logarithmic decrement per cycle at each level; NaN where there is none.
+    levels : sequence of float
+        Amplitudes, increasing.
+    unit : str
+        Theirs.
+
+    Returns
+    -------
+    str
+        A sentence on the lowest and the highest level, empty without a positive decrement.
+
+    Examples
+    --------
+    >>> damping_ratio_words([0.0628], [0.001], "m")
+    'Damping is the logarithmic decrement per cycle: a damping ratio of 0.999 % (Q = 50) at 0.001 m.'
+    """
+    known = [(delta, level) for delta, level in zip(decrements, levels, strict=True) if delta > 0.0]
+    if not known:
+        return ""
+    said: list[str] = []
+    for delta, level in known if len(known) == 1 else (known[0], known[-1]):
+        ratio = delta / np.hypot(2.0 * np.pi, delta)
+        quality = f"{0.5 / ratio:.3g}"
+        said.append(f"{100.0 * ratio:.3g} % ({quality if said else f'Q = {quality}'}) at {level:.4g} {unit}")
+    return f"Damping is the logarithmic decrement per cycle: a damping ratio of {', '.join(said)}."
 
 
 def describe_result(result: Mapping[str, Any]) -> str:
@@ -143,9 +188,12 @@ def describe_result(result: Mapping[str, Any]) -> str:
     found = result["findings"] or [f"Nothing wrong was found: {FOUND_NOTHING}."]
     fit = [str(result["fit"]["sentence"]), ""] if result.get("fit") else []
     population = _describe_population(result)
-    return "\n".join(
-        [*fit, *population, aligned(rows), "", aligned(spread), "", "Findings:", *(f"- {one}" for one in found)]
+    damping = [row for row in result["comparison"] if row["observable"] == "damping"]
+    ratio = damping_ratio_words(
+        [row["measured_mean"] for row in damping], [row["level"] for row in damping], str(result["amplitude_unit"])
     )
+    lines = [*fit, *population, aligned(rows), "", aligned(spread), "", *([ratio, ""] if ratio else [])]
+    return "\n".join([*lines, "Findings:", *(f"- {one}" for one in found)])
 
 
 def _describe_population(result: Mapping[str, Any]) -> list[str]:

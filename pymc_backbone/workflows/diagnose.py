@@ -19,7 +19,7 @@ from ..inference.options import Sampling
 from ..measurement.options import Measuring
 from ..measurement.reading.options import Reading
 from ..reporting.output_folder import REPORT, claimed_output, package_version, plain, read_result
-from ..reporting.terminal import aligned, describe_reading, short
+from ..reporting.terminal import aligned, describe_reading, measured_damping_words, short
 from .measure import Progress, Say, measure, say_warnings
 
 if TYPE_CHECKING:
@@ -132,6 +132,9 @@ def _diagnosed(
 def _say_study(study: Study, say: Say) -> None:
     say_warnings(study.notes, say)
     say(describe_study(study))
+    ratio = measured_damping_words(study.backbones)
+    if ratio:
+        say(f"\n{ratio}")
 
 
 def _read(path: Data, reading: Reading, measuring: Measuring, say: Say) -> tuple[Any, Sequence[Record], list[str]]:
