@@ -7,7 +7,7 @@ import pytest
 
 from pymc_backbone._common.checks import InputError
 from pymc_backbone.discrepancy.workflow import find_missing_effect
-from pymc_backbone.measurement.extraction import LEFT_OUT, extract_all, levels_for, measure_batch
+from pymc_backbone.measurement.extraction import ALIKE, LEFT_OUT, extract_all, levels_for, measure_batch
 from pymc_backbone.measurement.levels import default_levels
 from pymc_backbone.measurement.options import Measuring
 from pymc_backbone.measurement.reading.record import Record
@@ -95,6 +95,19 @@ def test_levels_are_those_of_every_road(records, tmp_path, monkeypatch):
         find_missing_effect(Oscillator(1.0), read_records(tmp_path / "records"))
     np.testing.assert_array_equal(chosen, written["levels"])
     np.testing.assert_array_equal(chosen, seen["levels"])
+
+
+def test_repeats_of_one_structure_are_recognised_and_said(capsys, rng, tmp_path):
+    repeats = [decay(rng, f"test {i}", 0.01 * (1.0 - 0.03 * i)) for i in range(4)]
+    (note,) = [note for note in measure_batch(repeats).notes if note.startswith(ALIKE)]
+    assert "the 4 records" in note and "Each counts as a specimen" in note and "pooled" in note
+    # the same decays on time axes that differ by 1 %: a batch with that scatter of frequency
+    batch = [Record(item.specimen, item.time * (1.0 + 0.01 * i), item.values) for i, item in enumerate(repeats)]
+    assert not [note for note in measure_batch(batch).notes if note.startswith(ALIKE)]
+    assert not [note for note in measure_batch(repeats[:1]).notes if note.startswith(ALIKE)]
+    write_records(repeats, tmp_path / "records")
+    code, out, _ = run_cli(capsys, "extract", str(tmp_path / "records"), "--out", str(tmp_path / "out"))
+    assert code == 0 and " ".join(note.split()) in " ".join(out.split())
 
 
 def test_specimens_without_a_common_range_have_levels_of_their_own(rng):

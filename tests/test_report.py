@@ -216,7 +216,8 @@ def test_page_is_whole_and_holds_everything_inside(studies, verdict):
     for item in study.candidates:
         assert all(in_words(name) in words for name in item.effects)
         assert item.reason in words
-    for sentence in (*study.reasons, *study.advice, *study.notes, *(check.message for check in study.checks)):
+    notes = [note.partition(": ")[2] or note for note in study.notes]  # the record stands in a column of its own
+    for sentence in (*study.reasons, *study.advice, *notes, *(check.message for check in study.checks)):
         assert sentence in words
     assert "pymc-backbone diagnose 'my records' --seed 3" in words and "1.2.3" in words
     assert study.base.equation.splitlines()[0] in words

@@ -25,6 +25,10 @@ from .reading.record import Record
 DEFAULT_OBSERVABLES = ("frequency", "damping")
 LEFT_OUT = "left out: "
 """What the note on a record that could not be used begins with."""
+ALIKE = "alike: "
+"""What the note on records that look like repeats of one structure begins with."""
+REPEATS = 0.002
+"""Relative standard deviation of frequency up to which they do: clamping and temperature make as much."""
 LEAST_SHARE = 0.5
 """Share of the records that must remain: where most cannot be used, something is wrong with all of them."""
 _NARROW = 1.5  # the widest range of a specimen over that which all share, from which the search takes the whole range
@@ -142,9 +146,27 @@ def measure_batch(
         extraction.cycles, levels, check_observables(observables), amplitude_unit=extraction.unit
     )
     outliers = find_outliers(extraction.cycles)
-    said = [*(f"warning: {finding.sentence}" for finding in outliers), *said]
+    said = [*(f"warning: {finding.sentence}" for finding in outliers), *_alike(backbones), *said]
     backbones.attrs["notes"] = [*extraction.notes(backbones.attrs.get("notes", [])), *said]
     return MeasuredBatch(backbones, extraction, tuple(outliers))
+
+
+def _alike(backbones: xr.Dataset) -> list[str]:
+    """Say that records look like repeats of one structure, and what they are taken for; nothing where they do not."""
+    if "frequency" not in backbones["observable"].values:
+        return []
+    values = backbones["value"].sel(observable="frequency").values
+    held = values[:, np.isfinite(values).sum(axis=0) > 1]
+    if len(values) < 2 or not held.size:
+        return []
+    scatter = float(np.max(np.nanstd(held, axis=0, ddof=1) / np.nanmean(held, axis=0)))
+    if scatter > REPEATS:
+        return []
+    return [
+        f"{ALIKE}the frequencies of the {len(values)} records differ by {100.0 * scatter:.2g} % (standard deviation) "
+        "at most, as repeats of one structure do. Each counts as a specimen of its own; if they are repeats, the "
+        "spread is that of testing, not of a batch, and the pooled likelihood infers one parameter set from all of them"
+    ]
 
 
 def extract_all(

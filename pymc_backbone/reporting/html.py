@@ -155,7 +155,7 @@ def noted(notes: Sequence[str], names: Sequence[str] = ()) -> str:
     names : sequence of str
         The records. Of many, those behind the first are folded away.
     """
-    loud = [note for note in notes if "warning: " in note or note.startswith("left out: ")]
+    loud = [note for note in notes if "warning: " in note or note.startswith(("left out: ", "alike: "))]
     own: dict[str, list[str]] = {name: [] for name in names}
     others = []
     for note in notes:

@@ -148,10 +148,11 @@ def say_reading(measured: Measured, say: Say) -> None:
 
 
 def say_warnings(notes: Sequence[str], say: Say) -> None:
-    """Say which records were left out and why, and what else the notes warn of."""
+    """Say which records were left out and why, what else the notes warn of, and whether records may be repeats."""
     left_out = [note for note in notes if note.startswith("left out: ")]
     others = [note for note in notes if "warning: " in note and note not in left_out]
-    for warnings in (left_out, others):
+    alike = [note for note in notes if note.startswith("alike: ")]
+    for warnings in (left_out, others, alike):
         for note in warnings[:MOST_WARNINGS]:
             say(note)
         if len(warnings) > MOST_WARNINGS:
