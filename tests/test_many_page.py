@@ -158,6 +158,25 @@ def test_names_are_in_the_figures_where_values_stand_out(usual):
     drawn_without_overlap(drawn)
 
 
+def test_structures_stand_below_the_axis_by_name(usual):
+    """Up to a dozen by name, of a long one the end where it differs; more by number, and the axis says so."""
+    long = "footbridge_over_the_river_span_07"
+    usual[3] = dataclasses.replace(usual[3], name=long)
+    order = [item.name for item in usual]
+    for name in ("frequency", "damping_ratio"):
+        axis = plot_quantity({item.name: item for item in quantities(usual)}[name], order).axes[0]
+        labels = [label.get_text() for label in axis.get_xticklabels()]
+        assert axis.get_xticks().tolist() == list(range(1, 13)) and axis.get_xlabel() == ""
+        assert labels[:3] == ["beam_00", "beam_01", "beam_02"] and labels[4:] == order[4:]
+        assert labels[3].endswith("river_span_07") and len(labels[3]) < len(long)
+    more = [*usual, dataclasses.replace(usual[0], name="one more")]
+    axis = plot_quantity(
+        {item.name: item for item in quantities(more)}["frequency"], [item.name for item in more]
+    ).axes[0]
+    assert axis.get_xlabel() == "Structure, in the order given"
+    assert not any(name in label.get_text() for label in axis.get_xticklabels() for name in order)
+
+
 def test_names_of_points_that_lie_together_are_above_each_other(usual):
     """Five of twelve within a thousandth of each other, at the bottom and at the top of the panel."""
     for others in (0.009, 0.002):

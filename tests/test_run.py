@@ -22,7 +22,7 @@ from pymc_backbone.measurement.options import Measuring
 from pymc_backbone.measurement.reading.options import Reading
 from pymc_backbone.oscillator import Oscillator
 from pymc_backbone.reporting.output_folder import RESULT_KEYS, backbone_table, read_result
-from pymc_backbone.reporting.terminal import compare, damping_ratio_words, describe_measured
+from pymc_backbone.reporting.terminal import _row, compare, damping_ratio_words, describe_measured
 from pymc_backbone.simulation.backbones import simulate_population
 from pymc_backbone.workflows import demo, infer
 from pymc_backbone.workflows import update as run
@@ -256,6 +256,23 @@ def test_damping_is_said_as_ratio_and_quality_factor_once_and_rightly(rng):
     assert describe_measured(backbones).count("damping ratio") == 1
     alone = backbones.sel(observable=["frequency"])
     assert "damping ratio" not in describe_measured(alone)
+
+
+@pytest.mark.parametrize(
+    ("mean", "sd"), [(29720.4, 1.885), (0.6032, 0.025), (5.94e6, 3.3e5), (-1.23456e-7, 2.0e-12), (12.0, 4.0)]
+)
+def test_digits_follow_the_standard_deviation(mean, sd):
+    """No interval of one number twice, and no digit behind the second uncertain one."""
+    entry = {"mean": mean, "sd": sd, "hdi_low": mean - 2 * sd, "hdi_high": mean + 2 * sd, "r_hat": 1.0, "ess_bulk": 1e3}
+    _, shown, spread, interval, *_ = _row(entry, "N/m")
+    low, high = map(float, interval.split(" to "))
+    values = {shown: mean, interval.split(" to ")[0]: mean - 2 * sd, interval.split(" to ")[1]: mean + 2 * sd}
+    for text, value in values.items():
+        # two digits of the standard deviation: rounded to a twentieth of its power of ten
+        assert float(text) == pytest.approx(value, abs=0.0501 * 10.0 ** np.ceil(np.log10(sd)))
+        digits = text.lstrip("-").partition("e")[0].replace(".", "").lstrip("0")
+        assert len(digits) <= np.floor(np.log10(np.abs(mean) + 2 * sd)) - np.floor(np.log10(sd)) + 2
+    assert high - low > 3.0 * sd and float(spread) == pytest.approx(sd, rel=0.05)
 
 
 def test_one_specimen_has_no_scatter(rng):
