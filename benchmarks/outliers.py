@@ -15,6 +15,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from scipy.stats import binomtest
 
 from pymc_backbone.measurement.cycles import Cycles
 from pymc_backbone.measurement.outliers import find_outliers
@@ -141,7 +142,12 @@ def main() -> None:
         named += bool(found)
         for kind in {finding.kind for finding in found}:
             alarms[kind] += 1
-    print(f"honest batches: {chosen.batches}, an alarm in {named} ({named / chosen.batches:.2%}): {alarms}", flush=True)
+    interval = binomtest(named, chosen.batches).proportion_ci(0.95)
+    print(
+        f"honest batches: {chosen.batches}, an alarm in {named} ({named / chosen.batches:.2%}; 95 % {interval.low:.2%} "
+        f"to {interval.high:.2%}): {alarms}",
+        flush=True,
+    )
     print(
         "| one specimen of | "
         + " | ".join(f"{a} to {b} specimens" if a < b else f"{a} specimens" for a, b in COUNTS)
