@@ -7,6 +7,7 @@ import pytest
 
 from pymc_backbone._common.checks import InputError
 from pymc_backbone.discrepancy.workflow import find_missing_effect
+from pymc_backbone.inference.model import build_model, prior_intervals
 from pymc_backbone.measurement.extraction import ALIKE, LEFT_OUT, extract_all, levels_for, measure_batch
 from pymc_backbone.measurement.levels import default_levels
 from pymc_backbone.measurement.options import Measuring
@@ -148,6 +149,29 @@ def test_no_more_levels_than_cycles(rng):
             levels_for(cycles, levels)
     with pytest.raises(InputError, match="at least 1"):
         levels_for(cycles, 0)
+
+
+def test_as_many_levels_as_the_cycles_bear_can_be_inferred_from(rng):
+    """45 levels of one smooth curve are nearly dependent: their covariance has to be whitened all the same."""
+    time = np.arange(60 * 40) / 200.0
+    omega = 2.0 * np.pi * FREQUENCY
+    exact = 0.01 * np.exp(-RATIO * omega * time) * np.cos(omega * np.sqrt(1.0 - RATIO**2) * time)
+    records = [Record(f"s{i}", time, exact + 1e-6 * rng.standard_normal(time.size)) for i in range(2)]
+    backbones = measure_batch(records, Measuring(levels=45)).backbones
+    model = build_model(Oscillator(1.0), backbones, likelihood="pooled")
+    height = model.compile_logp()
+    right = {"linear_stiffness": omega**2, "viscous_damping": 2.0 * RATIO * omega}
+
+    def at(**other):
+        values = {name: other.get(name, value) for name, value in right.items()}
+        bounds = prior_intervals(Oscillator(1.0), backbones, {}, {})
+        share = {
+            name: (value - bounds[name][0]) / (bounds[name][1] - bounds[name][0]) for name, value in values.items()
+        }
+        return float(height({f"{name}_interval__": np.log(s / (1.0 - s)) for name, s in share.items()}))
+
+    assert np.isfinite(at()) and at() > at(linear_stiffness=1.01 * omega**2) + 100.0
+    assert at() > at(viscous_damping=1.1 * right["viscous_damping"]) + 10.0
 
 
 def test_offset_is_taken_only_where_all_is_asked_for(rng):

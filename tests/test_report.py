@@ -250,7 +250,9 @@ def test_two_uncertainties_of_one_number_have_names(studies):
     cells = [str(number(value, 2)) for value in (study.parameters["coulomb_friction"]["friction_force"].sd,
                                                  best.parameters["friction_force"][1])]  # fmt: skip
     assert cells[0] != cells[1] and row.index(f">{cells[0]}<") < row.index(f">{cells[1]}<")
-    assert "sd, posterior" not in parameters(dataclasses.replace(study, posterior=None), {})
+    assert "95 % HDI" in drawn
+    unsampled = parameters(dataclasses.replace(study, posterior=None), {})
+    assert "sd, posterior" not in unsampled and "HDI" not in unsampled and "95 % of the fit" in unsampled
 
 
 def test_names_from_files_cannot_become_markup():

@@ -182,6 +182,24 @@ def _level_values(item: Cycles, observable: str, levels: FloatArray) -> tuple[Fl
     beside_the_curve = blur @ item.smoothed_amplitude_spread @ blur.T + shared @ shared.T
     return (
         curve.value[:n],
-        curve.covariance[:n, :n] + beside_the_curve,
-        curve.noise_covariance[:n, :n] + beside_the_curve,
+        _definite(curve.covariance[:n, :n] + beside_the_curve),
+        _definite(curve.noise_covariance[:n, :n] + beside_the_curve),
     )
+
+
+def _definite(covariance: FloatArray) -> FloatArray:
+    """Return a covariance without what rounding made of it: symmetric, no direction less than the rounding's size.
+
+    Many levels of one smooth curve are nearly dependent, and of a very quiet record the smallest directions are lost in
+    differences of large numbers: they come out negative. Standard errors stay as they are.
+    """
+    scale = np.sqrt(np.diag(covariance))
+    symmetric = 0.5 * (covariance + covariance.T)
+    if not (scale > 0.0).all():
+        return symmetric
+    values, vectors = np.linalg.eigh(symmetric / np.outer(scale, scale))
+    if values[0] >= 0.0:
+        return symmetric
+    correlation = (vectors * np.maximum(values, -2.0 * values[0])) @ vectors.T
+    size = np.sqrt(np.diag(correlation)) / scale
+    return np.asarray(correlation / np.outer(size, size))

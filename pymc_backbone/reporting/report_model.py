@@ -137,7 +137,8 @@ def parameters(study: Study, figures: Mapping[str, Figure]) -> str:
                 )
             )
     sds = (("sd, posterior", "n"), ("sd, fit", "n")) if is_sampled else (("sd, fit", "n"),)
-    columns = (("parameter", "head"), ("mean", "n"), *sds, ("95 % HDI", ""), ("unit", ""), ("effect", ""))
+    span = "95 % HDI" if is_sampled else "95 % of the fit"  # only what was sampled has a highest density
+    columns = (("parameter", "head"), ("mean", "n"), *sds, (span, ""), ("unit", ""), ("effect", ""))
     note = "Over the batch. Added effects are stressed." if added else "Over the batch."
     if is_sampled:
         note += (
