@@ -8,9 +8,11 @@ by their own position, not by the last turning point as in the package.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
 
 RTOL = 3e-14  # the least that SciPy accepts without a warning is 100 eps
 STEPS_PER_RADIAN = 10  # keeps the dense output, on which events are located, as good as the steps
@@ -206,6 +208,36 @@ def _magnets(x, v, d, p):
     return p[0] * (near - far) - 2.0 * p[0] * p[2] / p[1] * x
 
 
+def _straight_beyond(curve, u):
+    last = float(np.clip(u, curve.x[0], curve.x[-1]))
+    return float(curve(last) + curve(last, 1) * (u - last))
+
+
+@cache
+def _spring_curve(p):
+    odd, even = np.array([*p[1:12], p[0]]), np.array(p[12:24])
+    return CubicSpline(np.arange(-12, 13) / 12.0, np.concatenate([even[::-1] - odd[::-1], [0.0], even + odd]))
+
+
+@cache
+def _damper_curves(p):
+    nodes = (np.arange(11) / 10.0) ** 2
+    even = CubicSpline(np.concatenate([-nodes[:0:-1], nodes]), [*p[20:10:-1], 0.0, *p[11:21]])
+    return CubicSpline(nodes, [*p[1:11], p[0]]), even
+
+
+def tabulated_stiffness(x, v, d, p):
+    """SciPy's spline through all nodes, straight beyond the last ones."""
+    return _straight_beyond(_spring_curve(tuple(p)), x / p[24])
+
+
+def tabulated_damping(x, v, d, p):
+    """SciPy's splines; what lies before rest in the direction of motion is the first piece, carried on."""
+    odd, even = _damper_curves(tuple(p))
+    u = max(d * v / p[21], -0.01)
+    return d * (float(odd(u)) if u < 0.0 else _straight_beyond(odd, u)) + _straight_beyond(even, d * u)
+
+
 ORACLES: dict[str, Callable[[], Spring]] = {
     "linear_stiffness": lambda: Spring(lambda x, v, d, p: p[0] * x),
     "viscous_damping": lambda: Spring(lambda x, v, d, p: p[0] * v),
@@ -231,6 +263,8 @@ ORACLES: dict[str, Callable[[], Spring]] = {
     "magnetic_stiffness": lambda: Spring(_magnets),
     "absolute_displacement_damping": lambda: Spring(lambda x, v, d, p, side: p[0] * side * x * v, lambda p: (0.0,)),
     "structural_damping": lambda: Spring(lambda x, v, d, p, side: p[0] * side * x * d, lambda p: (0.0,)),
+    "tabulated_stiffness": lambda: Spring(tabulated_stiffness),
+    "tabulated_damping": lambda: Spring(tabulated_damping),
     "dahl_friction": Dahl,
     "maxwell_element": MaxwellArm,
 }

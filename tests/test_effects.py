@@ -61,7 +61,15 @@ def differentiate(function, at: float, step: float) -> np.ndarray:
     return table[0]
 
 
-def label_of(effect: Effect, *arguments) -> int:
+TABULATED = ("tabulated_stiffness", "tabulated_damping")
+
+
+def label_of(effect: Effect, x, v, direction, z, p) -> int:
+    arguments = (x, v, direction, z, p)
+    if effect.name in TABULATED:  # smooth to the second derivative only where pieces of a spline meet
+        place = abs(x if effect.name == "tabulated_stiffness" else v) / p[-1]
+        nodes = effect.force.py_func.__globals__["NODES"]
+        return int(np.searchsorted(nodes, place)) * (1 if (x if "stiff" in effect.name else v) > 0.0 else -1)
     return 0 if effect.regime is None else effect.regime(*arguments)
 
 
@@ -182,7 +190,7 @@ def test_force_is_continuous_where_the_regime_changes(effect, rng):
 
 ASYMMETRIC = (
     *("quadratic_stiffness", "bilinear_stiffness"),
-    *("offset_freeplay", "one_sided_stiffness", "hertz_contact"),
+    *("offset_freeplay", "one_sided_stiffness", "hertz_contact", *TABULATED),
 )
 
 
@@ -269,9 +277,9 @@ def test_unknown_effect_is_named_with_its_nearest():
 
 def test_effect_files_import_nothing_but_the_allowed():
     folder = Path(effects_package.__file__).parent
-    allowed = {"__future__", "math", "numba", "numpy", "_base", "_common.checks"}
+    allowed = {"__future__", "math", "numba", "numpy", "_base", "_spline", "_common.checks"}
     for path in folder.glob("*.py"):
-        if path.name in ("__init__.py", "_base.py"):
+        if path.name in ("__init__.py", "_base.py", "_spline.py"):
             continue
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Import):
@@ -398,8 +406,8 @@ def test_an_unknown_role_is_named_with_its_nearest():
 @ALL
 def test_mechanism_is_what_the_force_does(effect, rng):
     """Each mechanism is told by the force itself: what it depends on, where it is zero, whether it is odd."""
-    if effect.name in BASE_EFFECTS:
-        assert effect.mechanism is None  # every oscillator has it: it is never missing
+    if effect.name in (*BASE_EFFECTS, *TABULATED):
+        assert effect.mechanism is None  # every oscillator has it, or it holds any force: it is never named
         return
     p = draw_parameters(effect, rng)
     x, v = AMPLITUDE * np.linspace(-1.0, 1.0, 41), OMEGA * AMPLITUDE * np.linspace(0.1, 1.0, 8)

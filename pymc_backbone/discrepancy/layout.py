@@ -54,6 +54,8 @@ class Layout:
         Typical amplitude [m or rad].
     names : tuple of str
         Parameters behind the coordinates.
+    ordinates : frozenset of int
+        Coordinates that are forces of a tabulated curve, beside its strength: zero where nothing is known of it.
     """
 
     oscillator: Oscillator
@@ -69,6 +71,7 @@ class Layout:
     opposed: tuple[tuple[int, int], ...]
     amplitude: float
     names: tuple[str, ...]
+    ordinates: frozenset[int] = frozenset()
 
     @property
     def held(self) -> dict[str, float]:
@@ -115,6 +118,7 @@ def make_layout(oscillator: Oscillator, amplitude: float, angular_frequency: flo
     free: list[int] = []
     rows: list[tuple[float, float, float]] = []
     strengths: list[int] = []
+    ordinates: list[int] = []
     powers: list[tuple[int, int]] = []
     slips: list[tuple[int, int]] = []
     opposed: list[tuple[int, int]] = []
@@ -141,6 +145,7 @@ def make_layout(oscillator: Oscillator, amplitude: float, angular_frequency: flo
             free.append(oscillator.index(parameter.name))
         opposed += [(place[one], place[other]) for one, other in effect.opposed if {one, other} <= set(place)]
         strengths += [by_role["strength"]] if kept else []
+        ordinates += [place[q.name] for q in kept if q.role == "ordinate"]
         if "slip_force" in by_role:
             stiffness, force = by_role["strength"], by_role["slip_force"]
             slips.append((stiffness, force))
@@ -161,4 +166,5 @@ def make_layout(oscillator: Oscillator, amplitude: float, angular_frequency: flo
         opposed=tuple(opposed),
         amplitude=amplitude,
         names=tuple(oscillator.parameter_names[i] for i in free),
+        ordinates=frozenset(ordinates),
     )

@@ -213,6 +213,8 @@ def shape_grid(layout: Layout, where: list[int]) -> tuple[FloatArray, Any]:
             high = min(layout.high[place], 10.0)
             number = round(_PER_DECADE * np.log10(high / _SMALLEST_SLIP)) + 1
             axes.append(list(enumerate(np.geomspace(_SMALLEST_SLIP, 0.95 * high, number))))
+        elif place in layout.ordinates:
+            axes.append([(0, 0.0)])
         elif place in pairs:  # asymmetry of a pair whose sum is on the other axis
             axes.append(list(enumerate(_ASYMMETRIES)))
         elif place in powers:  # displacement over amplitude at which the state saturates

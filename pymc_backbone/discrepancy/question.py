@@ -178,6 +178,12 @@ def possible_effects(
     else:
         every = [item.name if isinstance(item, Effect) else str(item) for item in candidates]
         names = [check_choice("candidates", name, {**LIBRARY, **own}) for name in every]
+        for name in names:
+            if (own.get(name) or LIBRARY[name]).with_role("ordinate"):
+                raise InputError(
+                    f"`candidates` hold {name!r}, a curve that fits any force: it is no law to be named. What no law "
+                    "explains is drawn as a force curve by itself; leave it out."
+                )
     names = [name for name in dict.fromkeys(names) if name not in held and name not in BASE_EFFECTS]
     if not names:
         raise InputError("no candidate is left: the model holds all of them; name others with `candidates`.")

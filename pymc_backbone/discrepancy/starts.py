@@ -43,6 +43,8 @@ def grid(layout: Layout, effect: str, strengths: Sequence[float]) -> list[FloatA
     for j, place in enumerate(where[1:], start=1):
         if place in forces:
             axes.append(list(_SLIPS))
+        elif place in layout.ordinates:
+            axes.append([0.0])
         elif is_signed[j]:
             if layout.high[place] > 0.0:
                 axes.append([-0.2 * top[j], 0.25 * top[j]])

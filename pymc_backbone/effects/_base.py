@@ -16,7 +16,7 @@ from .._common.checks import InputError, check_choice
 BoundsFunction = Callable[[float, float, float], tuple[float, float]]
 TypicalFunction = Callable[[float, float, float], tuple[float, ...]]
 HeldFunction = Callable[[float, float, float], float]
-Role = Literal["strength", "slip_force", "gap", "exponent", "power_coefficient", "shape", "plain"]
+Role = Literal["strength", "slip_force", "gap", "exponent", "power_coefficient", "shape", "ordinate", "plain"]
 ROLES: tuple[Role, ...] = get_args(Role)
 Mechanism = Literal["spring", "asymmetry", "clearance", "hysteresis", "drag", "displacement_damping"]
 MECHANISMS: Mapping[str, str] = MappingProxyType(
@@ -59,7 +59,7 @@ class Parameter:
         prior, scaled with the record (kg, m, rad/s).
     minimum, maximum : float
         Physical limits; priors must lie inside.
-    role : {"plain", "strength", "slip_force", "gap", "exponent", "power_coefficient", "shape"}
+    role : {"plain", "strength", "slip_force", "gap", "exponent", "power_coefficient", "shape", "ordinate"}
         What the parameter is to its effect; see Notes.
 
     See Also
@@ -88,6 +88,9 @@ class Parameter:
         are those at an exponent of one.
     ``shape``
         Says how, not how much; it does not leave its default bounds.
+    ``ordinate``
+        One of the forces through which a tabulated curve goes; the curve is linear in them and gone where all of them
+        and the strength are zero. What has ordinates holds any force, so it is no candidate.
     ``plain``
         Fitted as it stands, and may leave its default bounds.
     """
