@@ -29,6 +29,20 @@ ROUGH = (
 EFFECTS = tuple((name,) for name in LIBRARY if name not in BASE_EFFECTS)
 
 
+TABULATED = ("tabulated_stiffness", "tabulated_damping")
+
+
+def tabulated_cubic(name, force, reach):
+    """Return the parameters of a curve with an odd and an even part, each one cubic."""
+    if name == "tabulated_stiffness":
+        u = np.arange(1, 13) / 12.0
+        odd, even = 0.2 * force * (u**3 - 0.3 * u), 0.05 * force * u**2
+    else:
+        u = (np.arange(11) / 10.0) ** 2
+        odd, even = 0.02 * force * (0.1 + u**3), 0.01 * force * u[1:] ** 2
+    return np.array([odd[-1], *odd[:-1], *even, 1.1 * reach])
+
+
 def oscillator_of(effects) -> Oscillator:
     return Oscillator(MASS, effects)
 
@@ -38,6 +52,11 @@ def parameters_of(oscillator, *, zeta=0.01, amplitude=AMPLITUDE, omega=OMEGA, sh
     bounds = oscillator.default_bounds(amplitude, omega).values()
     # Different shares: with equal ones a slider would start to slip exactly at release, where nothing is smooth.
     p = np.array([low + (share + 0.037 * i) * (high - low) for i, (low, high) in enumerate(bounds)])
+    force = oscillator.mass * omega**2 * amplitude
+    for name in TABULATED:  # cubics, which their splines are: tests/test_tabulated.py has forces with bends
+        if name in {effect.name for effect in oscillator.effects}:
+            places = [oscillator.index(parameter) for parameter in LIBRARY[name].parameter_names]
+            p[places] = tabulated_cubic(name, force, amplitude * (omega if name == "tabulated_damping" else 1.0))
     p[oscillator.index("linear_stiffness")] = oscillator.mass * omega**2
     p[oscillator.index("viscous_damping")] = 2.0 * zeta * oscillator.mass * omega
     return p

@@ -59,7 +59,11 @@ QUANTITY_EFFECTS = (
     None,
 )
 
+CURVES = "force_curves"
+"""One effect outside of the library after the other, in five specimens at 50 dB; made by name only."""
+
 HARD_TIERS: tuple[str, ...] = (
+    CURVES,
     "strong",
     "strong_pairs",
     "strong_triples",
@@ -210,6 +214,10 @@ def draw_plan(tier: str, rng: np.random.Generator, index: int = 0) -> Plan:
             plan.outside = _pick(rng, tuple(OUTSIDE), 1)[0]
         plan.specimens, plan.cycles, plan.samples_per_cycle = (2, 3, 3, 4, 5), (30, 80), (16.0, 50.0)
         plan.noise_db, plan.bits, plan.fewest_cycles = (45.0, 60.0), (14, 24), 12.0
+    elif tier == CURVES:
+        plan.outside, plan.visible = tuple(OUTSIDE)[index % len(OUTSIDE)], True
+        plan.specimens, plan.cycles, plan.samples_per_cycle = (5,), (30, 80), (20.0, 60.0)
+        plan.noise_db, plan.bits, plan.fewest_cycles = (50.0, 50.0), (24, 24), 15.0
     elif tier in HARD_TIERS:
         _plan_hard(plan, tier, rng)
     else:

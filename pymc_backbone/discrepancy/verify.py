@@ -99,8 +99,17 @@ def held_out_levels(batch: Batch, before: Fit, after: Fit | None) -> HeldOut | N
     return _held_out(results, tuple(f"{level:.6g}" for level in levels))
 
 
-def held_out_specimens(batch: Batch, before: Fit, after: Fit | None, most: int) -> HeldOut | None:
-    """Leave out one specimen at a time: only its stiffness and damping are fitted, the effects come from the others."""
+def _refitted(model: Fit, others: Batch, state: State) -> Fit | None:
+    return fit(model.layout, others.deciding, state, iterations=6, nuisances=others.nuisances, tolerance=0.3)
+
+
+def held_out_specimens(
+    batch: Batch, before: Fit, after: Fit | None, most: int, refit: Callable[[Fit, Batch, State], Fit | None] = _refitted
+) -> HeldOut | None:
+    """Leave out one specimen at a time: only its stiffness and damping are fitted, the effects come from the others.
+
+    ``refit`` takes a model, the others and where to start, and returns the model fitted to these.
+    """
     count = len(batch.specimens)
     if count < 2:
         return None
@@ -118,7 +127,7 @@ def held_out_specimens(batch: Batch, before: Fit, after: Fit | None, most: int) 
             if model is None:
                 continue
             state = State(model.state.eta, model.state.own[rest])
-            solved = fit(model.layout, others.deciding, state, iterations=6, nuisances=batch.nuisances, tolerance=0.3)
+            solved = refit(model, others, state)
             if solved is None:
                 continue
             alone = State(solved.centre, model.state.own[[r]].copy())

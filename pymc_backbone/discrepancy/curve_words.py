@@ -1,0 +1,89 @@
+"""What force curves say, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .curve_records import NONE, NOTHING, Bands, Proposal
+
+_SURE = 0.7
+_SHOWN = 0.05  # probability from which another family is told
+WORDS = {
+    "power law": "a power law",
+    "power law on one side": "a power law on one side",
+    "power law, even": "a power law, alike in both directions",
+    "kink": "a kink on both sides",
+    "kink on one side": "a kink on one side",
+    "saturation": "a force that saturates",
+    "minimum of damping": "a minimum of damping at a speed",
+    NONE: "none of the families",
+    NOTHING: "nothing",
+}
+WHY = {
+    "drift": "a drift with time explains more of the rest than any such force",
+    "hysteresis": "a force that remembers the way explains more of the rest",
+    "": "what they leave is no noise either",
+}
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Whether forces of displacement and speed can be what is missing.
+
+    Attributes
+    ----------
+    is_possible : bool
+        Whether they can.
+    share_left : float
+        What they leave of the gap.
+    p_value : float
+        Of that being noise.
+    why : str
+        A key of `WHY`: what speaks against it.
+    """
+
+    is_possible: bool
+    share_left: float
+    p_value: float
+    why: str
+
+
+def sentence(judged: Judgement, told: Sequence[Proposal], bands: Bands, unit: str) -> str:
+    """Return what the curves say: whether they can be it, what each looks like, and which law it may be."""
+    if not judged.is_possible:
+        left = f"the best of them leave {100.0 * judged.share_left:.2g} % of the gap (p = {judged.p_value:.1g})"
+        return f"A force of displacement and speed cannot be what is missing: {left}, and {WHY[judged.why]}."
+    parts = []
+    for curve, what, place in (
+        ("conservative", "the conservative force beyond the linear spring", unit),
+        ("damping", "the damping force beyond the viscous damper", f"{unit}/s"),
+    ):
+        parts.append(f"{what} is {described([item for item in told if item.curve == curve], place)}")
+    leave = "to the noise" if judged.share_left < 0.02 or not np.isfinite(judged.share_left) else ""
+    leave = leave or f"but for {100.0 * judged.share_left:.2g} % of the gap"
+    return f"Forces of displacement and speed explain the records {leave}: {'; '.join(parts)}."
+
+
+def described(told: Sequence[Proposal], unit: str) -> str:
+    """Return the families of one curve in words."""
+    best = told[0]
+    if best.family == NOTHING:
+        return f"not seen ({100.0 * best.probability:.0f} %)"
+    words = f"{WORDS[best.family]}{_number(best, unit)}"
+    others = [
+        f"{WORDS[item.family]} {100.0 * item.probability:.0f} %" for item in told[1:] if item.probability >= _SHOWN
+    ]
+    chance = f"{100.0 * best.probability:.0f} %"
+    doubt = "" if best.probability >= _SURE else "perhaps "
+    return f"{doubt}{words} ({chance}{'; ' + ', '.join(others) if others else ''})"
+
+
+def _number(item: Proposal, unit: str) -> str:
+    if not item.number:
+        return ""
+    if item.number == "exponent":
+        return f" with exponent {item.value:.3g} ({item.low:.3g} to {item.high:.3g})"
+    return f" at {item.value:.3g} {unit} ({item.low:.3g} to {item.high:.3g})"

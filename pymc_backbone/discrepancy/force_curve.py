@@ -1,0 +1,219 @@
+"""What the named part leaves, as forces: fitted from afar, judged, verified on specimens left out, put into words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..effects import BASE_EFFECTS
+from ..oscillator import Oscillator
+from .batch import Batch
+from .curve_bands import bands_of, mean_values
+from .curve_fit import CurveFit, fit_curves
+from .curve_records import ForceCurves
+from .curve_words import Judgement, sentence
+from .evidence import UNEXPLAINED, lack_of_fit
+from .families import proposals
+from .joint_fit import Fit, fit
+from .normal_equations import DRIFTS, NUISANCES, State
+from .scatter import SCATTER
+from .tabulated import DAMPING, STIFFNESS, Tabulated, tabulate
+from .verify import held_out_specimens
+
+_NUISANCES = (0, 1, 2, 3, 4)
+_RELEASE = (2, 3, 4)
+_WINDOW, _GROWTH = 12, 3  # turning points of the first window, and by which factor it grows
+_NEAR_NOISE = 1.3  # of the turning points' reduced chi-square, from which the samples take over
+_LEAST_REACH = 0.3  # of the amplitude: over less the line is not known
+_AMONG = 3  # last turning points of a record, whose amplitude it reaches
+_MOST_LEFT = 0.15  # of the gap, up to which forces of displacement and speed can be what is missing
+_HALF = 0.5  # of what the curves leave: what explains as much is named as the reason
+_AGAIN, _WITH_DRIFT = 8, 12  # iterations
+
+
+def force_curves(
+    batch: Batch, start: Fit, rivals: Sequence[Fit], held_out_before: float, most: int, seed: int
+) -> ForceCurves | None:
+    """Return what a model leaves of the records as forces; None without records, or where nothing can be simulated.
+
+    Parameters
+    ----------
+    batch : Batch
+        The data.
+    start : Fit
+        The model beside which the curves stand, as it was fitted.
+    rivals : sequence of Fit
+        Models with hysteresis: where one of them leaves far less, the force depends on the way as well.
+    held_out_before : float
+        Reduced chi-square of the model on specimens left out.
+    most : int
+        Specimens that are left out in turn, at most.
+    seed : int
+        Of the bands.
+    """
+    if not batch.has_records:
+        return None
+    found = fit_remainder(batch, start.layout.oscillator, start)
+    if found is None:
+        return None
+    judged = _judged(batch, start, found, rivals)
+    told = proposals(found)
+    after = held_out_curves(batch, found, most) if most > 0 else float("nan")
+    bands = bands_of(batch, found, seed)
+    return ForceCurves(
+        is_possible=judged.is_possible,
+        sentence=sentence(judged, told, bands, str(batch.backbones.attrs.get("amplitude_unit", "m"))),
+        beside=tuple(effect.name for effect in start.layout.oscillator.effects if effect.name not in BASE_EFFECTS),
+        bands=bands,
+        proposals=told,
+        share_left=judged.share_left,
+        p_value=judged.p_value,
+        held_out_before=held_out_before,
+        held_out_after=after,
+        oscillator=found.fit.layout.oscillator,
+        parameters=_parameters(found),
+    )
+
+
+def fit_remainder(batch: Batch, oscillator: Oscillator, start: Fit | None = None) -> CurveFit | None:
+    """Return the curves of a batch beside a model; ``start`` is the model's own fit, where its effects are known.
+
+    From afar as other fits come: backbones, release, a growing window of turning points, samples. Damping may bend as
+    fast anywhere, or faster close to rest: whichever the evidence asks for, with what the other says added to the
+    errors.
+    """
+    lowest = min(float(np.abs(term.values[-_AMONG:]).max()) for term in batch.turning)
+    tabulated = tabulate(oscillator, batch, max(lowest, _LEAST_REACH * batch.amplitude))
+    begun = fit_curves(tabulated, batch.levels, _began(tabulated, batch, start), nuisances=(0, 1), iterations=15)
+    if begun is None:
+        return None
+    state, precisions = _released(tabulated, batch, begun.fit.state), begun.precisions
+    most, window = max(term.times.size for term in batch.turning), _WINDOW
+    while True:
+        terms = [term.first(window) for term in batch.turning]
+        is_last = window >= most
+        reached = fit_curves(
+            tabulated, terms, state, nuisances=_NUISANCES, precisions=precisions, is_learning=is_last,
+            iterations=12 if is_last else 5, goal=_NEAR_NOISE * sum(term.size for term in terms),
+        )  # fmt: skip
+        if reached is not None:
+            state, precisions = reached.fit.state, reached.precisions
+        if is_last:
+            break
+        window *= _GROWTH
+    found = fit_curves(tabulated, batch.waveform, state, nuisances=_NUISANCES, precisions=precisions)
+    if found is None:
+        return None
+    sharp = tabulate(oscillator, batch, tabulated.reach, is_sharp=True)
+    other = fit_curves(sharp, batch.waveform, found.fit.state, nuisances=_NUISANCES, precisions=found.precisions)
+    return found if other is None else _either(found, other)
+
+
+def _began(tabulated: Tabulated, batch: Batch, start: Fit | None) -> State:
+    """Return a state without curves: the effects as they were fitted, all else from the records."""
+    layout = tabulated.layout
+    state = State(np.zeros(layout.free.size), np.zeros((len(batch.specimens), NUISANCES + layout.free.size)))
+    state.own[:, :5] = batch.own
+    if start is not None and start.layout.free.size:
+        state.own[:, :2] = start.state.own[:, :2]
+        for there, name in enumerate(start.layout.names):
+            here = layout.names.index(name)
+            state.eta[here] = start.state.eta[there]
+            state.own[:, NUISANCES + here] = start.state.own[:, NUISANCES + there]
+    return state
+
+
+def _released(tabulated: Tabulated, batch: Batch, state: State) -> State:
+    """Return a state with each specimen's release brought to the turning points."""
+    own = state.own.copy()
+    own[:, 2:5] = batch.own[:, 2:5]
+    held = replace(tabulated.layout, low=state.eta.copy(), high=state.eta.copy())
+    found = fit(
+        held, batch.turning, State(state.eta, own), iterations=8, tolerance=1.0, nuisances=_RELEASE, has_scatter=False
+    )
+    if found is not None:
+        own[:, 2:5] = found.state.own[:, 2:5]
+    return State(state.eta, own)
+
+
+def _either(one: CurveFit, other: CurveFit) -> CurveFit:
+    """Return the more probable of two fits; what the other says, as far as it is probable, makes its errors wider."""
+    best, rest = (one, other) if one.log_evidence >= other.log_evidence else (other, one)
+    share = 1.0 / (1.0 + np.exp(min(best.log_evidence - rest.log_evidence, 700.0)))
+    apart = mean_values(rest) - mean_values(best)
+    covariance = (1.0 - share) * best.mean_covariance + share * (rest.mean_covariance + np.outer(apart, apart))
+    return replace(best, mean_covariance=covariance, fit=replace(best.fit, covariance=covariance[2:, 2:]))
+
+
+def _judged(batch: Batch, start: Fit, found: CurveFit, rivals: Sequence[Fit]) -> Judgement:
+    """Return whether forces of displacement and speed can be what is missing and, where not, what speaks against it."""
+    count = float(sum(term.size for term in batch.waveform))
+    lack = lack_of_fit(batch, found.fit)
+    before, after = float(start.chi_square.sum()) - count, max(float(found.fit.chi_square.sum()) - count, 0.0)
+    share = float(np.sqrt(after / before)) if before > 0.0 else float("nan")
+    is_possible = lack.p_value >= UNEXPLAINED or share <= _MOST_LEFT
+    why = ""
+    if not is_possible:
+        with_drift = fit_curves(
+            found.tabulated, batch.waveform, found.fit.state, nuisances=(*_NUISANCES, *DRIFTS),
+            precisions=found.precisions, is_learning=False, iterations=_WITH_DRIFT,
+        )  # fmt: skip
+        if with_drift is not None and float(with_drift.fit.chi_square.sum()) - count < _HALF * after:
+            why = "drift"
+        elif any(float(rival.chi_square.sum()) - count < _HALF * after for rival in rivals):
+            why = "hysteresis"
+    return Judgement(is_possible, share, lack.p_value, why)
+
+
+def held_out_curves(batch: Batch, found: CurveFit, most: int) -> float:
+    """Return the reduced chi-square of specimens left out in turn, the curves from the others."""
+
+    def refit(model: Fit, others: Batch, state: State) -> Fit | None:
+        solved = fit_curves(
+            found.tabulated, others.waveform, _centred(found, state), nuisances=_NUISANCES,
+            precisions=found.precisions, is_learning=False, iterations=_AGAIN,
+        )  # fmt: skip
+        return None if solved is None else _with_sizes(solved)
+
+    held_out = held_out_specimens(batch, found.fit, None, most, refit)
+    return float("nan") if held_out is None else held_out.before
+
+
+def _centred(found: CurveFit, state: State) -> State:
+    """Return a state in which the sizes of the curves add up to nothing."""
+    eta, own = state.eta.copy(), state.own.copy()
+    for effect in (STIFFNESS, DAMPING):
+        places = found.tabulated.places(effect)
+        mean = float(own[:, NUISANCES + places[0]].mean())
+        eta[places] *= 1.0 + SCATTER * mean
+        own[:, NUISANCES + places] -= mean
+    return State(eta, own)
+
+
+def _with_sizes(solved: CurveFit) -> Fit:
+    """Return a fit whose covariance holds how much the sizes of the curves differ between specimens."""
+    covariance, own = solved.fit.covariance.copy(), solved.fit.state.own.copy()
+    for effect in (STIFFNESS, DAMPING):
+        places = solved.tabulated.places(effect)
+        sizes = SCATTER * own[:, NUISANCES + places[0]]
+        values = solved.fit.state.eta[places]
+        covariance[np.ix_(places, places)] += float((sizes**2).mean()) * np.outer(values, values)
+        own[:, NUISANCES + places] = 0.0
+    return replace(solved.fit, covariance=covariance, state=State(solved.fit.state.eta, own))
+
+
+def _parameters(found: CurveFit) -> dict[str, tuple[float, float]]:
+    """Return value and standard error of every parameter of the mean specimen."""
+    layout = found.fit.layout
+    mean = mean_values(found)
+    physical, slopes = layout.physical(mean[2:], np.zeros(layout.free.size), 0.0)
+    errors = np.sqrt(np.maximum(np.diag(slopes @ found.mean_covariance[2:, 2:] @ slopes.T), 0.0))
+    own = np.sqrt(np.maximum(np.diag(found.mean_covariance)[:2], 0.0))
+    told = dict.fromkeys(layout.oscillator.parameter_names, (0.0, 0.0))
+    told |= {name: (value, 0.0) for name, value in layout.held.items()}
+    told |= {name: (float(mean[i]), float(own[i])) for i, name in enumerate(layout.oscillator.parameter_names[:2])}
+    return told | {
+        name: (float(value), float(error)) for name, value, error in zip(layout.names, physical, errors, strict=True)
+    }
