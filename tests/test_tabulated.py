@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from .decay_oracles import tabulated_damping, tabulated_stiffness
 
 from pymc_backbone.effects import LIBRARY
 from pymc_backbone.effects._spline import slope_matrix
+
+from .decay_oracles import tabulated_damping, tabulated_stiffness
 
 STIFFNESS, DAMPING = LIBRARY["tabulated_stiffness"], LIBRARY["tabulated_damping"]
 NONE = np.zeros(0)

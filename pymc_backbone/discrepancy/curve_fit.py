@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from .._common.checks import FloatArray
-from .batch import Batch
 from .data_term import DataTerm
 from .evidence import effective_size
 from .joint_fit import Fit
@@ -304,9 +303,7 @@ def _sizes(tabulated: Tabulated, terms: Sequence[DataTerm], at: _At) -> FloatArr
     return np.array([effective_size(term, found, r) for r, term in enumerate(terms)])
 
 
-def _learnt(
-    hessian: FloatArray, at: _At, frame: _Frame, levels: FloatArray, tabulated: Tabulated
-) -> FloatArray:
+def _learnt(hessian: FloatArray, at: _At, frame: _Frame, levels: FloatArray, tabulated: Tabulated) -> FloatArray:
     """Return the precisions at which the evidence is larger, by the update of Wood and Fasiolo [1]_.
 
     References
@@ -363,7 +360,9 @@ def _finished(
     whole = along @ covariance @ along.T
     found = replace(_as_fit(tabulated, at, whole[2:, 2:], count), is_converged=is_settled)
     penalty = float((_place(at, frame) ** 2 * frame.scatter).sum())
-    return CurveFit(tabulated, replace(found, penalty=penalty), levels, 1.0 / weight, whole, known, log_evidence, is_settled)
+    return CurveFit(
+        tabulated, replace(found, penalty=penalty), levels, 1.0 / weight, whole, known, log_evidence, is_settled
+    )
 
 
 def _known(tabulated: Tabulated, at: _At, frame: _Frame, hessian: FloatArray, prior: FloatArray, effect: str) -> Known:

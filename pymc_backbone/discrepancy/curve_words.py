@@ -10,17 +10,17 @@ import numpy as np
 from .curve_records import NONE, NOTHING, Bands, Proposal
 
 _SURE = 0.7
-_SHOWN = 0.05  # probability from which another family is told
+SHOWN = 0.05  # probability from which another family is told
 WORDS = {
-    "power law": "a power law",
-    "power law on one side": "a power law on one side",
-    "power law, even": "a power law, alike in both directions",
-    "kink": "a kink on both sides",
-    "kink on one side": "a kink on one side",
-    "saturation": "a force that saturates",
-    "minimum of damping": "a minimum of damping at a speed",
+    "power law": "a power law{exponent}",
+    "power law on one side": "a power law on one side{exponent}",
+    "power law, even": "a power law that is the same on both sides{exponent}",
+    "kink": "a straight line from a kink on either side{place}",
+    "kink on one side": "a straight line from a kink on one side{place}",
+    "saturation": "a force that saturates, over a {number}{of}",
+    "minimum of damping": "damping that is least at a speed, over a {number}{of}",
     NONE: "none of the families",
-    NOTHING: "nothing",
+    NOTHING: "not seen",
 }
 WHY = {
     "drift": "a drift with time explains more of the rest than any such force",
@@ -70,20 +70,19 @@ def sentence(judged: Judgement, told: Sequence[Proposal], bands: Bands, unit: st
 def described(told: Sequence[Proposal], unit: str) -> str:
     """Return the families of one curve in words."""
     best = told[0]
-    if best.family == NOTHING:
-        return f"not seen ({100.0 * best.probability:.0f} %)"
-    words = f"{WORDS[best.family]}{_number(best, unit)}"
-    others = [
-        f"{WORDS[item.family]} {100.0 * item.probability:.0f} %" for item in told[1:] if item.probability >= _SHOWN
-    ]
+    words = family_in_words(best, unit)
     chance = f"{100.0 * best.probability:.0f} %"
+    if best.family == NOTHING:
+        return f"{words} ({chance})"
+    others = [f"{family_in_words(item, unit)} {100.0 * item.probability:.0f} %" for item in told[1:]
+              if item.probability >= SHOWN]  # fmt: skip
     doubt = "" if best.probability >= _SURE else "perhaps "
     return f"{doubt}{words} ({chance}{'; ' + ', '.join(others) if others else ''})"
 
 
-def _number(item: Proposal, unit: str) -> str:
-    if not item.number:
-        return ""
-    if item.number == "exponent":
-        return f" with exponent {item.value:.3g} ({item.low:.3g} to {item.high:.3g})"
-    return f" at {item.value:.3g} {unit} ({item.low:.3g} to {item.high:.3g})"
+def family_in_words(item: Proposal, unit: str) -> str:
+    """Return a family with its number and the interval of that."""
+    value = f"{item.value:.3g} ({item.low:.3g} to {item.high:.3g})"
+    return WORDS[item.family].format(
+        exponent=f" with exponent {value}", place=f" at {value} {unit}", number=item.number, of=f" of {value} {unit}"
+    )

@@ -158,9 +158,7 @@ def _of_curve(curve: str, known: _Curve, found: CurveFit, effect: str) -> list[P
     for name in sorted(logs, key=lambda key: -logs[key]):
         chance = float(np.exp(logs[name] - total))
         held = told.get(name, Proposal(curve, name, chance, "", nan, nan, nan, nan))
-        made.append(
-            Proposal(curve, name, chance, held.number, held.value, held.low, held.high, held.size)
-        )
+        made.append(Proposal(curve, name, chance, held.number, held.value, held.low, held.high, held.size))
     return made
 
 

@@ -10,6 +10,7 @@ import xarray as xr
 
 from .._common.checks import FloatArray
 from ..oscillator import Oscillator
+from .curve_records import ForceCurves
 from .design import Contender, Design, Plan
 from .verdict import LEAST_SHARE, MECHANISM_NAMED, AdequateBy, NamedLevel, Status, Verdict
 
@@ -307,6 +308,9 @@ class Study:
         What is named, a string: ``law`` or ``mechanism``; None unless the verdict is ``found``.
     remainder : tuple of Remainder
         What the most probable set leaves by observable, where no law is exact; else empty.
+    force_curves : ForceCurves or None
+        What is left as forces of displacement and of speed, where no law is exact: beside the named mechanisms, or
+        beside the base where none is named; None elsewhere, and without records.
 
     See Also
     --------
@@ -355,3 +359,4 @@ class Study:
     mechanisms: tuple[MissingMechanism, ...] = ()
     named_level: NamedLevel | None = None
     remainder: tuple[Remainder, ...] = ()
+    force_curves: ForceCurves | None = None

@@ -104,7 +104,11 @@ def _refitted(model: Fit, others: Batch, state: State) -> Fit | None:
 
 
 def held_out_specimens(
-    batch: Batch, before: Fit, after: Fit | None, most: int, refit: Callable[[Fit, Batch, State], Fit | None] = _refitted
+    batch: Batch,
+    before: Fit,
+    after: Fit | None,
+    most: int,
+    refit: Callable[[Fit, Batch, State], Fit | None] = _refitted,
 ) -> HeldOut | None:
     """Leave out one specimen at a time: only its stiffness and damping are fitted, the effects come from the others.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
@@ -20,11 +20,13 @@ from ..measurement.reading.record import Record
 from ..oscillator import Oscillator
 from . import plan_words, rivals, verdict_words, words
 from .candidate_table import candidates_of
+from .curve_records import ForceCurves
 from .curves import simulate
 from .decide import Decision, decide, mind_second_mode
 from .design import Contender, Plan, contender, present_design
 from .extend import Inference, infer
 from .fitted_sets import BUDGET, Progress
+from .force_curve import force_curves
 from .joint_fit import Fit
 from .locate import where_different
 from .plan import plan_tests
@@ -169,6 +171,7 @@ def find_missing_effect(
         outcome = _decided(question, search)
         most = MOST_HELD_OUT if held_out is None else int(held_out)
         verification = verify(question.batch, outcome.base, outcome.extended, most, seed, say)
+        curves = _curves(question, outcome, verification, most, seed, say)
         sampling = None if quick else Sampling(draws, tune, chains, step, seed)
         if sampling is not None:
             say("sampling", 0.0)
@@ -180,7 +183,27 @@ def find_missing_effect(
         "stop": stop, "levels": given_levels, "strict": strict, "floor": floor,
     }  # fmt: skip
     plan = None if quick else _planned(question, outcome, seed, say)
-    return _study(question, outcome, verification, inference, asked, plan, seed, begun)
+    study = _study(question, outcome, verification, inference, asked, plan, seed, begun)
+    return study if curves is None else replace(study, force_curves=curves)
+
+
+def _curves(
+    question: Question, outcome: Outcome, verification: Verification, most: int, seed: int, say: Progress
+) -> ForceCurves | None:
+    """Return as forces what is left where no law explains the records: beside what is named, or beside the base."""
+    search, decision = outcome.search, outcome.decision
+    held_out = verification.held_out_specimens
+    if decision.verdict is Verdict.UNEXPLAINED:
+        start, gap = outcome.base, float("nan") if held_out is None else held_out.before
+    elif decision.named_level is NamedLevel.MECHANISM:
+        start, gap = outcome.model, float("nan") if held_out is None else held_out.after
+    else:
+        return None
+    say("looking for force curves", 0.0)
+    remembering = [
+        found for found in search.fits.values() if any(effect.n_states for effect in found.layout.oscillator.effects)
+    ]
+    return force_curves(question.batch, start, remembering, gap, most, seed)
 
 
 def _searched(question: Question, quick: bool, say: Progress) -> Search:

@@ -151,10 +151,7 @@ EFFECT = Effect(
         offset="Zero without an even part, else as large as that moves the mid-line.",
         found_in="the remainder of a diagnosis, dampers known as a table",
         typical=lambda mass, amplitude, angular_frequency: (
-            *(
-                0.015 * mass * angular_frequency**2 * amplitude * (j / COUNT) ** 4
-                for j in (COUNT, *range(COUNT))
-            ),
+            *(0.015 * mass * angular_frequency**2 * amplitude * (j / COUNT) ** 4 for j in (COUNT, *range(COUNT))),
             *(0.0 for _ in range(COUNT)),
             amplitude * angular_frequency,
         ),

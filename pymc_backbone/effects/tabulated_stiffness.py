@@ -143,10 +143,7 @@ EFFECT = Effect(
         offset="Zero without an even part, else as large as that moves the mid-line.",
         found_in="the remainder of a diagnosis, springs known as a table",
         typical=lambda mass, amplitude, angular_frequency: (
-            *(
-                0.2 * mass * angular_frequency**2 * amplitude * (j / COUNT) ** 3
-                for j in (COUNT, *range(1, COUNT))
-            ),
+            *(0.2 * mass * angular_frequency**2 * amplitude * (j / COUNT) ** 3 for j in (COUNT, *range(1, COUNT))),
             *(0.0 for _ in range(COUNT)),
             amplitude,
         ),

@@ -90,11 +90,11 @@ def sampled_backbones(study: Study) -> xr.Dataset:
 
 
 def _verdict(study: Study) -> str:
-    return "\n".join(_comment(f"{study.verdict.capitalize()}: {study.sentence}")) + "\n\n"
+    return "\n".join(comment(f"{study.verdict.capitalize()}: {study.sentence}")) + "\n\n"
 
 
-def _comment(text: str) -> list[str]:
-    """Break a text into comment lines; nothing in it can end the comment."""
+def comment(text: str) -> list[str]:
+    """Return a text broken into comment lines; nothing in it can end the comment."""
     safe = "".join(char if char.isascii() or char.isprintable() else " " for char in printable(text))
     return [f"# {line}" for line in textwrap.wrap(safe, 110)]
 
@@ -134,7 +134,7 @@ def _model(model: Oscillator, study: Study, likelihood: str, wanted: str, settin
     bounds = _bounds(model, study)
     lines = []
     if wanted not in (*LIKELIHOODS, likelihood):
-        lines += _comment(f"The study used the likelihood {wanted!r}; this script gives each specimen its own values.")
+        lines += comment(f"The study used the likelihood {wanted!r}; this script gives each specimen its own values.")
     data = "backbones"
     if likelihood == "population":
         kind, marginal = str(settings.get("density", "product")), str(settings.get("marginal", "best"))

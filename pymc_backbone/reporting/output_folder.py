@@ -47,6 +47,7 @@ RESULT, SUMMARY, BACKBONES_TABLE, BACKBONES, POSTERIOR = (
     "posterior.nc",
 )
 REPORT, SCRIPT, MEAN_BACKBONE = "report.html", "model.py", "mean_backbone.nc"
+CURVE_SCRIPT = "model_with_curves.py"
 FIGURES = ("records", "backbones", "densities", "prior_posterior", "population", "trace", "rank", "pair", "predictive")
 DIAGNOSIS_FIGURES = (
     *(f"{kind}_{observable}" for kind in ("backbones", "gap") for observable in OBSERVABLES),
@@ -326,7 +327,7 @@ def backbone_table(backbones: xr.Dataset) -> pd.DataFrame:
 
 def _files_of_earlier_run(folder: Path) -> list[str]:
     """Names, out of those that this program writes, which an earlier run says it wrote."""
-    ours = {RESULT, SUMMARY, BACKBONES_TABLE, BACKBONES, POSTERIOR, REPORT, SCRIPT}
+    ours = {RESULT, SUMMARY, BACKBONES_TABLE, BACKBONES, POSTERIOR, REPORT, SCRIPT, CURVE_SCRIPT}
     ours |= {f"figures/{name}.png" for name in (*FIGURES, *DIAGNOSIS_FIGURES)}
     try:
         listed = read_result(folder).get("files", [])

@@ -12,6 +12,7 @@ from .._common.text import in_words
 from ..discrepancy.study import Study
 from ..discrepancy.verdict import NamedLevel, Status, Verdict
 from .html import Raw, bullets, details, escape, image, noted, number, page, paragraph, prose, section, table, tiles
+from .report_curves import force_curves
 from .report_gap import amplitudes, curves, held_out_gap, interval, where
 from .report_model import candidates, convergence, detectable, equations, mechanisms, parameters
 from .words import (
@@ -52,6 +53,7 @@ def report_html(study: Study, figures: Mapping[str, Figure], *, version: str, co
             curves(study, figures),
             where(study),
             mechanisms(study),
+            force_curves(study, figures),
             candidates(study, figures),
             parameters(study, figures),
             equations(study),

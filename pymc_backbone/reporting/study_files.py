@@ -6,6 +6,7 @@ file                      what it holds
 ``report.html``           the whole study for a reader, figures included; needs no network
 ``result.json``           everything in numbers and words; see `DIAGNOSIS_KEYS`
 ``model.py``              the extended model as a PyMC script that reads ``backbones.nc`` beside it
+``model_with_curves.py``  where something is left that no law explains: the model with its force curves as a script
 ``backbones.csv``         measured backbones with standard errors: a row for each specimen and level
 ``backbones.nc``          the same with the covariance over the levels (NetCDF)
 ``posterior.nc``          all draws and the sampler's statistics, where something was sampled (NetCDF)
@@ -17,16 +18,18 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ..discrepancy.curve_records import ForceCurves
 from ..discrepancy.design import Contender, Plan
 from ..discrepancy.study import Estimate, HeldOut, Study
+from .curve_script import curve_script
 from .model_script import model_script
-from .output_folder import REPORT, SCRIPT, package_version, prepare_output, write_results
+from .output_folder import CURVE_SCRIPT, REPORT, SCRIPT, package_version, prepare_output, write_results
 from .report import report_html
 from .study_plots import study_figures
 
@@ -47,6 +50,15 @@ DIAGNOSIS_KEYS = {
     "remainder": "what the most probable set leaves where no law is exact, by observable: size where it is largest, "
     "unit, standard_errors of it, share_of_gap (root mean square over that of the base), amplitude_low, "
     "amplitude_high [m or rad], and the curve: amplitude, values, errors; empty where a law is exact",
+    "force_curves": "what no law explains as forces, beside the effects in 'beside' (where nothing is named, beside the "
+    "base); null where a law is exact, where the verdict is ambiguous or adequate, and without records: is_possible "
+    "(whether forces of displacement and speed can be it), sentence, share_left (of the gap), p_value (of what they leave "
+    "being noise), range (displacement and speed visited: low, high), curves (conservative, conservative_odd, "
+    "conservative_even, beyond the linear spring, over displacement [m or rad]; damping, damping_odd, damping_even, the "
+    "viscous damper included, over speed [m/s or rad/s]; each at, force [N or N m], low, high (a band that holds all of "
+    "the curve with 95 %), standard_error), families (curve, family, probability, number, value, low, high, size at the "
+    "end of the range), held_out (reduced chi-square of specimens left out: before, after), parameters (name: value, "
+    "standard_error; node forces among them)",
     "probability": "of the most probable set, which is the missing one where the verdict is found",
     "candidates": "every set, in falling probability: effects, probability, reduced_chi_square, log_evidence (relative "
     "to the base), status (best | possible | rejected | failed), reason, backbone_chi_square, parameters "
@@ -137,6 +149,8 @@ def write_study(
         REPORT: report_html(study, figures, version=version, command=command),
         SCRIPT: model_script(study, version),
     }
+    if study.force_curves is not None:
+        texts[CURVE_SCRIPT] = curve_script(study.force_curves, study.seed, version)
     return write_results(
         place,
         {"command": command, **study_entries(study, version)},
@@ -172,6 +186,7 @@ def study_entries(study: Study, version: str) -> dict[str, Any]:
             for item in study.mechanisms
         ],
         "remainder": [asdict(item) for item in study.remainder],
+        "force_curves": None if study.force_curves is None else force_curve_entries(study.force_curves),
         "probability": study.probability,
         "candidates": [
             {
@@ -221,6 +236,24 @@ def study_entries(study: Study, version: str) -> dict[str, Any]:
         "present": None if study.present is None else asdict(study.present),
         "contenders": [contender_entries(item) for item in study.contenders],
         "plan": None if study.plan is None else plan_entries(study.plan),
+    }
+
+
+def force_curve_entries(curves: ForceCurves) -> dict[str, Any]:
+    """Return force curves as a result file holds them."""
+    bands = {field.name: getattr(curves.bands, field.name) for field in fields(curves.bands)}
+    whole = {"displacement": curves.bands.conservative.at, "speed": curves.bands.damping.at}
+    return {
+        "is_possible": curves.is_possible,
+        "sentence": curves.sentence,
+        "beside": list(curves.beside),
+        "share_left": curves.share_left,
+        "p_value": curves.p_value,
+        "range": {name: [float(at[0]), float(at[-1])] for name, at in whole.items()},
+        "curves": {name: asdict(band) for name, band in bands.items()},
+        "families": [asdict(item) for item in curves.proposals],
+        "held_out": {"before": curves.held_out_before, "after": curves.held_out_after},
+        "parameters": _values(curves.parameters),
     }
 
 

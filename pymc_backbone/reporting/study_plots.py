@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from ..discrepancy.study import Study
 from .backbone_plots import plot_records
 from .candidate_plots import plot_candidates, plot_detectable, plot_parameters
+from .curve_plots import plot_force
 from .gap_plots import plot_before_after, plot_gap, plot_held_out
 from .posterior_plots import plot_rank, plot_trace
 
@@ -27,7 +28,8 @@ def study_figures(study: Study, records: Sequence[Any] = ()) -> dict[str, Figure
     Returns
     -------
     dict
-        Figures by name: ``backbones_<observable>`` and ``gap_<observable>`` for each observable, ``candidates``,
+        Figures by name: ``backbones_<observable>`` and ``gap_<observable>`` for each observable,
+        ``force_conservative``, ``force_damping``, ``candidates``,
         ``held_out_levels``, ``held_out_specimens``, ``parameters``, ``detectable``, ``trace``, ``rank``, ``records``.
 
     See Also
@@ -39,6 +41,10 @@ def study_figures(study: Study, records: Sequence[Any] = ()) -> dict[str, Figure
     for name in map(str, study.backbones["observable"].values):
         figures[f"backbones_{name}"] = plot_before_after(study, name)
         figures[f"gap_{name}"] = plot_gap(study, name)
+    if study.force_curves is not None:
+        for which in ("conservative", "damping"):
+            unit = str(study.backbones.attrs.get("amplitude_unit", "m"))
+            figures[f"force_{which}"] = plot_force(study.force_curves, which, unit)
     if study.candidates:
         figures["candidates"] = plot_candidates(study)
     if study.held_out_levels is not None:

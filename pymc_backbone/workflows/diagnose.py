@@ -246,6 +246,8 @@ def describe_study(study: Study) -> str:
 
     lines = [f"{study.verdict.upper()}: {study.sentence}"]
     lines += [f"- {sentence}" for sentence in (*study.reasons, *study.advice)]
+    if study.force_curves is not None:
+        lines.append(f"- {study.force_curves.sentence}")
     if study.mechanisms:
         heads: list[tuple[str, ...]] = [("mechanism", "laws", "probability", "share of the gap")]
         for kind in study.mechanisms:
