@@ -97,7 +97,7 @@ class ForceCurves:
     proposals : tuple of Proposal
         What law each curve may be, most probable first.
     share_left : float
-        What the curves leave of chi-square beyond the noise, as a share of what the model without them leaves; its root.
+        Root of the share that the curves leave of the chi-square beyond noise that the model leaves without them.
     p_value : float
         Of what they leave being noise.
     held_out_before, held_out_after : float

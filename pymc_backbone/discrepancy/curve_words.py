@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .curve_records import NONE, NOTHING, Bands, Proposal
+from .curve_records import NONE, NOTHING, Proposal
 
 _SURE = 0.7
 SHOWN = 0.05  # probability from which another family is told
@@ -51,7 +51,7 @@ class Judgement:
     why: str
 
 
-def sentence(judged: Judgement, told: Sequence[Proposal], bands: Bands, unit: str) -> str:
+def sentence(judged: Judgement, told: Sequence[Proposal], unit: str) -> str:
     """Return what the curves say: whether they can be it, what each looks like, and which law it may be."""
     if not judged.is_possible:
         left = f"the best of them leave {100.0 * judged.share_left:.2g} % of the gap (p = {judged.p_value:.1g})"

@@ -192,7 +192,7 @@ def _weighed(curve: str, family: _Family, known: _Curve, reach: float) -> tuple[
 
 
 def _evidence(known: _Curve, columns: FloatArray, sign: float) -> tuple[float, float]:
-    """Return the logarithm of the evidence of a shape against no curve, its sizes integrated out, and the first size."""
+    """Return the logarithm of a shape's evidence against no curve, its sizes integrated out, and the first size."""
     shape = np.column_stack([known.coordinates(column) for column in columns.T])
     weight, slope = shape.T @ known.known.precision @ shape, shape.T @ known.known.pull
     scale = 1.0 / np.sqrt(np.maximum(np.diag(weight), 1e-300))

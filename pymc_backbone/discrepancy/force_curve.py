@@ -64,7 +64,7 @@ def force_curves(
     bands = bands_of(batch, found, seed)
     return ForceCurves(
         is_possible=judged.is_possible,
-        sentence=sentence(judged, told, bands, str(batch.backbones.attrs.get("amplitude_unit", "m"))),
+        sentence=sentence(judged, told, str(batch.backbones.attrs.get("amplitude_unit", "m"))),
         beside=tuple(effect.name for effect in start.layout.oscillator.effects if effect.name not in BASE_EFFECTS),
         bands=bands,
         proposals=told,
@@ -170,7 +170,7 @@ def _judged(batch: Batch, start: Fit, found: CurveFit, rivals: Sequence[Fit]) ->
 def held_out_curves(batch: Batch, found: CurveFit, most: int) -> float:
     """Return the reduced chi-square of specimens left out in turn, the curves from the others."""
 
-    def refit(model: Fit, others: Batch, state: State) -> Fit | None:
+    def refit(_model: Fit, others: Batch, state: State) -> Fit | None:
         solved = fit_curves(
             found.tabulated, others.waveform, _centred(found, state), nuisances=_NUISANCES,
             precisions=found.precisions, is_learning=False, iterations=_AGAIN,

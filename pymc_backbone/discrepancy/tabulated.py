@@ -1,4 +1,4 @@
-"""A model with a tabulated spring and damper beside what it holds: which coordinates are curves, and how smooth they are.
+"""A model with a tabulated spring and damper: which of its coordinates are curves, and how smooth these are.
 
 Four parts: conservative and damping force, each odd and even. A part's roughness is the integral of its squared second
 derivative over its range, both in units of the scale of the records. What no roughness sees is settled here: the line

@@ -1,7 +1,8 @@
 """A damper of any shape: a cubic spline through the forces at some speeds, closer to each other where it is slow.
 
-An odd part, the same in both directions, which may begin with a friction force at rest, and an even one, which tells the
-directions apart. What is linear in the odd part is a viscous damper: which of the two holds it is for the user to say.
+An odd part, the same in both directions, which may begin with a friction force at rest, and an even one, which tells
+the directions apart. What is linear in the odd part is a viscous damper: which of the two holds it is for the user to
+say.
 """
 
 from __future__ import annotations
@@ -116,7 +117,7 @@ EFFECT = Effect(
     name="tabulated_damping",
     summary="Damper of any shape, an odd and an even curve through node forces: what no named law holds.",
     text=f"sign(x') S({_listed('odd')}; |x'|/tabulated_damping_range) + S({_listed('even')}; "
-    "|x'|/tabulated_damping_range), S the cubic spline through the forces at (0/10)^2 to (10/10)^2, the even one 0 at 0",
+    "|x'|/tabulated_damping_range), S the cubic spline through forces at (0/10)^2 to (10/10)^2, the even one 0 at 0",
     latex=r"\operatorname{sign}(\dot{x}) S\left("
     + ", ".join(f"D^{{odd}}_{{{j}}}" for j in range(COUNT + 1))
     + r"; |\dot{x}| / V_t\right) + S\left("

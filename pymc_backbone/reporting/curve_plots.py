@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -37,14 +38,15 @@ def plot_force(curves: ForceCurves, which: str, amplitude_unit: str = "m") -> Fi
     names = (which, f"{which}_odd", f"{which}_even")
     whole, odd, even = (getattr(bands, name) for name in names)
     scale, prefix = engineering(float(np.abs(whole.at).max()), amplitude_unit)
-    largest = np.concatenate([np.abs(band.force) for band in (whole, odd, even)])
     unit = "N" if amplitude_unit == "m" else "N m"
-    factor, label = parameter_axis("force", largest, {"force": unit})
     figure = Figure(figsize=(COLUMN, _HEIGHT), layout=layout())
     axes = figure.subplots(2, 1)
     place = "Displacement" if which == "conservative" else "Speed"
     rate = "" if which == "conservative" else "/s"
-    for axis, panel, shown in zip(axes, _PANELS, ((whole,), (odd, even)), strict=True):
+    line = curves.parameters["viscous_damping"][0] if which == "damping" else 0.0
+    beyond = replace(odd, force=odd.force - line * odd.at, low=odd.low - line * odd.at, high=odd.high - line * odd.at)
+    for axis, panel, shown in zip(axes, _PANELS, ((whole,), (beyond, even)), strict=True):
+        factor, label = parameter_axis("force", np.concatenate([np.abs(band.force) for band in shown]), {"force": unit})
         for (name, colour), band in zip(panel, shown, strict=True):
             _draw(axis, band, scale, factor, colour, name)
         axis.axhline(0.0, color="black", linewidth=0.6)
@@ -54,12 +56,13 @@ def plot_force(curves: ForceCurves, which: str, amplitude_unit: str = "m") -> Fi
         axis.xaxis.set_major_locator(MaxNLocator(6))
         axis.set_xlabel(f"{place} [{prefix}{amplitude_unit}{rate}]")
     if which == "damping":
-        line = curves.parameters["viscous_damping"][0]
+        factor, _ = parameter_axis("force", np.abs(whole.force), {"force": unit})
         axes[0].plot(whole.at * scale, line * whole.at * factor, color=QUIET, linestyle="--", linewidth=1.0)
         axes[0].set_title("Damping force; dashed: the viscous damper in it", fontsize=9, loc="left")
+        axes[1].set_title("Odd part beyond the viscous damper, and even part", fontsize=9, loc="left")
     else:
         axes[0].set_title("Conservative force beyond the linear spring", fontsize=9, loc="left")
-    axes[1].set_title("Its odd and its even part", fontsize=9, loc="left")
+        axes[1].set_title("Its odd and its even part", fontsize=9, loc="left")
     legend_below(axes[1], 2)
     return figure
 

@@ -50,15 +50,15 @@ DIAGNOSIS_KEYS = {
     "remainder": "what the most probable set leaves where no law is exact, by observable: size where it is largest, "
     "unit, standard_errors of it, share_of_gap (root mean square over that of the base), amplitude_low, "
     "amplitude_high [m or rad], and the curve: amplitude, values, errors; empty where a law is exact",
-    "force_curves": "what no law explains as forces, beside the effects in 'beside' (where nothing is named, beside the "
-    "base); null where a law is exact, where the verdict is ambiguous or adequate, and without records: is_possible "
-    "(whether forces of displacement and speed can be it), sentence, share_left (of the gap), p_value (of what they leave "
-    "being noise), range (displacement and speed visited: low, high), curves (conservative, conservative_odd, "
-    "conservative_even, beyond the linear spring, over displacement [m or rad]; damping, damping_odd, damping_even, the "
-    "viscous damper included, over speed [m/s or rad/s]; each at, force [N or N m], low, high (a band that holds all of "
-    "the curve with 95 %), standard_error), families (curve, family, probability, number, value, low, high, size at the "
-    "end of the range), held_out (reduced chi-square of specimens left out: before, after), parameters (name: value, "
-    "standard_error; node forces among them)",
+    "force_curves": "what no law explains as forces, beside the effects in 'beside' (where nothing is named, beside "
+    "the base); null where a law is exact, where the verdict is ambiguous or adequate, and without records: "
+    "is_possible (whether forces of displacement and speed can be it), sentence, share_left (of the gap), p_value (of "
+    "what they leave being noise), range (displacement and speed visited: low, high), curves (conservative, "
+    "conservative_odd, conservative_even, beyond the linear spring, over displacement [m or rad]; damping, "
+    "damping_odd, damping_even, the viscous damper included, over speed [m/s or rad/s]; each at, force [N or N m], "
+    "low, high (a band that holds all of the curve with 95 %), standard_error), families (curve, family, probability, "
+    "number, value, low, high, size at the end of the range), held_out (reduced chi-square of specimens left out: "
+    "before, after), parameters (name: value, standard_error; node forces among them)",
     "probability": "of the most probable set, which is the missing one where the verdict is found",
     "candidates": "every set, in falling probability: effects, probability, reduced_chi_square, log_evidence (relative "
     "to the base), status (best | possible | rejected | failed), reason, backbone_chi_square, parameters "
