@@ -31,6 +31,7 @@ _AMONG = 3  # last turning points of a record, whose amplitude it reaches
 _MOST_LEFT = 0.15  # of the gap, up to which forces of displacement and speed can be what is missing
 _HALF = 0.5  # of what the curves leave: what explains as much is named as the reason
 _AGAIN, _WITH_DRIFT = 8, 12  # iterations
+_ROUGHER = 10.0  # factor by which bends may be larger in square than inferred, in the errors
 
 
 def force_curves(
@@ -108,7 +109,10 @@ def fit_remainder(batch: Batch, oscillator: Oscillator, start: Fit | None = None
         return None
     sharp = tabulate(oscillator, batch, tabulated.reach, is_sharp=True)
     other = fit_curves(sharp, batch.waveform, found.fit.state, nuisances=_NUISANCES, precisions=found.precisions)
-    return found if other is None else _either(found, other)
+    if other is None:
+        return _widened(batch, found)
+    best, rest = (found, other) if found.log_evidence >= other.log_evidence else (other, found)
+    return _either(_widened(batch, best), rest)
 
 
 def _began(tabulated: Tabulated, batch: Batch, start: Fit | None) -> State:
@@ -138,9 +142,25 @@ def _released(tabulated: Tabulated, batch: Batch, state: State) -> State:
     return State(state.eta, own)
 
 
-def _either(one: CurveFit, other: CurveFit) -> CurveFit:
-    """Return the more probable of two fits; what the other says, as far as it is probable, makes its errors wider."""
-    best, rest = (one, other) if one.log_evidence >= other.log_evidence else (other, one)
+def _widened(batch: Batch, found: CurveFit) -> CurveFit:
+    """Return a fit whose errors are those with bends that may be larger, what these would change added.
+
+    The inferred size of bends is that of the mean along a curve; where it bends most, at a kink, it is larger, and the
+    smoothed curve is off there by more than its errors say.
+    """
+    rough = fit_curves(
+        found.tabulated, batch.waveform, found.fit.state, nuisances=_NUISANCES,
+        precisions=found.precisions / _ROUGHER, is_learning=False, iterations=_AGAIN,
+    )  # fmt: skip
+    if rough is None:
+        return found
+    apart = mean_values(rough) - mean_values(found)
+    covariance = rough.mean_covariance + np.outer(apart, apart)
+    return replace(found, mean_covariance=covariance, fit=replace(found.fit, covariance=covariance[2:, 2:]))
+
+
+def _either(best: CurveFit, rest: CurveFit) -> CurveFit:
+    """Return a fit with what a less probable one says, as far as it is probable, added to its errors."""
     share = 1.0 / (1.0 + np.exp(min(best.log_evidence - rest.log_evidence, 700.0)))
     apart = mean_values(rest) - mean_values(best)
     covariance = (1.0 - share) * best.mean_covariance + share * (rest.mean_covariance + np.outer(apart, apart))

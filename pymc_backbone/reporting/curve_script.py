@@ -49,7 +49,7 @@ if __name__ == "__main__":
     simulated = simulate_backbone(oscillator, parameters, levels)
     for row in zip(levels, simulated.frequency, simulated.damping, strict=True):
         print("amplitude {{:.5g}}: frequency {{:.6g}} Hz, logarithmic decrement {{:.5g}}".format(*row))
-    posterior = sample(model, draws=2000, tune=1000, chains=4, step="metropolis", random_seed={seed})
+    posterior = sample(model, draws=500, tune=500, chains=2, step="metropolis", random_seed={seed})
     print(az.summary(posterior, ci_prob=0.95, ci_kind="hdi").to_string())
 """
 
