@@ -64,7 +64,9 @@ def sentence(judged: Judgement, told: Sequence[Proposal], unit: str) -> str:
         parts.append(f"{what} is {described([item for item in told if item.curve == curve], place)}")
     leave = "to the noise" if judged.share_left < 0.02 or not np.isfinite(judged.share_left) else ""
     leave = leave or f"but for {100.0 * judged.share_left:.2g} % of the gap"
-    return f"Forces of displacement and speed explain the records {leave}: {'; '.join(parts)}."
+    also = " A drift with time explains them as well: releases from other amplitudes tell the two apart."
+    said = f"Forces of displacement and speed explain the records {leave}: {'; '.join(parts)}."
+    return said + (also if judged.why == "drift" else "")
 
 
 def described(told: Sequence[Proposal], unit: str) -> str:

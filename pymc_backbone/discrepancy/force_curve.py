@@ -30,12 +30,19 @@ _LEAST_REACH = 0.3  # of the amplitude: over less the line is not known
 _AMONG = 3  # last turning points of a record, whose amplitude it reaches
 _MOST_LEFT = 0.15  # of the gap, up to which forces of displacement and speed can be what is missing
 _HALF = 0.5  # of what the curves leave: what explains as much is named as the reason
+_AS_WELL = 20.0  # chi-square by which a drift with time may leave more than the curves, and explain as much
 _AGAIN, _WITH_DRIFT = 8, 12  # iterations
 _ROUGHER = 10.0  # factor by which bends may be larger in square than inferred, in the errors
 
 
 def force_curves(
-    batch: Batch, start: Fit, rivals: Sequence[Fit], held_out_before: float, most: int, seed: int
+    batch: Batch,
+    start: Fit,
+    rivals: Sequence[Fit],
+    drifting: Fit | None,
+    held_out_before: float,
+    most: int,
+    seed: int,
 ) -> ForceCurves | None:
     """Return what a model leaves of the records as forces; None without records, or where nothing can be simulated.
 
@@ -47,6 +54,8 @@ def force_curves(
         The model beside which the curves stand, as it was fitted.
     rivals : sequence of Fit
         Models with hysteresis: where one of them leaves far less, the force depends on the way as well.
+    drifting : Fit or None
+        The base with a drift in time: where all releases are alike, it may explain as much.
     held_out_before : float
         Reduced chi-square of the model on specimens left out.
     most : int
@@ -59,7 +68,7 @@ def force_curves(
     found = fit_remainder(batch, start.layout.oscillator, start)
     if found is None:
         return None
-    judged = _judged(batch, start, found, rivals)
+    judged = _judged(batch, start, found, rivals, drifting)
     told = proposals(found)
     after = held_out_curves(batch, found, most) if most > 0 else float("nan")
     bands = bands_of(batch, found, seed)
@@ -167,7 +176,7 @@ def _either(best: CurveFit, rest: CurveFit) -> CurveFit:
     return replace(best, mean_covariance=covariance, fit=replace(best.fit, covariance=covariance[2:, 2:]))
 
 
-def _judged(batch: Batch, start: Fit, found: CurveFit, rivals: Sequence[Fit]) -> Judgement:
+def _judged(batch: Batch, start: Fit, found: CurveFit, rivals: Sequence[Fit], drifting: Fit | None) -> Judgement:
     """Return whether forces of displacement and speed can be what is missing and, where not, what speaks against it."""
     count = float(sum(term.size for term in batch.waveform))
     lack = lack_of_fit(batch, found.fit)
@@ -175,6 +184,8 @@ def _judged(batch: Batch, start: Fit, found: CurveFit, rivals: Sequence[Fit]) ->
     share = float(np.sqrt(after / before)) if before > 0.0 else float("nan")
     is_possible = lack.p_value >= UNEXPLAINED or share <= _MOST_LEFT
     why = ""
+    if is_possible and drifting is not None and drifting.cost < found.fit.cost + _AS_WELL:
+        why = "drift"
     if not is_possible:
         with_drift = fit_curves(
             found.tabulated, batch.waveform, found.fit.state, nuisances=(*_NUISANCES, *DRIFTS),

@@ -203,7 +203,7 @@ def _curves(
     remembering = [
         found for found in search.fits.values() if any(effect.n_states for effect in found.layout.oscillator.effects)
     ]
-    return force_curves(question.batch, start, remembering, gap, most, seed)
+    return force_curves(question.batch, start, remembering, outcome.drifting, gap, most, seed)
 
 
 def _searched(question: Question, quick: bool, say: Progress) -> Search:

@@ -1,0 +1,268 @@
+"""What no law explains as force curves: against laws that SciPy integrated, and against nothing, drift and memory."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import runpy
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+from threadpoolctl import threadpool_limits
+
+from pymc_backbone import InputError, find_missing_effect
+from pymc_backbone.discrepancy.curve_bands import bands_of, simultaneous
+from pymc_backbone.discrepancy.curve_fit import CurveFit, Known
+from pymc_backbone.discrepancy.curve_words import Judgement, sentence
+from pymc_backbone.discrepancy.families import FAMILIES, proposals
+from pymc_backbone.discrepancy.force_curve import fit_remainder, force_curves
+from pymc_backbone.discrepancy.joint_fit import fit
+from pymc_backbone.discrepancy.layout import make_layout
+from pymc_backbone.discrepancy.normal_equations import start_state
+from pymc_backbone.discrepancy.rivals import drift_fit
+from pymc_backbone.discrepancy.tabulated import DAMPING, NODES, STIFFNESS, tabulate
+from pymc_backbone.oscillator import Oscillator
+from pymc_backbone.reporting.output_folder import plain
+from pymc_backbone.reporting.report import report_html
+from pymc_backbone.reporting.study_files import force_curve_entries, write_study
+from pymc_backbone.reporting.study_plots import study_figures
+
+from .discrepancy_cases import AMPLITUDE, MASS, OMEGA, RELEASE_TIME, TIME, batch_of, drifting_records, free_decay, noisy
+from .discrepancy_cases import DAMPING as VISCOUS
+from .discrepancy_cases import STIFFNESS as SPRING
+from .study_cases import make_study
+
+ELASTIC = SPRING * AMPLITUDE
+
+
+def conservative(x):
+    """A spring that no effect of the library is: an odd and an even part of broken powers."""
+    u = np.asarray(x) / AMPLITUDE
+    return ELASTIC * (0.1 * np.sign(u) * np.abs(u) ** 2.6 + 0.03 * np.abs(u) ** 3.4)
+
+
+def dissipative(v):
+    u = np.asarray(v) / (OMEGA * AMPLITUDE)
+    return 0.008 * ELASTIC * np.sign(u) * np.abs(u) ** 1.6
+
+
+def records_of(rng, spring, damper, specimens=3, decibels=55.0):
+    records = []
+    for r in range(specimens):
+        k, c = SPRING * (1.0 + 0.01 * rng.standard_normal()), VISCOUS * (1.0 + 0.03 * rng.standard_normal())
+
+        def force(x, v, direction, k=k, c=c):
+            return k * x + c * v + float(spring(x)) + float(damper(v))
+
+        exact = free_decay(force, AMPLITUDE * (1.0 - 0.2 * r), TIME - RELEASE_TIME)
+        records.append(noisy(rng, f"specimen {r + 1}", TIME, exact, decibels))
+    return records
+
+
+def nothing(_):
+    return 0.0
+
+
+def base_fit(batch):
+    """The linear model, fitted to the samples from where the records say."""
+    layout = make_layout(Oscillator(MASS), batch.amplitude, batch.angular_frequency)
+    return fit(layout, batch.waveform, start_state(layout, np.zeros(0), batch.own), nuisances=batch.nuisances)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def on_one_core():
+    """The matrices are small: several threads of linear algebra would wait for each other."""
+    with threadpool_limits(1):
+        yield
+
+
+@pytest.fixture(scope="module")
+def outside():
+    batch = batch_of(records_of(np.random.default_rng(5), conservative, dissipative))
+    return batch, fit_remainder(batch, Oscillator(MASS))
+
+
+def test_bands_hold_the_true_forces(outside):
+    batch, found = outside
+    bands = bands_of(batch, found, 1)
+    inner = np.linspace(0.0, found.tabulated.reach, 301)
+    odd = 0.5 * (conservative(inner) - conservative(-inner))
+    line = float(inner @ odd) / float(inner @ inner)
+    x, v = bands.conservative.at, bands.damping.at
+    truth = conservative(x) - line * x
+    # what is visited is the release of the first specimen, or a little less where its record begins
+    assert 0.9 * AMPLITUDE < -x[0] < 1.1 * AMPLITUDE and x[-1] < 1.1 * AMPLITUDE
+    assert np.all((bands.conservative.low <= truth) & (truth <= bands.conservative.high))
+    assert np.abs(bands.conservative.force - truth).max() < 0.05 * np.abs(truth).max()
+    # negative control: the same curve with the sides exchanged is far outside
+    assert not np.all((bands.conservative.low <= truth[::-1]) & (truth[::-1] <= bands.conservative.high))
+    # the mean specimen's own damper is known to the scatter that was drawn: compared beyond a line
+    shape, force = dissipative(v), bands.damping.force
+    beyond = (force - v * float(v @ force) / float(v @ v)) - (shape - v * float(v @ shape) / float(v @ v))
+    assert np.abs(beyond).max() < 0.1 * np.abs(shape).max()
+    assert np.all(bands.damping_even.low <= 1e-12) and np.all(bands.damping_even.high >= -1e-12)
+
+
+def test_curves_leave_noise_and_predict_a_specimen_left_out(outside):
+    batch, found = outside
+    count = sum(term.size for term in batch.waveform)
+    assert 0.8 < found.fit.chi_square.sum() / count < 1.2
+    curves = force_curves(batch, base_fit(batch), (), None, 1e3, 2, 1)
+    assert curves.is_possible and curves.held_out_after < 2.0 and curves.p_value > 1e-3
+    assert set(curves.parameters) == set(curves.oscillator.parameter_names)
+    entries = json.loads(json.dumps(plain(force_curve_entries(curves))))
+    assert entries["held_out"]["before"] == 1e3 and len(entries["curves"]) == 6
+    assert entries["range"]["displacement"] == [curves.bands.conservative.at[0], curves.bands.conservative.at[-1]]
+
+
+def test_nothing_is_seen_where_nothing_is_there():
+    batch = batch_of(records_of(np.random.default_rng(8), nothing, nothing))
+    curves = force_curves(batch, base_fit(batch), (), None, 1.0, 0, 1)
+    assert curves.is_possible
+    best = {item.curve: item for item in reversed(curves.proposals)}
+    for item in best.values():
+        assert item.family == "nothing" or item.probability < 0.7, item
+    bands = curves.bands
+    for band in (bands.conservative, bands.conservative_odd, bands.conservative_even, bands.damping_even):
+        assert np.all(band.low <= 1e-9 * ELASTIC) and np.all(band.high >= -1e-9 * ELASTIC)
+
+
+def test_what_rises_with_time_in_one_record_and_falls_in_another_is_no_force_curve():
+    rising, falling = (drifting_records(np.random.default_rng(3), change) for change in (0.02, -0.02))
+    batch = batch_of([rising[0], falling[1]])
+    curves = force_curves(batch, base_fit(batch), (), None, 1.0, 0, 1)
+    assert not curves.is_possible and curves.p_value < 1e-3
+    assert "cannot be" in curves.sentence and "drift with time explains more" in curves.sentence
+
+
+def test_a_drift_that_a_curve_imitates_is_told():
+    """Decays that are alike turn time into amplitude: both explanations are named."""
+    batch = batch_of(drifting_records(np.random.default_rng(3), 0.02))
+    base = base_fit(batch)
+    curves = force_curves(batch, base, (), drift_fit(batch, base), 1.0, 0, 1)
+    assert curves.is_possible and "drift with time explains them as well" in curves.sentence
+
+
+def test_a_force_that_no_drift_imitates_is_not_called_one(outside):
+    batch, _ = outside
+    base = base_fit(batch)
+    assert "drift" not in force_curves(batch, base, (), drift_fit(batch, base), 1.0, 0, 1).sentence
+
+
+def test_hysteresis_is_said_where_a_law_with_memory_leaves_less(outside):
+    said = sentence(Judgement(False, 0.6, 1e-9, "hysteresis"), (), "m")
+    assert "cannot be" in said and "remembers" in said and "60 %" in said
+
+
+def curve_like(found: CurveFit, effect: str, law, precision: float) -> CurveFit:
+    """A fit whose records say of one curve that it is this law, and of the other nothing."""
+    tabulated, nodes = found.tabulated, NODES[effect]
+    at = nodes[1:] if effect == STIFFNESS else nodes
+    tiny = np.where(at == 0.0, 1e-12, at)
+    odd, even = 0.5 * (law(tiny) - law(-tiny)), 0.5 * (law(tiny) + law(-tiny))
+    values = np.concatenate([odd, even[at > 0.0]])
+    frame = found.known[effect].frame
+    line = np.concatenate([at, np.zeros(values.size - at.size)])
+    over = tabulated.lines()[0 if effect == STIFFNESS else 1][tabulated.places(effect)]
+    free = frame.T @ (values - line * float(over @ values) / float(over @ line))
+    size = free.size
+    prior = found.known[effect].prior
+    known = Known(frame, precision * np.eye(size), prior, precision * free)
+    other = DAMPING if effect == STIFFNESS else STIFFNESS
+    blind = dataclasses.replace(found.known[other], precision=1e-12 * np.eye(found.known[other].pull.size))
+    blind = dataclasses.replace(blind, pull=np.zeros(blind.pull.size))
+    return dataclasses.replace(found, known={effect: known, other: blind})
+
+
+LAWS = [
+    (STIFFNESS, "power law", 3.4, lambda u: np.sign(u) * np.abs(u) ** 3.4),
+    (STIFFNESS, "power law, even", 2.0, lambda u: -(u**2)),
+    (STIFFNESS, "kink", 0.4, lambda u: np.sign(u) * np.maximum(np.abs(u) - 0.4, 0.0)),
+    (STIFFNESS, "kink on one side", 0.6, lambda u: -np.maximum(-u - 0.6, 0.0)),
+    (STIFFNESS, "saturation", 0.2, lambda u: np.tanh(u / 0.2)),
+    (STIFFNESS, "none", None, lambda u: np.sin(7.0 * u) + 0.3 * np.cos(9.0 * u) - 0.3),
+    (DAMPING, "power law", 0.5, lambda u: np.sign(u) * np.sqrt(np.abs(u))),
+    (DAMPING, "power law on one side", 2.0, lambda u: np.maximum(u, 0.0) ** 2),
+    (DAMPING, "saturation", 0.1, lambda u: np.tanh(u / 0.1)),
+    (DAMPING, "minimum of damping", 0.15, lambda u: np.sign(u) * (1.0 + 0.8 * np.exp(-np.abs(u) / 0.15))),
+    (DAMPING, "minimum of damping", 0.3, lambda u: -u / (1.0 + (u / 0.3) ** 2)),
+]
+
+
+@pytest.mark.parametrize(("effect", "family", "number", "law"), LAWS, ids=lambda value: str(value)[:24])
+def test_each_family_is_proposed_for_a_law_of_it(outside, effect, family, number, law):
+    _, found = outside
+    told = proposals(curve_like(found, effect, law, 1e8 / ELASTIC**2))
+    mine = [item for item in told if item.curve == ("conservative" if effect == STIFFNESS else "damping")]
+    assert mine[0].family == family and mine[0].probability > 0.9
+    assert sum(item.probability for item in mine) == pytest.approx(1.0)
+    if number is not None:
+        reach = found.tabulated.ranges()[0 if effect == STIFFNESS else 1] if mine[0].number != "exponent" else 1.0
+        # the grid of numbers is as fine as 1/160 of its range
+        assert mine[0].value == pytest.approx(number * reach, rel=0.05)
+        assert mine[0].low <= mine[0].value * 1.02 and mine[0].high >= mine[0].value * 0.98
+    blind = [item for item in told if item not in mine]
+    assert blind[0].family == "nothing"
+
+
+def test_families_have_names_that_words_know():
+    from pymc_backbone.discrepancy.curve_words import WORDS
+
+    assert {family.name for each in FAMILIES.values() for family in each} | {"none", "nothing"} == set(WORDS)
+
+
+def test_simultaneous_factor_is_that_of_independent_points_or_of_one(rng):
+    points = 20
+    exact = norm.ppf(0.5 * (1.0 + 0.95 ** (1.0 / points)))
+    # 4000 draws know the quantile to 0.03
+    assert simultaneous(np.diag(rng.uniform(0.1, 9.0, points)), rng) == pytest.approx(exact, abs=0.1)
+    assert simultaneous(np.outer(np.arange(1.0, 5.0), np.arange(1.0, 5.0)), rng) == pytest.approx(1.96, abs=0.08)
+
+
+def test_a_line_is_no_roughness_and_belongs_to_the_specimens(outside):
+    batch, _ = outside
+    for is_sharp in (False, True):
+        tabulated = tabulate(Oscillator(MASS), batch, 0.5 * AMPLITUDE, is_sharp=is_sharp)
+        for part in tabulated.parts:
+            nodes = NODES[part.effect]
+            line, square = nodes[nodes.size - part.places.size :], nodes[nodes.size - part.places.size :] ** 2
+            assert square @ part.roughness @ square > 0.1
+            if part.side == "odd":
+                assert line @ part.roughness @ line < 1e-9 * (square @ part.roughness @ square)
+        basis, _ = tabulated.free_basis()
+        assert np.abs(tabulated.lines() @ basis).max() < 1e-12 * np.abs(tabulated.lines()).max()
+
+
+def test_a_curve_is_no_candidate():
+    records = records_of(np.random.default_rng(1), nothing, nothing, specimens=1)
+    with pytest.raises(InputError, match="'tabulated_stiffness', a curve that fits any force"):
+        find_missing_effect(Oscillator(MASS), records, candidates=["tabulated_stiffness"], quick=True)
+
+
+def test_report_and_files_hold_the_curves(outside, tmp_path):
+    batch, _ = outside
+    curves = force_curves(batch, base_fit(batch), (), None, 50.0, 2, 1)
+    study = dataclasses.replace(make_study("unexplained"), force_curves=curves)
+    figures = study_figures(study)
+    assert {"force_conservative", "force_damping"} <= set(figures)
+    page = report_html(study, figures, version="1")
+    assert "What is left, as a force" in page and "model_with_curves.py" in page
+    assert "What is left, as a force" not in report_html(make_study("unexplained"), {}, version="1")
+    files = write_study(study, tmp_path / "out")
+    assert "model_with_curves.py" in files and "figures/force_damping.png" in files
+    text = (tmp_path / "out" / "model_with_curves.py").read_text()
+    compile(text, "model_with_curves.py", "exec")
+    assert all(f'"{name}"' in text for name in curves.oscillator.parameter_names)
+
+
+@pytest.mark.slow
+def test_script_builds_a_model_that_can_be_evaluated(outside, tmp_path):
+    batch, _ = outside
+    curves = force_curves(batch, base_fit(batch), (), None, 50.0, 0, 1)
+    backbones = batch.backbones
+    study = dataclasses.replace(make_study("unexplained"), force_curves=curves, backbones=backbones)
+    write_study(dataclasses.replace(study, before=None), tmp_path / "out")
+    script = runpy.run_path(str(tmp_path / "out" / "model_with_curves.py"))
+    model = script["model"]
+    assert np.isfinite(model.compile_logp()(model.initial_point()))
