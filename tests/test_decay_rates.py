@@ -24,11 +24,11 @@ from .decay_cases import (
     parameters_of,
 )
 from .decay_oracles import Decay
-from .test_decay_sensitivities import exactly, prepare, richardson
+from .test_decay_sensitivities import SMOOTH, exactly, prepare, richardson
 
 __all__ = ["exactly"]  # a fixture
 
-CASES = (*EFFECTS, *COMBINATIONS, (MAXWELL,), (SINH,), (STOP, "cubic_damping"))
+CASES = (*SMOOTH, *COMBINATIONS, (MAXWELL,), (SINH,), (STOP, "cubic_damping"))
 # The law is rounded over less than the first step after a turning point: inside of it the polynomial is less exact.
 ROUNDED = {("power_damping",): 3e-7}
 RATES = (("velocity", OMEGA), ("acceleration", OMEGA**2))

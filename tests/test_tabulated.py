@@ -7,8 +7,10 @@ import pytest
 
 from pymc_backbone.effects import LIBRARY
 from pymc_backbone.effects._spline import slope_matrix
+from pymc_backbone.simulation.decay import simulate_decay, simulate_waveform
 
-from .decay_oracles import tabulated_damping, tabulated_stiffness
+from .decay_cases import AMPLITUDE, MASS, OMEGA, oscillator_of, parameters_of
+from .decay_oracles import Decay, tabulated_damping, tabulated_stiffness
 
 STIFFNESS, DAMPING = LIBRARY["tabulated_stiffness"], LIBRARY["tabulated_damping"]
 NONE = np.zeros(0)
@@ -71,3 +73,45 @@ def test_slopes_of_a_cubic_are_exact_and_of_a_quartic_not():
     matrix = slope_matrix(nodes)
     np.testing.assert_allclose(matrix @ (nodes**3 - nodes), 3.0 * nodes**2 - 1.0, atol=1e-12)
     assert np.abs(matrix @ nodes**4 - 4.0 * nodes**3).max() > 1e-3
+
+
+def bent(name, rng):
+    """An oscillator with a smooth curve that is no cubic, and its parameters: the splines bend at their nodes."""
+    oscillator = oscillator_of((name,))
+    p = parameters_of(oscillator)
+    force = MASS * OMEGA**2 * AMPLITUDE
+    count = len(LIBRARY[name].parameters) - 1
+    u = np.arange(count) / count
+    share = 0.1 if name == "tabulated_stiffness" else 0.01
+    p[2:-1] += share * force * 0.2 * np.sin(9.0 * u + rng.uniform(0.0, 6.0))
+    return oscillator, p
+
+
+@pytest.mark.parametrize("name", ["tabulated_stiffness", "tabulated_damping"])
+def test_decay_with_bent_curves_is_that_of_scipy(name, rng):
+    oscillator, p = bent(name, rng)
+    oracle = Decay(oscillator, p)
+    times, values = oracle.turning_points(AMPLITUDE, 6)
+    found = simulate_decay(oscillator, p, AMPLITUDE, n_cycles=3)
+    # steps do not end where the third derivative of the force jumps: measured 1e-6
+    np.testing.assert_allclose(found.turning_times[: times.size], times[: found.turning_times.size], rtol=1e-5)
+    np.testing.assert_allclose(
+        found.turning_values[: values.size], values[: found.turning_values.size], atol=1e-5 * AMPLITUDE
+    )
+
+
+@pytest.mark.parametrize("name", ["tabulated_stiffness", "tabulated_damping"])
+def test_derivatives_to_node_forces_are_those_of_differences(name, rng):
+    oscillator, p = bent(name, rng)
+    time = np.linspace(0.02, 6.0 * np.pi / OMEGA, 90)
+    found = simulate_waveform(oscillator, p, time, AMPLITUDE, sensitivities=True)
+    force = MASS * OMEGA**2 * AMPLITUDE
+    largest = np.abs(found.jacobian[:, 2:-1]).max()
+    for j in range(2, p.size - 1):
+        step = np.zeros(p.size)
+        step[j] = 1e-3 * force
+        above, below = (simulate_waveform(oscillator, p + by, time, AMPLITUDE).displacement for by in (step, -step))
+        # the decay is nearly linear in a force this small; steps err by 1e-6 of the amplitude, over 2e-3 of the force
+        difference = (above - below) / (2e-3 * force)
+        np.testing.assert_allclose(found.jacobian[:, j], difference, atol=3e-3 * largest, err_msg=f"column {j}")
+    assert largest > 0.1 * AMPLITUDE / force

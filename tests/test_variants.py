@@ -26,7 +26,7 @@ TRUTHS = {
 }
 DAHL = {"dahl_friction": (0.1 * STIFFNESS, 0.01 * FORCE)}
 """A case of another effect, which is not looked for beside that one."""
-OTHERS = ("structural_damping", "maxwell_element")
+OTHERS = ("structural_damping", "maxwell_element", "tabulated_stiffness", "tabulated_damping")
 
 
 def records_of(name: str, values, *, specimens: int = 3, cycles: int = 30, noise: float = 1e-3) -> list[Record]:

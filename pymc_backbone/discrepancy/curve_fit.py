@@ -149,7 +149,7 @@ def fit_curves(
     nuisances: Sequence[int],
     precisions: FloatArray | None = None,
     is_learning: bool = True,
-    iterations: int = 40,
+    iterations: int = 30,
     goal: float = 0.0,
 ) -> CurveFit | None:
     """Minimise from ``state``; None where it cannot be simulated.

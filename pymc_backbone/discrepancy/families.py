@@ -8,7 +8,7 @@ on bends. No line enters: that is stiffness and damping.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import logsumexp
@@ -22,6 +22,7 @@ Law = Callable[[FloatArray, float], FloatArray]
 _FINE = 161
 _WIDTH = 3.0  # of the prior of a size, in units of what is found
 _EDGE = 0.025
+_INEXACT = 0.005  # of the largest node force: how far off a law may be at any node
 
 
 @dataclass(frozen=True)
@@ -139,7 +140,23 @@ def _curve(found: CurveFit, effect: str) -> _Curve:
     odd = next(part.places.size for part in tabulated.parts if (part.effect, part.side) == (effect, "odd"))
     at = nodes[nodes.size - odd :]
     over = tabulated.lines()[0 if effect == STIFFNESS else 1][places]
-    return _Curve(at, np.concatenate([at, np.zeros(places.size - odd)]), over, found.known[effect])
+    known = _blurred(found.known[effect])
+    return _Curve(at, np.concatenate([at, np.zeros(places.size - odd)]), over, known)
+
+
+def _blurred(known: Known) -> Known:
+    """Return what is known with an error of its own at every node: no real force is exactly a law.
+
+    Nor is a spline a kink or a root, by about as much.
+    """
+    both = known.precision + known.prior
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(both), 1e-300))
+    place = scale * np.linalg.lstsq(both * np.outer(scale, scale), known.pull * scale, rcond=1e-13)[0]
+    inexact = _INEXACT * float(np.abs(known.frame @ place).max())
+    values, vectors = np.linalg.eigh(known.precision)
+    less = 1.0 / (1.0 + inexact**2 * np.maximum(values, 0.0))
+    precision = (vectors * (np.maximum(values, 0.0) * less)) @ vectors.T
+    return replace(known, precision=precision, pull=(vectors * less) @ (vectors.T @ known.pull))
 
 
 def _of_curve(curve: str, known: _Curve, found: CurveFit, effect: str) -> list[Proposal]:
