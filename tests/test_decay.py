@@ -158,9 +158,7 @@ def test_any_draw_from_the_default_bounds_is_answered_soon(effects, sensitivitie
     jacobian = np.zeros(shape)
     # Measured: at most 1.3 ms without states; with states 97 ms at worst of those counted.
     limit = 0.3 if simulator.needs_decay else 0.02
-    if set(effects) & set(
-        TABULATED
-    ):  # measured: 26 ms, with derivatives to twenty node forces of wild curves
+    if set(effects) & set(TABULATED):  # measured: 26 ms, with derivatives to twenty node forces of wild curves
         limit = 0.06
     slowest, seen = 0.0, set()
     draws = 100 if simulator.has_own_equation else 300

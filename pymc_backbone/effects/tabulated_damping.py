@@ -118,11 +118,11 @@ EFFECT = Effect(
     summary="Damper of any shape, an odd and an even curve through node forces: what no named law holds.",
     text=f"sign(x') S({_listed('odd')}; |x'|/tabulated_damping_range) + S({_listed('even')}; "
     "|x'|/tabulated_damping_range), S the cubic spline through forces at (0/10)^2 to (10/10)^2, the even one 0 at 0",
-    latex=r"\operatorname{sign}(\dot{x}) S\left("
+    latex=r"\operatorname{sign}(\dot{x}) S("
     + ", ".join(f"D^{{odd}}_{{{j}}}" for j in range(COUNT + 1))
-    + r"; |\dot{x}| / V_t\right) + S\left("
+    + r", |\dot{x}| / V_t) + S("
     + ", ".join(f"D^{{even}}_{{{j}}}" for j in range(1, COUNT + 1))
-    + r"; |\dot{x}| / V_t\right)",
+    + r", |\dot{x}| / V_t)",
     parameters=(
         *_NODES,
         Parameter(

@@ -112,11 +112,11 @@ EFFECT = Effect(
     summary="Spring of any shape, an odd and an even curve through node forces: what no named law holds.",
     text=f"sign(x) S({_listed('odd')}; |x|/tabulated_stiffness_range) + S({_listed('even')}; "
     "|x|/tabulated_stiffness_range), S the cubic spline through the forces at 1/12 to 12/12, 0 at 0",
-    latex=r"\operatorname{sign}(x) S\left("
+    latex=r"\operatorname{sign}(x) S("
     + ", ".join(f"F^{{odd}}_{{{j}}}" for j in range(1, COUNT + 1))
-    + r"; |x| / X_t\right) + S\left("
+    + r", |x| / X_t) + S("
     + ", ".join(f"F^{{even}}_{{{j}}}" for j in range(1, COUNT + 1))
-    + r"; |x| / X_t\right)",
+    + r", |x| / X_t)",
     parameters=(
         *_NODES,
         Parameter(
