@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import runpy
 
 import numpy as np
 import pytest
@@ -254,15 +253,3 @@ def test_report_and_files_hold_the_curves(outside, tmp_path):
     text = (tmp_path / "out" / "model_with_curves.py").read_text()
     compile(text, "model_with_curves.py", "exec")
     assert all(f'"{name}"' in text for name in curves.oscillator.parameter_names)
-
-
-@pytest.mark.slow
-def test_script_builds_a_model_that_can_be_evaluated(outside, tmp_path):
-    batch, _ = outside
-    curves = force_curves(batch, base_fit(batch), (), None, 50.0, 0, 1)
-    backbones = batch.backbones
-    study = dataclasses.replace(make_study("unexplained"), force_curves=curves, backbones=backbones)
-    write_study(dataclasses.replace(study, before=None), tmp_path / "out")
-    script = runpy.run_path(str(tmp_path / "out" / "model_with_curves.py"))
-    model = script["model"]
-    assert np.isfinite(model.compile_logp()(model.initial_point()))
