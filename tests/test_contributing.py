@@ -78,6 +78,7 @@ def test_its_gradient_is_that_of_its_force(example):
     assert out[1] == 0.0 and out[2] * p[0] == pytest.approx(example.force(0.02, 0.5, 1.0, np.empty(0), p))
 
 
+@pytest.mark.slow  # a minute and a half, most of it numba's: the search with an effect of a user's own is compiled anew
 def test_the_example_is_named_where_it_is_hidden(example, rng):
     records = records_of(example.EFFECT, rng)
     springs = ["cubic_stiffness", "quintic_stiffness", "coulomb_friction"]

@@ -2,8 +2,8 @@
 
     python benchmarks/hidden_effects/diagnose.py DIR --workers 2
 
-The tool is given the records, the mass and the base effects, nothing else. ``--tolerance 0`` (the default here) lets
-statistics alone decide, because the strengths of the batches run down to what no record can show.
+The tool is given the records, the mass and the base effects; of a band-passed tier the band as well. ``--tolerance 0``
+(the default here) lets statistics alone decide, because the strengths of the batches run down to what no record can show.
 """
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ def _one(task: tuple[Path, float | None, str]) -> str:
             quick=True,
             tolerance=tolerance,
             random_seed=truth["seed"] + truth["index"],
+            band=tuple(truth["band"]) if truth.get("band") else None,
         )
         result = study_entries(study, "")
     except InputError as error:

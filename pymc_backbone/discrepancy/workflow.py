@@ -23,6 +23,7 @@ from .candidate_table import candidates_of
 from .curve_records import ForceCurves
 from .curves import simulate
 from .decide import Decision, decide, mind_second_mode
+from .descent import is_heavy
 from .design import Contender, Plan, contender, present_design
 from .extend import Inference, infer
 from .fitted_sets import BUDGET, Progress
@@ -171,7 +172,7 @@ def find_missing_effect(
         outcome = _decided(question, search)
         most = MOST_HELD_OUT if held_out is None else int(held_out)
         verification = verify(question.batch, outcome.base, outcome.extended, most, seed, say)
-        curves = _curves(question, outcome, verification, most, seed, say)
+        curves = _curves(question, outcome, verification, most, seed, quick, say)
         sampling = None if quick else Sampling(draws, tune, chains, step, seed)
         if sampling is not None:
             say("sampling", 0.0)
@@ -188,7 +189,7 @@ def find_missing_effect(
 
 
 def _curves(
-    question: Question, outcome: Outcome, verification: Verification, most: int, seed: int, say: Progress
+    question: Question, outcome: Outcome, verification: Verification, most: int, seed: int, quick: bool, say: Progress
 ) -> ForceCurves | None:
     """Return as forces what is left where no law explains the records: beside what is named, or beside the base."""
     search, decision = outcome.search, outcome.decision
@@ -199,6 +200,8 @@ def _curves(
         start, gap = outcome.model, float("nan") if held_out is None else held_out.after
     else:
         return None
+    if quick and is_heavy(start.layout):
+        return None  # minutes where each simulation takes a second: the full run draws them
     say("looking for force curves", 0.0)
     remembering = [
         found for found in search.fits.values() if any(effect.n_states for effect in found.layout.oscillator.effects)

@@ -16,6 +16,7 @@ from .._common.checks import OBSERVABLE_UNITS, FloatArray, InputError
 from ..simulation.decay import Status, simulate_backbone
 from ..simulation.response import OscillatorResponse
 from .compiling import compile_once
+from .flat_priors import residual_of_prior, slope_of_prior
 from .start_hint import StartHint, start_hint_of
 from .targets import Target, targets_of
 
@@ -279,11 +280,11 @@ class StartFinder:
         bounded = self._bounded(point)
 
         def residuals(vector: FloatArray) -> FloatArray:
-            return np.concatenate([self.distances(unpack(vector)), _residual_of_prior(vector[bounded])])
+            return np.concatenate([self.distances(unpack(vector)), residual_of_prior(vector[bounded])])
 
         def slopes(vector: FloatArray) -> FloatArray:
             prior = np.zeros((int(bounded.sum()), vector.size))
-            prior[:, bounded] = np.diag(_slope_of_prior(vector[bounded]))
+            prior[:, bounded] = np.diag(slope_of_prior(vector[bounded]))
             return np.vstack([self._slopes_of_distances(vector, unpack), prior])
 
         solution: Any = least_squares(
@@ -371,22 +372,6 @@ class StartFinder:
             "follow the measured backbones: add an effect, widen the priors, or use a density without hard edges "
             "(`marginal='normal'`)."
         )
-
-
-def _residual_of_prior(inside: FloatArray) -> FloatArray:
-    """Return what Uniform priors add to least squares, on the unconstrained scale.
-
-    4 log cosh(u / 2) is twice the loss in log-density, up to a constant.
-    """
-    return np.asarray(np.sign(inside) * 2.0 * np.sqrt(np.logaddexp(0.5 * inside, -0.5 * inside) - np.log(2.0)))
-
-
-def _slope_of_prior(inside: FloatArray) -> FloatArray:
-    """Return the derivative of `_residual_of_prior`: tanh(u / 2) / r / 1, which is 1 / sqrt(2) at zero."""
-    residual = np.abs(_residual_of_prior(inside))
-    is_zero = residual < 1e-6
-    slope = np.tanh(0.5 * np.abs(inside)) / np.where(is_zero, 1.0, residual)
-    return np.asarray(np.where(is_zero, np.sqrt(0.5), slope))
 
 
 def _simulate(target: Target, theta: FloatArray) -> FloatArray:
