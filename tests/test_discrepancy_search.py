@@ -87,6 +87,19 @@ def test_a_set_that_lost_its_way_begins_again_beside_one_that_explains(cubic):
     assert search.fits[names].cost == pytest.approx(from_backbones.cost, abs=0.5)
 
 
+def test_a_subset_that_was_left_aside_is_asked_where_a_larger_set_explains(cubic):
+    one, pair = ("quintic_stiffness",), ("cubic_stiffness", "quintic_stiffness")
+    search = Search(cubic.batch, Oscillator(MASS, ()), (*CANDIDATES, *one), 2)
+    search.fit_set(())
+    from_backbones = min(search._proposed(one, None), key=lambda item: item.cost)
+    for names in (pair[:1], pair):
+        search.fit_set(names)
+    assert one not in search.fits
+    search._look_within()
+    assert search.fits[one].cost == pytest.approx(from_backbones.cost, abs=0.5)
+    assert set(search.fits) == {(), pair[:1], one, pair}
+
+
 def test_what_the_turning_points_refute_is_not_fitted_to_the_samples(cubic):
     """Counted in evaluations; without a set that explains the records nothing is refuted."""
     search = Search(cubic.batch, Oscillator(MASS, ()), CANDIDATES, 1)

@@ -3,7 +3,8 @@
     python benchmarks/hidden_effects/diagnose.py DIR --workers 2
 
 The tool is given the records, the mass and the base effects; of a band-passed tier the band as well. ``--tolerance 0``
-(the default here) lets statistics alone decide, because the strengths of the batches run down to what no record can show.
+(the default here) lets statistics alone decide, because the strengths of the batches run down to what no record can
+show.
 """
 
 from __future__ import annotations

@@ -51,11 +51,16 @@ class Judgement:
     why: str
 
 
-def sentence(judged: Judgement, told: Sequence[Proposal], unit: str) -> str:
-    """Return what the curves say: whether they can be it, what each looks like, and which law it may be."""
+def sentence(judged: Judgement, told: Sequence[Proposal], unit: str, beside: Sequence[str] = ()) -> str:
+    """Return what the curves say: whether they can be it, what each looks like, and which law it may be.
+
+    ``beside`` names the effects beside which they stand: then it is what these leave that is told.
+    """
     if not judged.is_possible:
-        left = f"the best of them leave {100.0 * judged.share_left:.2g} % of the gap (p = {judged.p_value:.1g})"
-        return f"A force of displacement and speed cannot be what is missing: {left}, and {WHY[judged.why]}."
+        gap = "that rest" if beside else "the gap"
+        left = f"the best of them leave {100.0 * judged.share_left:.2g} % of {gap} (p = {judged.p_value:.1g})"
+        what = "what the named effects leave" if beside else "what is missing"
+        return f"A force of displacement and speed cannot be {what}: {left}, and {WHY[judged.why]}."
     parts = []
     for curve, what, place in (
         ("conservative", "the conservative force beyond the linear spring", unit),

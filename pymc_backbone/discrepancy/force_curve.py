@@ -72,10 +72,11 @@ def force_curves(
     told = proposals(found)
     after = held_out_curves(batch, found, most) if most > 0 else float("nan")
     bands = bands_of(batch, found, seed)
+    beside = tuple(effect.name for effect in start.layout.oscillator.effects if effect.name not in BASE_EFFECTS)
     return ForceCurves(
         is_possible=judged.is_possible,
-        sentence=sentence(judged, told, str(batch.backbones.attrs.get("amplitude_unit", "m"))),
-        beside=tuple(effect.name for effect in start.layout.oscillator.effects if effect.name not in BASE_EFFECTS),
+        sentence=sentence(judged, told, str(batch.backbones.attrs.get("amplitude_unit", "m")), beside),
+        beside=beside,
         bands=bands,
         proposals=told,
         share_left=judged.share_left,

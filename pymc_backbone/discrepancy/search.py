@@ -8,36 +8,30 @@ from itertools import combinations
 import numpy as np
 
 from ..effects import LIBRARY
-from . import evidence, starts
-from .curves import frequencies, relative_change
+from . import evidence
+from .curves import relative_change
 from .descent import is_heavy
-from .fitted_sets import EXPLAINED, FittedSets
-from .joint_fit import Fit, parameters_of
-from .layout import Layout
-from .normal_equations import State
+from .fitted_sets import EXPLAINED
+from .joint_fit import Fit
 from .propose import Proposal, propose
+from .revisited_sets import CLOSE, RevisitedSets
 from .set_fits import Set
 
 _KEPT_PARENTS = 2
 _ROUNDS = 2
-_LOOKED_BACK = 3
 _MOST_FOLLOWED = 24  # sets that are followed from the backbones to the waveforms before anything explains these
 _FEW_FOLLOWED = 6  # the same where not even the backbones are explained
 _FLOOR = 1.1  # ratio of costs within which sets leave the same
 _MOST_EXTENDED = 4
 _REACH = 12.0  # difference of the logarithm of evidence by the backbones within which the waveforms are asked, too
-_SETTLED = 2
 _COSTLY_SETTLED, _COSTLY_REACH = 2, 3.0  # costly sets that are asked although what is simple leaves noise, their reach
 _POSSIBLE_BACKBONE = 3.0  # reduced chi-square up to which a set could explain the backbones
 _NEEDED = 5.0  # chi-square by which a less simple set of the same mechanisms must be better to be extended
-_REFUTED = 100.0  # chi-square above one that explains, beyond which relatives are not asked
-_CLOSE_TO_BASE = 1.0
-_CLOSE = 30.0  # chi-square within which a smaller set rivals the best
 _SURELY = 0.5  # share of the tolerance within which further effects would not change the answer
 _NOISE = 0.01  # p-value of the residuals from which they are taken for noise
 
 
-class Search(FittedSets):
+class Search(RevisitedSets):
     """The search over sets: what is fitted, in which order, and when it is enough."""
 
     def run(self) -> None:
@@ -87,6 +81,7 @@ class Search(FittedSets):
                 break
             self._look_back()
         self._look_forward()
+        self._look_within()
         self._look_back()
         if self._ask_costly() and self._replace():
             self._look_back()
@@ -110,10 +105,6 @@ class Search(FittedSets):
             return False
         change = relative_change(self.batch, self.fits[best], self.fits[()])
         return all(change[key] < _SURELY * limit for key, limit in limits.items())
-
-    def _is_costly(self, names: Set) -> bool:
-        """Return whether a set takes much longer than the base does."""
-        return is_heavy(self.layout(names)) and not is_heavy(self.layout(()))
 
     def _is_settled(self) -> bool:
         """Return whether the most probable set is a simple one that leaves nothing but noise."""
@@ -192,28 +183,6 @@ class Search(FittedSets):
         costs = np.sort([item.cost for item in self.fits.values()])
         return costs.size >= _FEW_FOLLOWED and bool(costs[_FEW_FOLLOWED - 1] < _FLOOR * costs[0])
 
-    def _look_again(self) -> None:
-        """Fit single effects that have a shape, and lag behind, from their look in the backbones as well."""
-        lowest = min(item.cost for item in self.fits.values())
-        for name in self.candidates:
-            known, has_shape = self.fits.get((name,)), len(starts.positions(self.layout((name,)), name)) > 1
-            if known is not None and known.cost >= lowest + _CLOSE and has_shape and not self._is_costly((name,)):
-                self.fits[(name,)] = min([known, *self._proposed((name,), lowest)], key=lambda item: item.cost)
-
-    def _settle(self) -> None:
-        """Where nothing explains the records, carry the fits on that did not come to rest, the likeliest first."""
-        if self._is_explained():
-            return
-        restless = [names for names in self.ranked() if not self.fits[names].is_converged]
-        for names in restless[:_SETTLED]:
-            if self._is_spent:
-                self.is_cut = True
-                break
-            known = self.fits[names]
-            found = self.descent.from_near(known.layout, [known.state])
-            if found is not None and found.cost < known.cost:
-                self.fits[names] = found
-
     def is_open(self, names: Set) -> bool:
         """Return whether the fit of a set did not come to rest although the set could explain the backbones."""
         found = self.fits[names]
@@ -223,66 +192,16 @@ class Search(FittedSets):
         values = sum(term.size for term in self.batch.levels)
         return proposal is None or proposal.chi_square < _POSSIBLE_BACKBONE * values
 
-    def _look_back(self) -> None:
-        """Fit the subsets of the best sets again, from where these ended: a larger set may have found a better way."""
-        lowest = min(item.cost for item in self.fits.values())
-        for names in self.ranked()[:_LOOKED_BACK]:
-            larger = self.fits[names]
-            if lowest < EXPLAINED * self.count and larger.cost > lowest + _REFUTED:
-                continue
-            for smaller in combinations(names, max(len(names) - 1, 0)):
-                known = self.fits.get(smaller)
-                close = _CLOSE if smaller else _CLOSE_TO_BASE  # whether anything is missing hangs on the base
-                if not names or known is None or known.cost < larger.cost + close or self._was_asked(smaller, larger):
-                    continue
-                layout = self.layout(smaller)
-                found = self.descent.from_near(layout, [self._smaller(layout, larger)], rival=known.cost)
-                if found is not None and found.cost < known.cost - 0.01:
-                    self.fits[smaller] = found
-
-    def _smaller(self, layout: Layout, larger: Fit) -> State:
-        """Return where a larger set ended as a start of a smaller one, whose springs replace what is left out."""
-        state = starts.restricted(layout, larger.layout, larger.state)
-        own = state.own
-        for r, term in enumerate(self.batch.levels):
-            before = frequencies(larger.layout, larger.parameters(r), term.levels)
-            after = frequencies(layout, parameters_of(layout, state, r), term.levels)
-            change = self.base.mass * (2.0 * np.pi) ** 2 * np.mean(before**2 - after**2)
-            if np.isfinite(change) and own[r, 0] + change > 0.0:
-                own[r, 0] += change
-        return state
-
-    def _look_forward(self) -> None:
-        """Fit sets again that hold a smaller one and explain less than it does: from where that ended."""
-        for names in [*self.fits]:
-            for smaller in combinations(names, max(len(names) - 1, 0)):
-                known = self.fits.get(smaller)
-                is_behind = known is not None and known.cost < min(self.fits[names].cost, EXPLAINED * self.count)
-                if names and known is not None and is_behind and not self._was_asked(names, known):
-                    found = self._extended(names, self.layout(names), known, None)
-                    self.fits[names] = min([self.fits[names], *found], key=lambda item: item.cost)
-
     def reduced(self, found: Fit) -> float:
         """Return the reduced chi-square of a fit."""
         return float(found.chi_square.sum() / sum(w.size for w in self.batch.deciding))
-
-    def ranked(self, size: int | None = None) -> list[Set]:
-        """Return the fitted sets, of one size or all, most probable first."""
-        probability = evidence.probabilities(self.fits, self.batch, len(self.candidates), variants=self.variants)
-        names = [name for name in self.fits if size is None or len(name) == size]
-        return sorted(names, key=lambda name: -probability[name].log_posterior)
-
-    def best(self, largest: int | None = None) -> Set:
-        """Return the most probable set with at most ``largest`` effects."""
-        limit = self.max_effects if largest is None else largest
-        return next((name for name in self.ranked() if len(name) <= limit), ())
 
     def _parents(self, size: int) -> list[Set]:
         """Return the sets to extend: those that explain the records nearly as well as the best, else the best few."""
         ranked = self.ranked(size)
         count = sum(w.size for w in self.batch.deciding)
         lowest = min(item.cost for item in self.fits.values())
-        explained = [name for name in ranked if self.fits[name].cost < min(EXPLAINED * count, lowest + _CLOSE)]
+        explained = [name for name in ranked if self.fits[name].cost < min(EXPLAINED * count, lowest + CLOSE)]
         plain = [name for name in ranked if not is_heavy(self.layout(name))]
         light = plain[: _KEPT_PARENTS + 2 * (size == 1)]
         if explained:

@@ -32,7 +32,7 @@ REPEATS = 0.002
 LEAST_SHARE = 0.5
 """Share of the records that must remain: where most cannot be used, something is wrong with all of them."""
 _NARROW = 1.5  # the widest range of a specimen over that which all share, from which the search takes the whole range
-_FEWEST_LEVELS, _MOST_LEVELS = 3, 20
+_FEWEST_LEVELS, _MOST_LEVELS = 8, 20
 
 
 @dataclass(frozen=True)
@@ -295,13 +295,14 @@ def _levels_of_any(cycles: Sequence[Cycles], count: int | None, widest: float) -
     """Return levels from the lowest to the highest amplitude of any specimen, as dense as each of them bears."""
     low = min(float(item.smoothed_amplitude.min()) for item in cycles)
     high = max(float(np.partition(item.smoothed_amplitude, -2)[-2]) for item in cycles)
+    fewest = min(_FEWEST_LEVELS, *(item.smoothed_amplitude.size for item in cycles))
     most = count or int(np.clip(DEFAULT_LEVELS * np.log(high / low) / widest, DEFAULT_LEVELS, _MOST_LEVELS))
     while True:
         at = np.geomspace(1.02 * low, 0.98 * high, most)
         reached = [(at >= c.smoothed_amplitude.min()) & (at <= c.smoothed_amplitude.max()) for c in cycles]
         # two cycles for each level, as where all specimens share their levels
         crowded = any(2 * here.sum() > c.smoothed_amplitude.size for here, c in zip(reached, cycles, strict=True))
-        if count is not None or not crowded or most <= _FEWEST_LEVELS:
+        if count is not None or not crowded or most <= fewest:
             return at
         most -= 1
 

@@ -1,0 +1,124 @@
+"""Second looks at sets of effects: what one fit found may show where another lost its way."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+
+from . import evidence, starts
+from .curves import frequencies
+from .descent import is_heavy
+from .fitted_sets import EXPLAINED, FittedSets
+from .joint_fit import Fit, parameters_of
+from .layout import Layout
+from .normal_equations import State
+from .set_fits import Set
+
+CLOSE = 30.0
+"""Chi-square within which a smaller set rivals the best."""
+_LOOKED_BACK = 3
+_SETTLED = 2
+_REFUTED = 100.0  # chi-square above one that explains, beyond which relatives are not asked
+_CLOSE_TO_BASE = 1.0
+
+
+class RevisitedSets(FittedSets):
+    """Fitted sets, ranked, and fits begun again from where others ended."""
+
+    def ranked(self, size: int | None = None) -> list[Set]:
+        """Return the fitted sets, of one size or all, most probable first."""
+        probability = evidence.probabilities(self.fits, self.batch, len(self.candidates), variants=self.variants)
+        names = [name for name in self.fits if size is None or len(name) == size]
+        return sorted(names, key=lambda name: -probability[name].log_posterior)
+
+    def best(self, largest: int | None = None) -> Set:
+        """Return the most probable set with at most ``largest`` effects."""
+        limit = self.max_effects if largest is None else largest
+        return next((name for name in self.ranked() if len(name) <= limit), ())
+
+    def _is_costly(self, names: Set) -> bool:
+        """Return whether a set takes much longer than the base does."""
+        return is_heavy(self.layout(names)) and not is_heavy(self.layout(()))
+
+    def _look_again(self) -> None:
+        """Fit single effects that have a shape, and lag behind, from their look in the backbones as well."""
+        lowest = min(item.cost for item in self.fits.values())
+        for name in self.candidates:
+            known, has_shape = self.fits.get((name,)), len(starts.positions(self.layout((name,)), name)) > 1
+            if known is not None and known.cost >= lowest + CLOSE and has_shape and not self._is_costly((name,)):
+                self.fits[(name,)] = min([known, *self._proposed((name,), lowest)], key=lambda item: item.cost)
+
+    def _look_back(self) -> None:
+        """Fit the subsets of the best sets again, from where these ended: a larger set may have found a better way."""
+        lowest = min(item.cost for item in self.fits.values())
+        for names in self.ranked()[:_LOOKED_BACK]:
+            larger = self.fits[names]
+            if lowest < EXPLAINED * self.count and larger.cost > lowest + _REFUTED:
+                continue
+            for smaller in combinations(names, max(len(names) - 1, 0)):
+                known = self.fits.get(smaller)
+                close = CLOSE if smaller else _CLOSE_TO_BASE  # whether anything is missing hangs on the base
+                if not names or known is None or known.cost < larger.cost + close or self._was_asked(smaller, larger):
+                    continue
+                layout = self.layout(smaller)
+                found = self.descent.from_near(layout, [self._smaller(layout, larger)], rival=known.cost)
+                if found is not None and found.cost < known.cost - 0.01:
+                    self.fits[smaller] = found
+
+    def _look_forward(self) -> None:
+        """Fit sets again that hold a smaller one and explain less than it does: from where that ended."""
+        for names in [*self.fits]:
+            for smaller in combinations(names, max(len(names) - 1, 0)):
+                known = self.fits.get(smaller)
+                is_behind = known is not None and known.cost < min(self.fits[names].cost, EXPLAINED * self.count)
+                if names and known is not None and is_behind and not self._was_asked(names, known):
+                    found = self._extended(names, self.layout(names), known, None)
+                    self.fits[names] = min([self.fits[names], *found], key=lambda item: item.cost)
+
+    def _look_within(self) -> None:
+        """Fit the subsets that were not asked of sets that explain the records as well as the best.
+
+        By their backbones they may have been left aside for a start that failed; here they begin beside the best.
+        """
+        if not self._is_explained() or not self.has_proposals:
+            return
+        best = self.best()
+        near = [names for names, found in self.fits.items() if found.cost < self.fits[best].cost + CLOSE]
+        asked = [part for names in near if len(names) > 1 for part in combinations(names, len(names) - 1)]
+        for names in dict.fromkeys(asked):
+            is_slow = self._is_costly(names) and not self._is_costly(best)
+            if names in self.fits or is_slow or self._is_spent:
+                continue
+            found = self._beside(names, None)
+            if found:
+                self.fits[names] = found[0]
+
+    def _smaller(self, layout: Layout, larger: Fit) -> State:
+        """Return where a larger set ended as a start of a smaller one, whose springs replace what is left out."""
+        state = starts.restricted(layout, larger.layout, larger.state)
+        own = state.own
+        for r, term in enumerate(self.batch.levels):
+            before = frequencies(larger.layout, larger.parameters(r), term.levels)
+            after = frequencies(layout, parameters_of(layout, state, r), term.levels)
+            change = self.base.mass * (2.0 * np.pi) ** 2 * np.mean(before**2 - after**2)
+            if np.isfinite(change) and own[r, 0] + change > 0.0:
+                own[r, 0] += change
+        return state
+
+    def _settle(self) -> None:
+        """Where nothing explains the records, carry the fits on that did not come to rest, the likeliest first."""
+        if self._is_explained():
+            return
+        restless = [names for names in self.ranked() if not self.fits[names].is_converged]
+        for names in restless[:_SETTLED]:
+            if self._is_spent:
+                self.is_cut = True
+                break
+            known = self.fits[names]
+            found = self.descent.from_near(known.layout, [known.state])
+            if found is not None and found.cost < known.cost:
+                self.fits[names] = found
+
+
+__all__ = ["CLOSE", "RevisitedSets"]
