@@ -16,7 +16,6 @@ the specimens are alike, one of a population if its distribution lies where thei
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -33,6 +32,7 @@ from .level_values import LevelValues, compare_values, find_displaced, find_narr
 from .model import likelihood_of, select_observables
 from .options import LIKELIHOODS
 from .refit import Refit, refit
+from .squared_distance import SquaredDistance
 
 DRAWS = 400  # simulated in all
 FEWEST_DRAWS = 60  # for each specimen
@@ -260,10 +260,12 @@ def _fit_all(
 
 def _verdict(batch: LevelValues, fits: Sequence[Refit | None]) -> tuple[tuple[SpecimenFit, ...], float, float, float]:
     """Return every specimen's fit, and p-value, reduced chi-square and degrees of freedom of all."""
-    specimens, total = [], _Distance()
+    specimens, total = [], SquaredDistance()
     for s, (name, size, found) in enumerate(zip(batch.names, batch.sizes(), fits, strict=True)):
         own = (
-            _Distance() if found is None else _Distance.of(found, size, None if batch.noise is None else batch.noise[s])
+            SquaredDistance()
+            if found is None
+            else SquaredDistance.of(found, size, None if batch.noise is None else batch.noise[s])
         )
         specimens.append(
             SpecimenFit(name, *(own.judged() if batch.has_errors else (np.nan, own.degrees, np.nan, np.nan)))
@@ -275,41 +277,6 @@ def _verdict(batch: LevelValues, fits: Sequence[Refit | None]) -> tuple[tuple[Sp
         return tuple(specimens), _sign_flips(fits), np.nan, total.degrees
     _, degrees, reduced, p_value = total.judged()
     return tuple(specimens), p_value, reduced, degrees
-
-
-@dataclass(frozen=True)
-class _Distance:
-    """A squared distance, with the mean, and half the variance, that it has if the model is right."""
-
-    square: float = 0.0
-    mean: float = 0.0
-    half_variance: float = 0.0
-
-    @classmethod
-    def of(cls, found: Refit, size: int, noise: FloatArray | None) -> _Distance:
-        """Return that of a fit to ``size`` values, whose whitened noise has the covariance ``noise`` (d, d)."""
-        if size <= found.fitted:
-            return cls()
-        if noise is None:
-            return cls(found.chi_square, size - found.fitted, size - found.fitted)
-        beside = np.eye(len(noise)) - found.directions @ found.directions.T
-        left = beside @ noise @ beside
-        return cls(found.chi_square, float(np.trace(left)), float((left**2).sum()))
-
-    def __add__(self, other: _Distance) -> _Distance:
-        return _Distance(self.square + other.square, self.mean + other.mean, self.half_variance + other.half_variance)
-
-    @property
-    def degrees(self) -> float:
-        """Degrees of freedom of the chi-square distribution with that mean and variance, up to a factor."""
-        return self.mean**2 / self.half_variance if self.half_variance > 0.0 else 0.0
-
-    def judged(self) -> tuple[float, float, float, float]:
-        """Return chi-square, degrees of freedom, their ratio and the p-value; NaN where nothing is left to judge by."""
-        if not self.degrees:
-            return np.nan, 0.0, np.nan, np.nan
-        square = self.square * self.mean / self.half_variance
-        return square, self.degrees, square / self.degrees, float(chi2.sf(square, self.degrees))
 
 
 def _sign_flips(fits: Sequence[Refit | None]) -> float:

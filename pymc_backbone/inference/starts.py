@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from pymc.distributions.transforms import Interval
 from scipy.optimize import least_squares
 
-from .._common.checks import OBSERVABLE_UNITS, FloatArray, InputError
-from ..simulation.decay import Status, simulate_backbone
+from .._common.checks import FloatArray, InputError
 from ..simulation.response import OscillatorResponse
 from .compiling import compile_once
 from .flat_priors import residual_of_prior, slope_of_prior
 from .start_hint import StartHint, start_hint_of
-from .targets import Target, targets_of
+from .targets import targets_of
+from .unreached import sentence
 
 PRIOR_DRAWS = 128
 SEARCHES = 24
@@ -258,7 +258,7 @@ class StartFinder:
         assert self.thetas is not None
         parts = []
         for target, theta in zip(self.targets, self.thetas(self._inputs(point)), strict=True):
-            simulated = _simulate(target, np.asarray(theta))
+            simulated = target.simulated(np.asarray(theta))
             if target.density is not None and target.density.kind != "product":
                 whole = np.where(np.isnan(simulated), target.centre, simulated)
                 missing = np.where(np.isnan(simulated), _FAILED, 0.0)
@@ -345,59 +345,5 @@ class StartFinder:
         """Say in one sentence which observable and level no prior point reaches."""
         if not self.targets or self.thetas is None:
             return "no point drawn from the prior has a finite log-density; check priors and likelihood."
-        for index, target in enumerate(self.targets):
-            thetas = [np.asarray(self.thetas(self._inputs(point))[index]) for point in draws]
-            simulated = np.array([_simulate(target, theta) for theta in thetas])
-            failed = np.isnan(simulated).any(axis=2).mean(axis=(0, 1))
-            if failed.max() > 0.98:
-                return _explain_failure(target, thetas, int(np.argmax(failed)))
-            worst: tuple[float, str] = (0.0, "")
-            for o, observable in enumerate(target.response.observables):
-                for k, level in enumerate(target.response.levels):
-                    values = simulated[:, :, o, k]
-                    low, high = np.nanmin(values), np.nanmax(values)
-                    wanted_low, wanted_high = _range(target, o, k)
-                    gap = max(wanted_low - high, low - wanted_high) / max(wanted_high - wanted_low, 1e-300)
-                    if gap > worst[0]:
-                        unit = "" if OBSERVABLE_UNITS[observable] == "1" else f" {OBSERVABLE_UNITS[observable]}"
-                        worst = (gap, (
-                            f"no prior point reaches the measured {observable} at amplitude {level:.4g}: measured "
-                            f"{wanted_low:.5g} to {wanted_high:.5g}{unit}, simulated {low:.5g} to {high:.5g}{unit}; "
-                            "widen the priors, check mass and units, or add the effect that is missing."
-                        ))  # fmt: skip
-            if worst[1]:
-                return worst[1]
-        return (
-            "no prior point reaches all levels together although each level is reached by some; the model cannot "
-            "follow the measured backbones: add an effect, widen the priors, or use a density without hard edges "
-            "(`marginal='normal'`)."
-        )
-
-
-def _simulate(target: Target, theta: FloatArray) -> FloatArray:
-    """Return simulated values (n, o, l), NaN where a specimen's simulation failed."""
-    return target.response.evaluate_many(theta.reshape(-1, theta.shape[-1]))
-
-
-def _range(target: Target, o: int, k: int) -> tuple[float, float]:
-    """Return the range of measured values at one observable and level."""
-    if target.density is not None:
-        draws = target.density.sample(2000, random_seed=0)[:, o, k]
-        return float(draws.min()), float(draws.max())
-    centre, spread = target.centre[:, o, k], target.spread[:, o, k]
-    return float(np.nanmin(centre - 4.0 * spread)), float(np.nanmax(centre + 4.0 * spread))
-
-
-def _explain_failure(target: Target, thetas: list[FloatArray], k: int) -> str:
-    """Say why nearly no prior point can be simulated at level ``k``."""
-    level = target.response.levels[k]
-    reason = "the function returned no finite values"
-    if isinstance(target.response, OscillatorResponse):
-        codes = [
-            int(simulate_backbone(target.response.oscillator, np.atleast_2d(theta)[0], [level]).status[0])
-            for theta in thetas
-        ]
-        failures = [code for code in codes if code]
-        if failures:
-            reason = Status(max(set(failures), key=failures.count)).meaning
-    return f"nearly no prior point can be simulated at amplitude {level:.4g}: {reason}."
+        inputs = [self.thetas(self._inputs(point)) for point in draws]
+        return sentence(self.targets, [[np.asarray(one[k]) for one in inputs] for k in range(len(self.targets))])

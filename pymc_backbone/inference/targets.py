@@ -46,6 +46,10 @@ class Target:
         """Number of parameter vectors that one evaluation simulates."""
         return len(self.centre) if self.theta.ndim == 2 else 1
 
+    def simulated(self, theta: FloatArray) -> FloatArray:
+        """Return simulated values (n, o, l) of parameters, NaN where a specimen's simulation failed."""
+        return self.response.evaluate_many(theta.reshape(-1, theta.shape[-1]))
+
 
 def targets_of(model: pm.Model) -> list[Target]:
     """Return the backbone likelihoods of ``model``: those of populations, then those of specimens."""
