@@ -363,6 +363,6 @@ def _complete(search: Search) -> None:
     best: Set | None = None
     while best != search.best():
         best = search.best()
-        for size in range(len(best)):
+        for size in range(len(best) if best not in search.refuted else 0):
             for rest in combinations(best, size):
                 search.fit_set(rest)

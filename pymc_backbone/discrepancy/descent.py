@@ -27,8 +27,10 @@ _TURNING, _ON_THE_WAY = 20, 6  # iterations over all turning points, and over th
 _NEAR_NOISE = 1.3  # of the turning points' reduced chi-square, from which the samples take over
 _PER_CYCLE = 40.0  # values that a cycle counts for at least: it is simulated however few samples are kept
 _HOPELESS = 4.0  # sum of squares over the turning points, over that of a model that explains the records
+_UNHEARD_OF = 10.0  # reduced chi-square of the turning points that no model leaves which explains the records
 _SAME_WAY = 0.005  # relative difference of two costs over all turning points that were reached on the same way
 _SAME_PLACE = 1e-4  # the same over the first of them
+_SAME_FAILURE = 0.05  # the same where the other start stayed above what can be rivalled
 _FIRST_WINDOW = 12  # turning points
 _WINDOW_GROWTH = 3.0
 _PATIENT, _SHORT = 300, 80
@@ -82,7 +84,16 @@ class Descent:
             return np.inf
         reached = None if best is None else self.fit(best.layout, self.batch.turning, best.state, iterations=1)
         cost = 0.0 if reached is None else reached.cost
-        return _HOPELESS * max(cost, float(sum(term.size for term in self.batch.turning)))
+        return _HOPELESS * max(cost, self._turning_values)
+
+    @property
+    def unheard_of(self) -> float:
+        """The sum of squares over the turning points that no model leaves which explains the records."""
+        return _UNHEARD_OF * self._turning_values
+
+    @property
+    def _turning_values(self) -> float:
+        return float(sum(term.size for term in self.batch.turning)) if self.batch.has_records else np.inf
 
     def from_afar(
         self,
@@ -116,7 +127,7 @@ class Descent:
         """Return the state after a window over the turning points that grows from the first to all of them.
 
         And the cost there; infinite where they cannot be simulated. The windows grow no further where that is above
-        ``limit``. None where another start came by the same costs.
+        ``limit`` and stays there: more turning points only add to it. None where another start came by the same costs.
         """
         most = max(term.times.size for term in self.batch.turning)
         window, cost = _FIRST_WINDOW, np.inf
@@ -126,11 +137,14 @@ class Descent:
             iterations = _TURNING if is_last else _ON_THE_WAY
             goal = _NEAR_NOISE * sum(term.size for term in terms)
             found = self.fit(layout, terms, state, iterations=iterations, tolerance=_ENOUGH, goal=goal)
+            if found is not None and found.cost > limit and not (is_last or found.is_converged):
+                found = self.fit(layout, terms, found.state, iterations=_TURNING, tolerance=_ENOUGH, goal=limit)
             if found is not None:
                 state, cost = found.state, found.cost
             elif is_last:
                 cost = np.inf
-            near = _SAME_WAY if is_last else _SAME_PLACE
+            has_failed = any(known > limit for _, known in ways)
+            near = _SAME_FAILURE if has_failed else _SAME_WAY if is_last else _SAME_PLACE
             if (is_last or window > _FIRST_WINDOW) and found is not None:
                 if any(place == window and abs(cost - known) < near * known for place, known in ways):
                     return None

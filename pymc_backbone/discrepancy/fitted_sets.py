@@ -54,6 +54,8 @@ class FittedSets:
         Effects that are looked for in the place of the candidates that they are variants of.
     tolerance : mapping of str to float
         Relative change of frequency and damping that does not matter.
+    refuted : set of tuple of str
+        Sets that were not fitted to the samples, because the turning points leave no doubt.
     """
 
     batch: Batch
@@ -72,6 +74,7 @@ class FittedSets:
     asked: dict[tuple[Set, int], State] = field(default_factory=dict)
     varied: dict[Set, Proposal] = field(default_factory=dict)
     limited: tuple[Fit | None, float] = (None, np.inf)
+    refuted: set[Set] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         self.descent = Descent(self.batch)
@@ -97,10 +100,15 @@ class FittedSets:
 
     @property
     def _limit(self) -> float:
-        """Sum of squares over the turning points above which a set is no rival of one that explains the records."""
+        """Sum of squares over the turning points above which a set is no rival of what explains the records, or will.
+
+        None for the base: what it leaves is the gap.
+        """
         best = min(self.fits.values(), key=lambda item: item.cost, default=None)
-        if best is None or best.cost > EXPLAINED * self.count:
+        if best is None:
             return np.inf
+        if best.cost > EXPLAINED * self.count:
+            return self.descent.unheard_of
         if best is not self.limited[0]:
             self.limited = (best, self.descent.hopeless(best))
         return self.limited[1]
@@ -259,14 +267,22 @@ class FittedSets:
         layout = self.layout(names)
         found: list[Fit] = []
         ways: list[Way] = []
+        limit, is_refuted = self._limit, True
         for promised, eta, own in proposal.starts:
             state = self.descent.released(layout, eta, own)
-            reached = self.descent.from_afar(layout, state, rival, ways, self._limit)
-            found += [] if reached is None else [reached]
-            if reached is not None and not self._is_lost(reached, promised):
+            reached = self.descent.from_afar(layout, state, rival, ways, limit)
+            if reached is None:
+                continue
+            found.append(reached)
+            is_refuted = is_refuted and bool(ways) and ways[-1][1] > limit
+            if not self._is_lost(reached, promised):
                 break
         if not found or min(item.cost for item in found) > EXPLAINED * self.count:
-            found += self._without_base(layout, proposal, rival, ways)
+            absent = self._without_base(layout, proposal, rival, ways)
+            is_refuted = is_refuted and (not absent or ways[-1][1] > limit)
+            found += absent
+        if found and is_refuted:
+            self.refuted.add(names)
         return found
 
     def _without_base(self, layout: Layout, proposal: Proposal, rival: float | None, ways: list[Way]) -> list[Fit]:

@@ -16,6 +16,8 @@ from .._common.threads import in_threads
 from . import evidence, starts
 from .departing import Departing, DepartingSets, Point
 from .descent import is_heavy
+from .harmonics import HarmonicLimits
+from .joint_fit import parameters_of
 from .normal_equations import NUISANCES, State, start_state
 from .search import Search, Set
 
@@ -85,7 +87,8 @@ def weigh(search: Search) -> Weighed | None:
     chosen = _specimens(search)
     departures = DepartingSets(search.batch.subset(chosen), search.base.mass)
     departing = _departing(search, departures, chosen)
-    logs = {names: item.log_evidence + _log_prior(names, search) for names, item in departing.items()}
+    shown = _harmonics(search, departing, chosen)
+    logs = {names: item.log_evidence + _log_prior(names, search) + shown[names] for names, item in departing.items()}
     logs = {names: value for names, value in logs.items() if np.isfinite(value)}
     if () not in logs:
         return None
@@ -94,7 +97,8 @@ def weigh(search: Search) -> Weighed | None:
     if search.batch.has_records:
         of_drift = _of_drift(search, departures, departing[()], ())
         for names in _beside_drift(logs):  # what is left beside a law may go with the time
-            logs[names] = float(np.logaddexp(logs[names], _of_drift(search, departures, departing[names], names)))
+            drifting = _of_drift(search, departures, departing[names], names) + shown[names]
+            logs[names] = float(np.logaddexp(logs[names], drifting))
     total = float(logsumexp([*logs.values(), of_drift]))
     gaps = _gaps(departing, departures)
     is_law = True
@@ -147,6 +151,18 @@ def _departing(search: Search, departures: DepartingSets, chosen: list[int]) -> 
     # what the best explains is shared out among its mechanisms
     refine([names for size in range(1, len(best)) for names in combinations(best, size)])
     return departing
+
+
+def _harmonics(search: Search, departing: Mapping[Set, Departing], chosen: list[int]) -> dict[Set, float]:
+    """Return what the harmonics say of each set, in the record of the largest amplitude."""
+    largest = max(range(len(chosen)), key=lambda k: search.batch.levels[chosen[k]].levels[-1])
+    limits = HarmonicLimits.of_batch(search.batch, chosen[largest])
+    if limits is None:
+        return dict.fromkeys(departing, 0.0)
+    return {
+        names: limits.log_odds(search.layout(names), parameters_of(search.layout(names), item.state, largest))
+        for names, item in departing.items()
+    }
 
 
 def _looked_back(search: Search, departures: DepartingSets, departing: Mapping[Set, Departing]) -> dict[Set, Departing]:

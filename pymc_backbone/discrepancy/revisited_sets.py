@@ -54,7 +54,8 @@ class RevisitedSets(FittedSets):
         lowest = min(item.cost for item in self.fits.values())
         for names in self.ranked()[:_LOOKED_BACK]:
             larger = self.fits[names]
-            if lowest < EXPLAINED * self.count and larger.cost > lowest + _REFUTED:
+            is_behind = lowest < EXPLAINED * self.count and larger.cost > lowest + _REFUTED
+            if is_behind or names in self.refuted:
                 continue
             for smaller in combinations(names, max(len(names) - 1, 0)):
                 known = self.fits.get(smaller)
@@ -110,7 +111,8 @@ class RevisitedSets(FittedSets):
         """Where nothing explains the records, carry the fits on that did not come to rest, the likeliest first."""
         if self._is_explained():
             return
-        restless = [names for names in self.ranked() if not self.fits[names].is_converged]
+        open_sets = (names for names in self.ranked() if names not in self.refuted)
+        restless = [names for names in open_sets if not self.fits[names].is_converged]
         for names in restless[:_SETTLED]:
             if self._is_spent:
                 self.is_cut = True

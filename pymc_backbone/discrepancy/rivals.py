@@ -27,6 +27,7 @@ _BEATING = 0.02
 _ALIKE = 4.0
 _ASKED = 3  # sets that are asked with a drift beside them where none leaves noise, and with other laws
 _HELPED = 20.0  # fall of chi-square by a drift from which other laws of the same mechanisms are asked
+_FIRST_TURNS = 108  # turning points that may refute a set with a drift, before all are looked at
 _NEAR = 2.0  # reduced chi-square with a drift up to which they are
 
 
@@ -91,6 +92,10 @@ def drift_fit(batch: Batch, base: Fit, limit: float = np.inf) -> Fit | None:
     if not batch.has_records:
         return None
     nuisances = (*batch.nuisances, *DRIFTS)
+    first = [term.first(_FIRST_TURNS) for term in batch.turning]
+    begun = fit(base.layout, first, base.state, iterations=20, nuisances=nuisances, tolerance=1.0, goal=limit)
+    if begun is not None and begun.cost > limit:
+        return None
     turning = fit(base.layout, batch.turning, base.state, iterations=20, nuisances=nuisances, tolerance=1.0)
     found = None
     if turning is not None and turning.cost > limit:

@@ -21,6 +21,7 @@ _KEPT_PARENTS = 2
 _ROUNDS = 2
 _MOST_FOLLOWED = 24  # sets that are followed from the backbones to the waveforms before anything explains these
 _FEW_FOLLOWED = 6  # the same where not even the backbones are explained
+_MUCH = 0.1  # share of the effort
 _FLOOR = 1.1  # ratio of costs within which sets leave the same
 _MOST_EXTENDED = 4
 _REACH = 12.0  # difference of the logarithm of evidence by the backbones within which the waveforms are asked, too
@@ -53,7 +54,7 @@ class Search(RevisitedSets):
         else:
             self._follow_backbones(_MOST_FOLLOWED)
         self._look_back()
-        if self._is_answered():
+        if self._is_answered() or (self.is_cut and self.best() in self.refuted):
             return
         self._enlarge()
         self._vary()
@@ -140,6 +141,9 @@ class Search(RevisitedSets):
                 break
             if self._is_costly(names) and explained:
                 continue  # asked later, where what is simple leaves more than noise
+            if fitted >= _FEW_FOLLOWED and len(self.refuted) == fitted and self._is_long:
+                self.is_cut = True
+                break
             self.progress("sets that the backbones propose", min(fitted / most, 1.0))
             found = self.fit_set(names)
             fitted += 1
@@ -149,6 +153,11 @@ class Search(RevisitedSets):
             if found.cost < EXPLAINED * self.count:
                 explained.append(names)
                 reach = max(reach, proposal.log_evidence - _REACH)
+
+    @property
+    def _is_long(self) -> bool:
+        """Whether the records are so long that what is refuted takes a good part of the effort."""
+        return self.descent.effort > _MUCH * self.budget
 
     def _ask_costly(self) -> bool:
         """Fit the costly sets that explain the backbones as well as what explains the records does.
@@ -247,7 +256,7 @@ class Search(RevisitedSets):
     def _replace(self) -> bool:
         """Try other effects in the place of each of the best set; return whether that found a better one."""
         best = self.best()
-        if len(best) < 2:
+        if len(best) < 2 or best in self.refuted:
             return False
         for out in best:
             rest = tuple(name for name in best if name != out)
@@ -270,7 +279,7 @@ class Search(RevisitedSets):
         One is kept where it leaves less than the effect that it varies: else it explains nothing that this does not.
         """
         best = self.best()
-        for name in best:
+        for name in best if best not in self.refuted else ():
             for variant in self.variants:
                 names = tuple(sorted((*(other for other in best if other != name), variant)))
                 if LIBRARY[variant].variant_of != name or (self._is_costly(names) and not self._is_costly(best)):
