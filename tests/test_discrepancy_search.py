@@ -101,11 +101,15 @@ def test_a_subset_that_was_left_aside_is_asked_where_a_larger_set_explains(cubic
 
 
 def test_what_the_turning_points_refute_is_not_fitted_to_the_samples(cubic):
-    """Counted in evaluations; without a set that explains the records nothing is refuted."""
+    """Counted in evaluations; without a set that explains the records only what no model leaves is refuted."""
     search = Search(cubic.batch, Oscillator(MASS, ()), CANDIDATES, 1)
     search.fit_set(())
-    assert search._limit == np.inf
+    values = sum(term.size for term in cubic.batch.turning)
+    assert search._limit == search.descent.unheard_of == 10.0 * values
+    search.fit_set(("quadratic_damping",))  # the spring is strong
+    assert search.refuted == {("quadratic_damping",)} and not search.fits[("quadratic_damping",)].is_converged
     search.fit_set(("cubic_stiffness",))
+    assert ("cubic_stiffness",) not in search.refuted
     best = search.fits[("cubic_stiffness",)]
     turning = fit(best.layout, cubic.batch.turning, best.state, iterations=30)
     assert turning.cost < search._limit < 10.0 * sum(term.size for term in cubic.batch.turning)

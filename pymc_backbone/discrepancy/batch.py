@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
@@ -78,6 +78,10 @@ class Batch:
             pick(self.records), pick(self.cycles), pick(self.levels), pick(self.turning), pick(self.waveform),
             pick(self.specimens), self.own[index], self.amplitude, self.angular_frequency,
         )  # fmt: skip
+
+    def without_records(self) -> Batch:
+        """Return the batch as if its backbones alone were known."""
+        return replace(self, records=(), cycles=(), turning=(), waveform=())
 
     def _row(self, specimen: int) -> int:
         return [str(name) for name in self.backbones["specimen"].values].index(self.specimens[specimen])

@@ -10,10 +10,13 @@ import numpy as np
 
 from ..effects import EITHER
 from . import evidence
+from .batch import Batch
 from .estimates import estimates_of
 from .evidence import DRIFT, UNEXPLAINED, Drifting, Evidence, LackOfFit, is_unexplained
-from .joint_fit import Fit
+from .harmonics import Harmonics
+from .joint_fit import Fit, fit
 from .mechanisms import Weighed, weigh
+from .normal_equations import start_state
 from .search import Search, Set
 from .shares import estimates_with, missing_mechanisms, remainder_of
 from .study import MissingMechanism, Remainder
@@ -25,6 +28,7 @@ LISTED = 0.95  # probability that the sets listed as possible hold together
 DRIFT_POSSIBLE = 0.05  # probability of a drift with time from which nothing is named
 MOST_OF_THE_GAP = 0.85  # share of the gap that named mechanisms explain together: it shrinks at least sevenfold
 _MOST_LISTED = 16
+_TO_BACKBONES = 20  # iterations
 _IMITATES = (0.0, 0.03, 0.06, 0.15)  # how probable it is that a set of so many effects imitates what the library lacks
 _HARDLY = 200.0  # gap in standard deviations of the noise beyond which that is rarer, in proportion
 _WEIGHT_OF_NOISE = 0.1  # how much rarer residuals like noise are where the library lacks what is missing
@@ -66,8 +70,6 @@ class Decision:
         Sets that could explain the backbones, but whose fit to the records did not come to rest.
     is_approximate : bool
         Whether no set is exact, and their probabilities are those with a departure.
-    left_by_best : float
-        What the best of these leaves, as a share of the motion.
     mechanisms : tuple of MissingMechanism
         What may be missing by mechanism, most probable first.
     named_level : NamedLevel or None
@@ -76,6 +78,8 @@ class Decision:
         What the best set leaves, where none is exact.
     is_single_valued : bool
         Whether what no set explains goes with the amplitude, and not with the record.
+    on_backbones : Fit or None
+        The best set fitted to the backbones, where no fit of it keeps the phase of the records; then it is believed.
     """
 
     verdict: Verdict
@@ -94,11 +98,11 @@ class Decision:
     has_second_mode: bool = False
     unfinished: tuple[Set, ...] = ()
     is_approximate: bool = False
-    left_by_best: float = 0.0
     mechanisms: tuple[MissingMechanism, ...] = ()
     named_level: NamedLevel | None = None
     remainder: tuple[Remainder, ...] = ()
     is_single_valued: bool = True
+    on_backbones: Fit | None = None
 
 
 def decide(search: Search, drifting: Mapping[Set, Drifting], tolerance: Mapping[str, float]) -> Decision:
@@ -165,7 +169,8 @@ def _weighed(search: Search, drifting: Mapping[Set, Drifting]) -> Decision:
     fits, bonus = dict(search.fits), {}
     for names, item in drifting.items():
         fits[(*names, *DRIFT)], bonus[(*names, *DRIFT)] = item.fit, item.bonus
-    evidences = evidence.probabilities(fits, search.batch, len(search.candidates), bonus, search.variants)
+    odds = _harmonic_odds(search.batch, fits)
+    evidences = evidence.probabilities(fits, search.batch, len(search.candidates), bonus, search.variants, odds)
     drifts = tuple(
         names
         for names in drifting
@@ -201,6 +206,17 @@ def _weighed(search: Search, drifting: Mapping[Set, Drifting]) -> Decision:
         drift_probability=explained * drift_probability,
         drifts=drifts,
     )
+
+
+def _harmonic_odds(batch: Batch, fits: Mapping[Set, Fit]) -> dict[Set, float]:
+    """Return what harmonics that a band-pass keeps from the fits say of each set; without one the fits hold them."""
+    if not any(record.measured.band_pass is not None for record in batch.records):
+        return {}
+    loudest = int(np.argmax([term.levels[-1] for term in batch.levels]))
+    record = Harmonics.of_batch(batch, loudest)
+    if record is None:
+        return {}
+    return {names: record.log_odds(found.layout, found.parameters(loudest)) for names, found in fits.items()}
 
 
 def _either(first: Evidence, second: Evidence) -> Evidence:
@@ -250,6 +266,8 @@ def _departing(search: Search, decision: Decision) -> Decision:
         # what is only possible beside the certain takes nothing of what these explain alone
         best, mechanisms = simpler, _told(search, weighed, simpler)
     lack = evidence.lack_of_fit(search.batch, search.fits[best])
+    if best in search.refuted:
+        lack = replace(lack, share=float("nan"))  # of a motion out of phase
     known = replace(
         decision,
         best=best,
@@ -262,7 +280,7 @@ def _departing(search: Search, decision: Decision) -> Decision:
         remainder=remainder_of(weighed, best),
         is_approximate=True,
         is_single_valued=weighed.is_law,
-        left_by_best=lack.share,
+        on_backbones=_on_backbones(search, best, weighed) if best in search.refuted else None,
     )
     if not weighed.is_law or weighed.drift_probability > 0.5:
         return replace(known, verdict=Verdict.UNEXPLAINED)
@@ -276,6 +294,20 @@ def _departing(search: Search, decision: Decision) -> Decision:
     # the base with a departure is no explanation, and not listed as one
     sets = {names: chance for names, chance in weighed.probabilities.items() if names and names in search.fits}
     return replace(known, verdict=Verdict.AMBIGUOUS, listed=_listed(sets, 1.0 - sum(sets.values())))
+
+
+def _on_backbones(search: Search, best: Set, weighed: Weighed) -> Fit | None:
+    """Return a set fitted to the backbones of all specimens: from its proposals, and where it departs least."""
+    layout, levels = search.layout(best), search.batch.levels
+    begun = [(weighed.departing[best].state.eta, search.fits[best].state.own[:, :2])]
+    if best in search.proposals:
+        begun += [(eta, own) for _, eta, own in search.proposals[best].starts]
+    fits = [
+        fit(layout, levels, start_state(layout, eta, np.column_stack([own, np.zeros((len(own), 3))])),
+            iterations=_TO_BACKBONES, nuisances=(0, 1), tolerance=0.1)
+        for eta, own in begun
+    ]  # fmt: skip
+    return min((item for item in fits if item is not None), key=lambda item: item.cost, default=None)
 
 
 def _told(search: Search, weighed: Weighed, best: Set) -> tuple[MissingMechanism, ...]:

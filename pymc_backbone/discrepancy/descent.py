@@ -32,6 +32,7 @@ _SAME_WAY = 0.005  # relative difference of two costs over all turning points th
 _SAME_PLACE = 1e-4  # the same over the first of them
 _SAME_FAILURE = 0.05  # the same where the other start stayed above what can be rivalled
 _FIRST_WINDOW = 12  # turning points
+_TELLING = 100  # turning points from which a window refutes: over fewer a fit may not have come to rest
 _WINDOW_GROWTH = 3.0
 _PATIENT, _SHORT = 300, 80
 
@@ -127,7 +128,8 @@ class Descent:
         """Return the state after a window over the turning points that grows from the first to all of them.
 
         And the cost there; infinite where they cannot be simulated. The windows grow no further where that is above
-        ``limit`` and stays there: more turning points only add to it. None where another start came by the same costs.
+        ``limit`` and stays there: more turning points only add to it. None where another start came by the same costs,
+        or nearly so where that one was refuted.
         """
         most = max(term.times.size for term in self.batch.turning)
         window, cost = _FIRST_WINDOW, np.inf
@@ -137,7 +139,8 @@ class Descent:
             iterations = _TURNING if is_last else _ON_THE_WAY
             goal = _NEAR_NOISE * sum(term.size for term in terms)
             found = self.fit(layout, terms, state, iterations=iterations, tolerance=_ENOUGH, goal=goal)
-            if found is not None and found.cost > limit and not (is_last or found.is_converged):
+            is_telling = is_last or window >= _TELLING
+            if found is not None and found.cost > limit and is_telling and not (is_last or found.is_converged):
                 found = self.fit(layout, terms, found.state, iterations=_TURNING, tolerance=_ENOUGH, goal=limit)
             if found is not None:
                 state, cost = found.state, found.cost
@@ -149,7 +152,7 @@ class Descent:
                 if any(place == window and abs(cost - known) < near * known for place, known in ways):
                     return None
                 ways.append((window, cost))
-            if is_last or (window > _FIRST_WINDOW and cost > limit):
+            if is_last or (is_telling and cost > limit):
                 return state, cost
             window = int(window * _WINDOW_GROWTH)
 

@@ -62,6 +62,7 @@ def probabilities(
     candidates: int,
     bonus: Mapping[tuple[str, ...], float] | None = None,
     variants: Collection[str] = (),
+    odds: Mapping[tuple[str, ...], float] | None = None,
 ) -> dict[tuple[str, ...], Evidence]:
     """Return the evidence of every fitted set.
 
@@ -69,8 +70,9 @@ def probabilities(
     the residuals of the best set are white, ``n_eff`` is the number of samples. Where they are not, something is there
     that no set explains; it does not repeat itself independently in every sample, and ``n_eff`` is the number of
     independent pieces that the residuals' own correlation leaves. So a wrong set is never preferred with a certainty
-    that only the number of samples lends it. ``bonus`` is added to the logarithm of the evidence of some. Effects
-    that are ``variants`` of others are rarer than these by a factor `VARIANT`.
+    that only the number of samples lends it. ``bonus`` is added to the logarithm of the evidence of some; ``odds``
+    are what else than the likelihood speaks for a set, as a natural logarithm. Effects that are ``variants`` of others
+    are rarer than these by a factor `VARIANT`.
     """
     if not fits:
         return {}
@@ -91,7 +93,11 @@ def probabilities(
         if len(names) == 1 and names not in (bonus or {}):
             logs[names] = float(np.logaddexp(np.log(UNSEEN) + base, np.log1p(-UNSEEN) + logs[names]))
     rarer = {names: sum(name in variants for name in names) * np.log(VARIANT) for names in logs}
-    posterior = {names: value + log_prior(len(names), candidates) + rarer[names] for names, value in logs.items()}
+    others = odds or {}
+    posterior = {
+        names: value + log_prior(len(names), candidates) + rarer[names] + others.get(names, 0.0)
+        for names, value in logs.items()
+    }
     total = logsumexp(list(posterior.values()))
     return {
         names: Evidence(logs[names] - base, posterior[names], float(np.exp(posterior[names] - total))) for names in fits

@@ -16,7 +16,7 @@ from .._common.threads import in_threads
 from . import evidence, starts
 from .departing import Departing, DepartingSets, Point
 from .descent import is_heavy
-from .harmonics import HarmonicLimits
+from .harmonics import Harmonics
 from .joint_fit import parameters_of
 from .normal_equations import NUISANCES, State, start_state
 from .search import Search, Set
@@ -156,11 +156,11 @@ def _departing(search: Search, departures: DepartingSets, chosen: list[int]) -> 
 def _harmonics(search: Search, departing: Mapping[Set, Departing], chosen: list[int]) -> dict[Set, float]:
     """Return what the harmonics say of each set, in the record of the largest amplitude."""
     largest = max(range(len(chosen)), key=lambda k: search.batch.levels[chosen[k]].levels[-1])
-    limits = HarmonicLimits.of_batch(search.batch, chosen[largest])
-    if limits is None:
+    record = Harmonics.of_batch(search.batch, chosen[largest])
+    if record is None:
         return dict.fromkeys(departing, 0.0)
     return {
-        names: limits.log_odds(search.layout(names), parameters_of(search.layout(names), item.state, largest))
+        names: record.log_odds(search.layout(names), parameters_of(search.layout(names), item.state, largest))
         for names, item in departing.items()
     }
 

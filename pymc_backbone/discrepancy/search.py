@@ -21,7 +21,6 @@ _KEPT_PARENTS = 2
 _ROUNDS = 2
 _MOST_FOLLOWED = 24  # sets that are followed from the backbones to the waveforms before anything explains these
 _FEW_FOLLOWED = 6  # the same where not even the backbones are explained
-_MUCH = 0.1  # share of the effort
 _FLOOR = 1.1  # ratio of costs within which sets leave the same
 _MOST_EXTENDED = 4
 _REACH = 12.0  # difference of the logarithm of evidence by the backbones within which the waveforms are asked, too
@@ -141,9 +140,6 @@ class Search(RevisitedSets):
                 break
             if self._is_costly(names) and explained:
                 continue  # asked later, where what is simple leaves more than noise
-            if fitted >= _FEW_FOLLOWED and len(self.refuted) == fitted and self._is_long:
-                self.is_cut = True
-                break
             self.progress("sets that the backbones propose", min(fitted / most, 1.0))
             found = self.fit_set(names)
             fitted += 1
@@ -153,11 +149,6 @@ class Search(RevisitedSets):
             if found.cost < EXPLAINED * self.count:
                 explained.append(names)
                 reach = max(reach, proposal.log_evidence - _REACH)
-
-    @property
-    def _is_long(self) -> bool:
-        """Whether the records are so long that what is refuted takes a good part of the effort."""
-        return self.descent.effort > _MUCH * self.budget
 
     def _ask_costly(self) -> bool:
         """Fit the costly sets that explain the backbones as well as what explains the records does.

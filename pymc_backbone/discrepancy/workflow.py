@@ -19,6 +19,7 @@ from ..measurement.options import Measuring
 from ..measurement.reading.record import Record
 from ..oscillator import Oscillator
 from . import plan_words, rivals, verdict_words, words
+from .batch import Batch
 from .candidate_table import candidates_of
 from .curve_records import ForceCurves
 from .curves import simulate
@@ -75,7 +76,13 @@ class Outcome:
     @property
     def model(self) -> Fit:
         """The fit that is believed: the extended one, or the base."""
-        return self.search.fits[self.decision.best]
+        return self.decision.on_backbones or self.search.fits[self.decision.best]
+
+    @property
+    def judged(self) -> Batch:
+        """What it is judged by: the backbones alone where no fit keeps the phase of the records."""
+        batch = self.search.batch
+        return batch if self.decision.on_backbones is None else batch.without_records()
 
 
 def find_missing_effect(
@@ -171,12 +178,12 @@ def find_missing_effect(
         say("deciding", 0.0)
         outcome = _decided(question, search)
         most = MOST_HELD_OUT if held_out is None else int(held_out)
-        verification = verify(question.batch, outcome.base, outcome.extended, most, seed, say)
+        verification = verify(outcome.judged, outcome.base, outcome.extended, most, seed, say)
         curves = _curves(question, outcome, verification, most, seed, quick, say)
         sampling = None if quick else Sampling(draws, tune, chains, step, seed)
         if sampling is not None:
             say("sampling", 0.0)
-        inference = infer(question.batch, outcome.model, sampling, progress)
+        inference = infer(outcome.judged, outcome.model, sampling, progress)
     asked = {
         "candidates": list(question.candidates), "max_effects": question.max_effects,
         "tolerance": dict(question.tolerance), "held_out": most, "quick": quick, "step": step, "draws": draws,
@@ -200,8 +207,8 @@ def _curves(
         start, gap = outcome.model, float("nan") if held_out is None else held_out.after
     else:
         return None
-    if quick and is_heavy(start.layout):
-        return None  # minutes where each simulation takes a second: the full run draws them
+    if (quick and is_heavy(start.layout)) or outcome.model is decision.on_backbones:
+        return None  # minutes where each simulation takes a second; no curve where there is no phase to follow
     say("looking for force curves", 0.0)
     remembering = [
         found for found in search.fits.values() if any(effect.n_states for effect in found.layout.oscillator.effects)
