@@ -16,6 +16,7 @@ from .._common.checks import (
     check_observables,
 )
 from .cycles import QUANTITIES, Cycles
+from .smoothed_amplitude import abscissas
 from .smoothing import smooth
 
 DEFAULT_LEVELS = 10
@@ -157,10 +158,10 @@ def _level_values(item: Cycles, observable: str, levels: FloatArray) -> tuple[Fl
     beside = np.where(levels * (1.0 + step) <= amplitude.max(), levels * (1.0 + step), levels * (1.0 - step))
     wanted = np.concatenate([levels, beside])
     curve = smooth(
-        [np.log(amplitude), amplitude],
+        abscissas(amplitude, amplitude, is_envelope=item.is_of_envelope),
         getattr(item, observable),
         item.bands[QUANTITIES.index(observable)],
-        [np.log(wanted), wanted],
+        abscissas(amplitude, wanted, is_envelope=item.is_of_envelope),
         orders=(2, 3),
         kinks=True,
         undersmoothing=UNDERSMOOTHING[observable],

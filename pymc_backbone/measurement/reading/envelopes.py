@@ -109,7 +109,8 @@ def envelope_column(source: Source, column: Column, reading: Reading) -> Envelop
     if unit.si not in _MOTION and not unit.order:
         notes += (
             f"the envelope is known in {_in_words(unit.si)} and not in metres: parameters of forces hold for an "
-            "amplitude of 1 taken as 1 m; `sensitivity` (of volts) or `reference` (such as '2.5 nm') says how much it is",
+            "amplitude of 1 taken as 1 m; `sensitivity` (of volts) or `reference` (such as '2.5 nm') says how much it "
+            "is",
         )
     return EnvelopeColumn(column, unit, notes)
 

@@ -19,7 +19,15 @@ QUANTITY_WORDS = {
     "acceleration": {"acceleration", "acc", "accel", "beschleunigung"},
 }  # fmt: skip
 ENVELOPE_WORDS = {
-    "envelope", "magnitude", "power", "einhuellende", "einhullende", "huellkurve", "hullkurve", "betrag", "leistung",
+    "envelope",
+    "magnitude",
+    "power",
+    "einhuellende",
+    "einhullende",
+    "huellkurve",
+    "hullkurve",
+    "betrag",
+    "leistung",
 }
 AMPLITUDE_WORDS = {"amplitude", "amplituden"}
 """Loggers call a waveform so, too: such a column is an envelope where no value is negative."""
@@ -85,7 +93,9 @@ def is_envelope_name(name: str) -> bool:
     words = set(words_of(name))
     if words & (ERROR_WORDS | TIME_WORDS):
         return False
-    is_lock_in = re.fullmatch(r"(?:(?:demod\w*|lock-?in|ch\w*)[\s._-]*\d*[\s._-]*)?r(?:[\s._-]*\d+)?", name.strip().lower())
+    is_lock_in = re.fullmatch(
+        r"(?:(?:demod\w*|lock-?in|ch\w*)[\s._-]*\d*[\s._-]*)?r(?:[\s._-]*\d+)?", name.strip().lower()
+    )
     return bool(words & (ENVELOPE_WORDS | AMPLITUDE_WORDS)) or is_lock_in is not None
 
 

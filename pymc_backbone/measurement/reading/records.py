@@ -117,8 +117,8 @@ def read_records(
     else white space; decimal commas and separators of thousands are told apart by the whole file. Columns are ``time``
     [s] and one of ``displacement``, ``velocity``, ``acceleration``; a unit may follow in brackets (``time [ms]``,
     ``Acc (g)``, ``angle [deg]``) and SI is assumed, and noted, where none does. A further column ``specimen`` divides a
-    file. Instead of a waveform there may be its ``envelope`` (amplitude, magnitude, power, the R of a lock-in) in a unit
-    of motion, V, W, dB or dBm, and a column ``frequency`` beside it.
+    file. Instead of a waveform there may be its ``envelope`` (amplitude, magnitude, power, the R of a lock-in) in a
+    unit of motion, V, W, dB or dBm, and a column ``frequency`` beside it.
     """
     options = {"columns": columns, "quantity": quantity, "unit": unit, "sampling_rate": sampling_rate}
     of_envelopes = {"frequency": frequency, "reference": reference}

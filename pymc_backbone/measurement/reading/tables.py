@@ -355,7 +355,9 @@ def _is_units_row(row: list[str], columns: tuple[Column, ...]) -> bool:
     if len(row) != len(columns) or any(column.unit for column in columns):
         return False
     texts = [cell.strip().strip("[]() ") for cell in row]
-    return all(text and (any(parse_unit(text, d) for d in UNITS) or is_level_or_power(text)) for text in texts) and not _all_numbers(texts)
+    return all(
+        text and (any(parse_unit(text, d) for d in UNITS) or is_level_or_power(text)) for text in texts
+    ) and not _all_numbers(texts)
 
 
 def _all_numbers(texts: Sequence[str]) -> bool:
