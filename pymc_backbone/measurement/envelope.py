@@ -19,7 +19,7 @@ import numpy as np
 from .._common.checks import FloatArray, InputError, check_motion
 from .._common.threads import with_one_thread
 from .cycles import MINIMUM_CYCLES, Cycles
-from .envelope_noise import Scatter, excess, scatter_of
+from .envelope_noise import Scatter, excess, memory_of, scatter_of
 from .envelope_part import FreeEnvelope, free_envelope
 from .smoothed_amplitude import amplitude_from_damping
 from .smoothing import smooth
@@ -27,6 +27,9 @@ from .smoothing import smooth
 MOST_STRETCHES = 160
 """More tell no more, and cost."""
 _SAMPLES = 4  # of a stretch at least, where there are as many
+_MEMORIES = 2  # of the noise, in samples, that a stretch holds at least
+_CURVED = 3  # neighbours to either side over which a frequency bends alike
+_OF_CORRECTION = 0.2  # how much of the correction of a bent curve is in doubt
 _FEWEST = 12
 _MOTION = ("m", "rad")
 
@@ -84,7 +87,9 @@ def _shown(unit: str) -> str:
 def _cycles(record: Any, free: FreeEnvelope, frequency: FloatArray, is_measured: bool) -> Cycles:
     """Return the cycles of the free part."""
     time, values = record.time[free.part], record.values[free.part]
-    edges = _edges(time, free.amplitude)
+    relative = free.scatter.variance(free.amplitude) / free.amplitude**2
+    memory = memory_of(time, np.log(np.maximum(values, 0.1 * free.amplitude)), relative)
+    edges = _edges(time, free.amplitude, max(_SAMPLES, _MEMORIES * memory if memory > 1 else 1))
     first, count = edges[:-1], np.diff(edges)
     if count.size < MINIMUM_CYCLES + 1:
         raise InputError(
@@ -117,7 +122,10 @@ def _cycles(record: Any, free: FreeEnvelope, frequency: FloatArray, is_measured:
     amplitude = np.exp(middle)
     bands[0, 0] = log_bands[0] * amplitude**2
     bands[0, 1, :-1] = log_bands[1, :-1] * amplitude[:-1] * amplitude[1:]
+    middle_motion = 0.5 * (motion[1:] + motion[:-1])
+    bent_by = np.zeros(n)
     if is_measured:
+        bent_by = _bent_by(motion)
         bands[1] = _frequency_bands(time, frequency, free.amplitude, at, motion, count, first)
     index = np.arange(n, dtype=np.float64)
     curve = smooth([index], middle, log_bands, [index], orders=(2, 3), kinks=True)
@@ -127,6 +135,7 @@ def _cycles(record: Any, free: FreeEnvelope, frequency: FloatArray, is_measured:
     shared = np.zeros((4, n, 2))
     shared[2, :, 1] = damping * (log[:-1] - log[1:]) ** 2 / 12.0  # a curved decay, taken as straight over a stretch
     shared[2, :, 0] = (beside[:-1] - beside[1:]) / cycles
+    shared[1, :, 1] = _OF_CORRECTION * bent_by
     shared[0, :, 0] = 0.5 * (beside[:-1] + beside[1:]) * amplitude
     errors = np.sqrt(bands[:, 0] + (shared**2).sum(axis=2))
     notes = [*record.notes, *(f"{record.specimen}: {note}" for note in free.notes)]
@@ -134,7 +143,7 @@ def _cycles(record: Any, free: FreeEnvelope, frequency: FloatArray, is_measured:
         specimen=record.specimen,
         time=0.5 * (at[1:] + at[:-1]),
         amplitude=amplitude,
-        frequency=0.5 * (motion[1:] + motion[:-1]),
+        frequency=middle_motion - bent_by,
         damping=damping,
         offset=np.zeros(n),
         amplitude_error=errors[0],
@@ -153,11 +162,24 @@ def _cycles(record: Any, free: FreeEnvelope, frequency: FloatArray, is_measured:
     )
 
 
-def _edges(time: FloatArray, amplitude: FloatArray) -> Any:
+def _bent_by(means: FloatArray) -> FloatArray:
+    """Return by how much the mean of two neighbouring means exceeds a curve half way between them.
+
+    Of a parabola each mean exceeds its middle by a twenty-fourth of the second difference, the mean of two what lies
+    between them by an eighth. Differences are averaged over neighbours, so that they bring no noise along.
+    """
+    second = np.pad(np.diff(means, 2), 1, mode="edge")
+    reach = min(_CURVED, (means.size - 1) // 2)
+    kernel = np.ones(2 * reach + 1) / (2 * reach + 1)
+    smooth_second = np.convolve(np.pad(second, reach, mode="edge"), kernel, mode="valid")
+    return np.asarray((smooth_second[1:] + smooth_second[:-1]) / 12.0)
+
+
+def _edges(time: FloatArray, amplitude: FloatArray, samples: int) -> Any:
     """Return the first sample of each stretch, and the end: equal falls of the amplitude, enough samples in each."""
     n = time.size
-    most = int(np.clip(n // _SAMPLES, min(_FEWEST, n // 2), MOST_STRETCHES))
-    least = max(n // (8 * most), 1)
+    most = int(np.clip(n // samples, min(_FEWEST, n // 2), MOST_STRETCHES))
+    least = max(n // (8 * most), samples // (2 * _SAMPLES), 1)
     # the fall as a smooth function of time: its own noise must not choose the edges
     knots = np.unique(np.linspace(0, n - 1, min(40, max(n // 8, 4))).round().astype(int))
     halves = np.maximum(np.diff(knots).min() // 2, 1)

@@ -16,6 +16,8 @@ from .._common.checks import FloatArray
 RAYLEIGH = 0.5227
 """Standard deviation over mean of the envelope of noise alone, as a lock-in shows it unsmoothed."""
 _MOST = 25.0  # squared normalised difference that counts at most: a step of the record is no noise
+_FEWEST_MEANS = 48
+_SETTLED = 0.7  # of the largest scatter of means, over that of as many independent samples
 _SMALLEST = 1e-10  # relative noise below which nothing is believed: rounding
 
 
@@ -117,6 +119,29 @@ def excess(place: FloatArray, values: FloatArray, variance: FloatArray) -> float
     return max(
         1.0, float(np.mean(np.minimum(difference**2 / expected, max(_MOST, np.median(difference**2 / expected)))))
     )
+
+
+def memory_of(time: FloatArray, values: FloatArray, variance: FloatArray) -> int:
+    """Return over how many samples the noise remembers itself: a lock-in is read faster than its filter follows.
+
+    Means of more and more samples scatter by less, as many as they are, once they are longer than that.
+
+    Parameters
+    ----------
+    time, values, variance : (n,) arrays
+        What scatters, and the variance of single samples as neighbours show it.
+    """
+    found = [excess(time, values, variance)]
+    size = 1
+    while values.size // (2 * size) >= _FEWEST_MEANS:
+        size *= 2
+        count = values.size // size
+        means = [part[: count * size].reshape(count, size).mean(axis=1) for part in (time, values, variance)]
+        found.append(excess(means[0], means[1], means[2] / size))
+    for step, now in enumerate(found):
+        if now > _SETTLED * max(found):
+            return int(2**step)
+    return size
 
 
 def floor_of(time: FloatArray, values: FloatArray) -> Floor | None:

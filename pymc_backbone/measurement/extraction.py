@@ -14,7 +14,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from .._common.backbone_dataset import FREQUENCY
-from .._common.checks import OBSERVABLES, FloatArray, InputError, check_levels, check_observables
+from .._common.checks import OBSERVABLES, FloatArray, InputError, check_levels
 from .conditioning.condition import condition
 from .conditioning.conditioned import ConditionedRecord
 from .cycles import Cycles, extract_cycles
@@ -150,31 +150,16 @@ def measure_batch(
         progress=progress,
     )
     levels, said = levels_for(extraction.cycles, measuring.levels, whole_range=whole_range)
-    observables = _observables(extraction, measuring.observables, every_observable)
+    observables = measuring.observables
+    if observables is None:
+        observables = [name for name in extraction.observables if every_observable or name in DEFAULT_OBSERVABLES]
     backbones = backbones_at_levels(extraction.cycles, levels, observables, amplitude_unit=extraction.unit)
     if not extraction.records:
         said = [*_of_envelopes(extraction), *said]
-        if FREQUENCY not in observables:
-            backbones.attrs[FREQUENCY] = extraction.frequency
     outliers = find_outliers(extraction.cycles)
     said = [*(f"warning: {finding.sentence}" for finding in outliers), *_alike(backbones), *said]
     backbones.attrs["notes"] = [*extraction.notes(backbones.attrs.get("notes", [])), *said]
     return MeasuredBatch(backbones, extraction, tuple(outliers))
-
-
-def _observables(extraction: Extraction, wanted: Sequence[str] | None, every: bool) -> tuple[str, ...]:
-    """Return the observables to take: those that are wanted, if all records tell them, else what they tell."""
-    if wanted is None:
-        return tuple(name for name in extraction.observables if every or name in DEFAULT_OBSERVABLES)
-    chosen = check_observables(wanted)
-    measured = {name for item in extraction.cycles for name in item.observables}
-    missing = [name for name in chosen if name not in measured]
-    if missing:
-        raise InputError(
-            f"`observables` hold {missing[0]}, which these envelopes do not tell: they hold {' and '.join(measured)}; "
-            f"leave {missing[0]} out{'' if missing[0] == 'offset' else ', or give records with a column of it'}."
-        )
-    return chosen
 
 
 def _of_envelopes(extraction: Extraction) -> list[str]:
