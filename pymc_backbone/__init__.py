@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from .likelihood.op import BackboneLogLikelihood, BackboneOp
     from .measurement.conditioning.condition import ConditionedRecord, condition
     from .measurement.cycles import Cycles, extract_cycles
+    from .measurement.envelope import envelope_cycles
     from .measurement.levels import backbones_at_levels
     from .measurement.reading.measured_backbones import read_backbones
     from .measurement.reading.record import Record
@@ -72,6 +73,7 @@ _WHERE = {
     "simulation.backbones": ("simulate_population",),
     "measurement.conditioning.condition": ("ConditionedRecord", "condition"),
     "measurement.cycles": ("Cycles", "extract_cycles"),
+    "measurement.envelope": ("envelope_cycles",),
     "likelihood.data_consistent": ("fit_data_consistent",),
     "simulation.decay": (
         "BackboneResult",
@@ -165,6 +167,7 @@ __all__ = [
     "demo_folder",
     "demo_parameters",
     "diagnose_many",
+    "envelope_cycles",
     "extract_cycles",
     "find_missing_effect",
     "findings",

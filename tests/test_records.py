@@ -252,7 +252,7 @@ def test_a_bad_line_is_named(tmp_path: Path, line: str, words: tuple[str, ...]) 
 @pytest.mark.parametrize(
     ("header", "words"),
     [
-        ("time,foo", ("line 1", "'displacement', 'velocity' or 'acceleration'", "found 'time', 'foo'")),
+        ("time,foo", ("line 1", "'displacement', 'velocity', 'acceleration' or 'envelope'", "found 'time', 'foo'")),
         ("foo,displacement", ("line 1", "'time'", "found 'foo', 'displacement'")),
         ("time,displacement,time [s]", ("line 2", "expected 3")),
         ("0.0,1.0", ("line 1", "header line", "numbers")),

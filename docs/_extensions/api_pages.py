@@ -23,7 +23,8 @@ GROUPS = {
     "Records": ("Record", "read_records", "write_records", "demo_folder", "demo_parameters", "condition",
                 "ConditionedRecord"),
     "Backbones": (
-        "extract_cycles", "Cycles", "backbones_at_levels", "simulate_population", "read_backbones", "write_backbones",
+        "extract_cycles", "envelope_cycles", "Cycles", "backbones_at_levels", "simulate_population", "read_backbones",
+        "write_backbones",
     ),
     "Models": ("Oscillator", "Effect", "Parameter", "Signature", "LIBRARY", "get_effect"),
     "Simulation": (

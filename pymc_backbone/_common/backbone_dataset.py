@@ -65,3 +65,14 @@ def backbone_dataset(
         },
         attrs={"amplitude_unit": amplitude_unit, "notes": notes},
     )
+
+
+FREQUENCY = "frequency"
+"""Attribute of backbones whose frequency is known but was not measured over the amplitude [Hz]."""
+
+
+def typical_frequency(backbones: xr.Dataset) -> float:
+    """Return the frequency [Hz] of backbones: the median of what was measured, else the known one; NaN without."""
+    if FREQUENCY in backbones["observable"].values:
+        return float(np.nanmedian(np.asarray(backbones["value"].sel(observable=FREQUENCY))))
+    return float(backbones.attrs.get(FREQUENCY, np.nan))

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from .._common.checks import OBSERVABLES
 from .._common.options import pick
 from ..inference.options import Sampling
-from ..measurement.reading.headers import QUANTITIES
+from ..measurement.reading.headers import READABLE
 from . import options
 from .progress import ProgressBar
 from .wording import with_options
@@ -111,10 +111,10 @@ def add_measurement(parser: argparse.ArgumentParser, *, observables: bool = True
     )
     reading.add_argument(
         "--quantity",
-        choices=QUANTITIES,
+        choices=READABLE,
         metavar="Q",
-        help="what the channel holds, or which to take: displacement, velocity or acceleration (default: as its name "
-        "or unit says)",
+        help="what the channel holds, or which to take: displacement, velocity, acceleration, or the envelope of one, "
+        "amplitude or power over time (default: as its name or unit says)",
     )
     reading.add_argument(
         "--unit",
@@ -133,6 +133,18 @@ def add_measurement(parser: argparse.ArgumentParser, *, observables: bool = True
         metavar="S",
         help="of the sensor, where a channel is in volts, such as '10.2 mV/g', '2.25 mV/N' (of a hammer), or "
         "'acc_x=10.2 mV/g' for one channel; may be repeated",
+    )
+    reading.add_argument(
+        "--frequency",
+        type=options.number("--frequency"),
+        metavar="HZ",
+        help="of the motion, for envelopes without a column of it; replaces the file's",
+    )
+    reading.add_argument(
+        "--reference",
+        metavar="A",
+        help="for envelopes in dB, dBm, V, W or relative: amplitude at 0 dB, or at 1 of the file's unit, such as "
+        "'2.5 nm' (m without a unit)",
     )
     group = parser.add_argument_group("measurement")
     group.add_argument(

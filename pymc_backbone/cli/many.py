@@ -42,8 +42,10 @@ COLUMNS: dict[str, Callable[[str], Any]] = {
     "unit": str,
     "sampling_rate": options.number("sampling_rate"),
     "sensitivity": lambda text: [text],
+    "frequency": options.number("frequency"),
+    "reference": str,
 }
-WITH_COMMAS = ("mass", "band", "start", "stop", "floor", "sampling_rate")
+WITH_COMMAS = ("mass", "band", "start", "stop", "floor", "sampling_rate", "frequency")
 """Columns of single numbers, whose commas are decimal where cells are separated by semicolons or tabs."""
 
 

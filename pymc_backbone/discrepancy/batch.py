@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import xarray as xr
 
+from .._common.backbone_dataset import FREQUENCY, typical_frequency
 from .._common.checks import FloatArray, InputError
 from ..measurement.conditioning.conditioned import ConditionedRecord
 from ..measurement.cycles import Cycles
-from .data_term import DataTerm, LevelTerm, TurningTerm, WaveformTerm, level_term
+from .data_term import DataTerm, LevelTerm, TurningTerm, WaveformTerm, level_term, with_frequency
 from .record_term import release_of, turning_term, waveform_term
 
 
@@ -121,8 +122,12 @@ def batch_of_backbones(mass: float, backbones: xr.Dataset) -> Batch:
     """Return the batch of backbones that were measured directly."""
     names = [str(name) for name in backbones["specimen"].values]
     observables = [str(name) for name in backbones["observable"].values]
-    if "frequency" not in observables:
-        raise InputError("the search for a missing effect needs the observable `frequency`; give backbones with it.")
+    known = None if FREQUENCY in observables else typical_frequency(backbones)
+    if known is not None and not np.isfinite(known):
+        raise InputError(
+            "the search for a missing effect needs the observable `frequency`, or the frequency in Hz as the attribute "
+            "of that name; give backbones with it."
+        )
     found = [(i, level_term(backbones, i)) for i in range(len(names))]
     held = [(i, term) for i, term in found if term is not None and term.levels.size > 1]
     if not held:
@@ -132,14 +137,15 @@ def batch_of_backbones(mass: float, backbones: xr.Dataset) -> Batch:
     value = np.asarray(backbones["value"])
     own = np.zeros((len(held), 5))
     for row, (i, _) in enumerate(held):
-        omega = 2.0 * np.pi * float(np.nanmedian(value[i, observables.index("frequency")]))
+        omega = 2.0 * np.pi * (known or float(np.nanmedian(value[i, observables.index("frequency")])))
         damping = 0.03
         if "damping" in observables and np.isfinite(value[i, observables.index("damping")]).any():
             damping = max(float(np.nanmedian(value[i, observables.index("damping")])), 1e-5)
         own[row] = (mass * omega**2, mass * omega * damping / np.pi, 0.0, 0.0, 0.0)
     amplitude = float(np.asarray(backbones["level"])[-1])
+    terms = tuple(term if known is None else with_frequency(term, known) for _, term in held)
     return Batch(
-        backbones, (), (), tuple(term for _, term in held), (), (), tuple(names[i] for i, _ in held), own,
+        backbones, (), (), terms, (), (), tuple(names[i] for i, _ in held), own,
         amplitude, float(np.sqrt(np.median(own[:, 0]) / mass)),
     )  # fmt: skip
 

@@ -18,6 +18,7 @@ from .whitening import EDGE, average
 
 DRIFT = 0.05  # relative change of frequency over a record that one unit of drift stands for
 TOLERANCE = 1e-7  # of one integration step: waveforms to 3e-6 of the amplitude, far below any noise here
+KNOWN = 1e-3  # relative error of a frequency that is known and not measured: it settles the stiffness, no more
 _MARGIN = 60  # turning points beyond those of the record
 
 
@@ -125,6 +126,21 @@ def level_term(backbones: xr.Dataset, specimen: int, keep: BoolArray | None = No
         whitening[np.ix_(index, index)] = np.linalg.inv(factor) / scale
     rows = np.array([(OBSERVABLES.index(names[o]), place[int(k)]) for o, k in pairs])
     return LevelTerm(np.asarray(chosen["level"])[reached], value[pairs[:, 0], pairs[:, 1]], rows, whitening)
+
+
+def with_frequency(term: LevelTerm, frequency: float) -> LevelTerm:
+    """Return a term of damping alone with a frequency [Hz] that is known, at the middle one of its levels.
+
+    It determines the stiffness, which damping per cycle does not, and says nothing of how the frequency changes.
+    """
+    n = term.size
+    whitening = np.zeros((n + 1, n + 1))
+    whitening[0, 0] = 1.0 / (KNOWN * frequency)
+    whitening[1:, 1:] = term.whitening
+    first = np.array([[OBSERVABLES.index("frequency"), term.levels.size // 2]])
+    return LevelTerm(
+        term.levels, np.concatenate([[frequency], term.values]), np.concatenate([first, term.rows]), whitening
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field, replace
 import numpy as np
 import xarray as xr
 
+from .._common.backbone_dataset import FREQUENCY
 from .._common.checks import OBSERVABLES, FloatArray
 from ..effects import BASE_EFFECTS
 from ..inference.options import Sampling
@@ -81,7 +82,9 @@ def prior_bounds(batch: Batch, found: Fit, mean: FloatArray) -> tuple[dict[str, 
     oscillator = found.layout.oscillator
     defaults = oscillator.default_bounds(batch.amplitude, batch.angular_frequency)
     errors = {name: error for name, (_, error) in estimates_of(found).items()}
-    held = found.layout.held
+    held = dict(found.layout.held)
+    if FREQUENCY not in batch.backbones["observable"].values:
+        held["linear_stiffness"] = float(mean[0])  # damping per cycle alone does not tell it
     own = np.sqrt(np.nan_to_num(found.own_covariance[:, :2]).mean(axis=0))
     errors |= {"linear_stiffness": float(own[0]), "viscous_damping": float(own[1])}
     bounds = {}

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
+from .._common.backbone_dataset import FREQUENCY
 from .._common.checks import InputError, check_choice
+from .._common.text import in_words
 from ..effects import BASE_EFFECTS, LIBRARY, Effect
 from ..measurement.conditioning.conditioned import ConditionedRecord
 from ..measurement.extraction import measure_batch
@@ -77,6 +79,13 @@ def ask(
     limits = tolerances(tolerance)
     batch, notes = batch_of(oscillator, data, measuring)
     chosen = possible_effects(oscillator, candidates, batch)
+    untold = untold_effects(chosen, own_effects(candidates), batch)
+    if untold and len(untold) == len(chosen):
+        raise InputError(
+            f"only damping was measured, which does not tell springs: none of the candidates {', '.join(untold)} can "
+            "be found; name effects that dissipate, or give records with a frequency over the amplitude."
+        )
+    chosen = tuple(name for name in chosen if name not in untold)
     if not 1 <= int(max_effects) <= MOST_EFFECTS:
         raise InputError(f"`max_effects` must be 1, 2 or 3, got {max_effects}; look for more in a second study.")
     return Question(
@@ -87,8 +96,44 @@ def ask(
         own=own_effects(candidates),
         max_effects=int(max_effects),
         tolerance=limits,
-        notes=(*notes, *batch.notes),
+        notes=(*notes, *batch.notes, *_untold_words(untold)),
     )
+
+
+def untold_effects(names: Sequence[str], own: Mapping[str, Effect], batch: Batch) -> tuple[str, ...]:
+    """Return the springs among candidates where no frequency was measured over the amplitude.
+
+    A spring takes nothing from a cycle. It changes how long one lasts, and with it a little the decrement: to be named
+    by that alone it would have to change the frequency by as much, which nobody saw.
+    """
+    if FREQUENCY in batch.backbones["observable"].values:
+        return ()
+    scale = (1.0, batch.amplitude, batch.angular_frequency)
+    return tuple(name for name in names if is_spring(own.get(name) or LIBRARY[name], scale))
+
+
+def is_spring(effect: Effect, scale: tuple[float, float, float]) -> bool:
+    """Return whether the force of an effect is one of the displacement alone, at typical values of its parameters."""
+    if effect.n_states or effect.has_memory:
+        return False
+    middle = np.array([0.3 * low + 0.7 * high for low, high in (item.bounds(*scale) for item in effect.parameters)])
+    force = getattr(effect.force, "py_func", effect.force)
+    _, amplitude, angular_frequency = scale
+    state = np.zeros(0)
+    for x in (-0.9, -0.3, 0.2, 0.7):
+        found = {
+            float(force(x * amplitude, v * amplitude * angular_frequency, 1.0 if v > 0.0 else -1.0, state, middle))
+            for v in (-0.8, -0.1, 0.4, 1.0)
+        }
+        if len(found) > 1:
+            return False
+    return True
+
+
+def _untold_words(names: Sequence[str]) -> tuple[str, ...]:
+    if not names:
+        return ()
+    return (f"not looked for, because only damping was measured: {', '.join(in_words(name) for name in names)}",)
 
 
 def tolerances(tolerance: Mapping[str, float] | float | None) -> dict[str, float]:
@@ -202,6 +247,8 @@ def batch_of(oscillator: Oscillator, data: Data, measuring: Measuring) -> tuple[
         return _of_backbones(oscillator, data)
     measured = measure_batch(_as_records(data), measuring, every_observable=True, whole_range=True)
     found = measured.extraction
+    if not found.records:  # envelopes: there are no waveforms to decide
+        return _of_backbones(oscillator, measured.backbones)
     return batch_of_records(oscillator.mass, measured.backbones, found.records, found.cycles), measured.notes
 
 

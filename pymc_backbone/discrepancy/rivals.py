@@ -236,13 +236,14 @@ def alike_check(batch: Batch, best: Fit) -> Check:
             )
         spread = SCATTER * float(np.sqrt((delta**2).mean()))
         return Check(name, True, f"the effects of the specimens scatter by {spread:.1%}")
-    row = [str(item) for item in batch.backbones["observable"].values].index("frequency")
-    values = measured(batch)[0][:, row]
+    observables = [str(item) for item in batch.backbones["observable"].values]
+    which = "frequency" if "frequency" in observables else observables[0]
+    values = measured(batch)[0][:, observables.index(which)]
     shared = values[:, np.isfinite(values).all(axis=0)]
     if shared.shape[1] < 2:
         return Check(name, True, "the specimens share no range of amplitude: nothing to compare")
     scatter = float((shared / shared.mean(axis=1, keepdims=True)).std(axis=0).max())
-    return Check(name, True, f"the frequency curves agree in shape within {scatter:.2%}")
+    return Check(name, True, f"the {which} curves agree in shape within {scatter:.2%}")
 
 
 def data_terms_check(batch: Batch, reduced: float, limit: float) -> Check:

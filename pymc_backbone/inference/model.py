@@ -11,6 +11,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 from pytensor.tensor import TensorVariable as Tensor
 
+from .._common.backbone_dataset import typical_frequency
 from .._common.checks import OBSERVABLES, FloatArray, InputError, check_choice, check_positive
 from ..likelihood.data_consistent import fit_data_consistent
 from ..likelihood.density import Density
@@ -390,15 +391,17 @@ def prior_intervals(
 
 def _scales(data: Density | xr.Dataset) -> tuple[float, float]:
     """Return amplitude and angular frequency of the data, which default bounds are scaled with."""
-    observables = data.observables if isinstance(data, Density) else [str(v) for v in data["observable"].values]
+    observables = data.observables if isinstance(data, Density) else ()
     levels = data.levels if isinstance(data, Density) else np.asarray(data["level"])
-    if "frequency" not in observables:
-        raise InputError("default bounds need the observable `frequency`; give `bounds` for every parameter.")
-    if isinstance(data, Density):
-        values = data.sample(500, random_seed=0)[:, 0]
+    if isinstance(data, xr.Dataset):
+        frequency = typical_frequency(data)
+    elif "frequency" in observables:
+        frequency = float(np.nanmedian(data.sample(500, random_seed=0)[:, 0]))
     else:
-        values = np.asarray(data["value"].sel(observable="frequency"))
-    return float(levels[-1]), 2.0 * np.pi * float(np.nanmedian(values))
+        frequency = float("nan")
+    if not np.isfinite(frequency):
+        raise InputError("default bounds need the observable `frequency`; give `bounds` for every parameter.")
+    return float(levels[-1]), 2.0 * np.pi * frequency
 
 
 def _stack(

@@ -19,14 +19,12 @@ from .._common.checks import FloatArray, InputError, check_finite_array
 from .._common.threads import with_one_thread
 from .peak_noise import with_peak_noise
 from .rough_turning import rough_noise, rough_turning_points, running_line
+from .smoothed_amplitude import amplitude_from_damping
 from .smoothing import smooth
 from .template import FLOOR, Fit, fit_with_template
 from .turning import cycle_covariance, turning_covariance
 
 QUANTITIES: tuple[str, ...] = ("amplitude", "frequency", "damping", "offset")
-LOOSENESS = 300.0
-"""Undersmoothing of the amplitude: it is the regressor, where bias costs more than variance."""
-
 MINIMUM_CYCLES = 4  # a smooth curve with a standard error needs as many
 
 
@@ -60,6 +58,9 @@ class Cycles:
         Standard deviation of the noise used [m or rad].
     notes : tuple of str
         What was assumed, dropped or corrected.
+    observables : tuple of str
+        Those that were measured. Of an envelope the others hold no measurement: the frequency where it is known only,
+        and an offset of zero.
 
     See Also
     --------
@@ -89,6 +90,12 @@ class Cycles:
     turning_signs: FloatArray
     noise: float
     notes: tuple[str, ...] = ()
+    observables: tuple[str, ...] = QUANTITIES[1:]
+
+    @property
+    def is_of_envelope(self) -> bool:
+        """Whether only amplitudes over time were measured, no turning points."""
+        return self.turning_times.size == 0
 
     def __len__(self) -> int:
         """Return the number of cycles."""
@@ -332,7 +339,7 @@ def _assemble(
     bands = cycle_covariance(gradients, turning, shift, bands_of)
     # second order: E[1/T] exceeds 1/E[T]; E[ln R] falls short of ln E[R]
     frequency = (1.0 - bands[1, 0] * period**2) / period
-    smoothed, design, spread = _amplitude_from_damping(positive, amplitude_bands, damping, bands[2], smoothed, end)
+    smoothed, design, spread = amplitude_from_damping(positive, amplitude_bands, damping, bands[2], smoothed, end)
     swing = np.zeros((2, n, 3, 2))
     swing[0, :, 0, 1], swing[0, :, 1, 1], swing[1, :, 1, 1], swing[1, :, 2, 1] = 1.0, -1.0, -1.0, 1.0
     swing_variance = cycle_covariance(swing, turning, shift, 1)[:, 0]
@@ -370,44 +377,3 @@ def _assemble(
         noise=noise,
         notes=tuple(notes),
     )
-
-
-def _amplitude_from_damping(
-    amplitude: FloatArray,
-    amplitude_bands: FloatArray,
-    damping: FloatArray,
-    damping_bands: FloatArray,
-    smoothed: FloatArray,
-    end: int,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the first ``end`` amplitudes, smoothed with the help of the damping they imply, and their covariance.
-
-    The covariance is ``design @ spread @ design.T``, of the design (end, r) and the spread (r, r) that are returned.
-
-    Damping is a much smoother function of amplitude than amplitude is of time (friction ends a decay with a corner,
-    slip begins it with
-    one). So the damping curve is integrated, and what the amplitudes say beyond it is smoothed over cycles and added.
-    """
-
-    def cut(bands: FloatArray) -> FloatArray:
-        bands = bands[:, :end].copy()
-        for b in range(1, bands.shape[0]):
-            bands[b, max(end - b, 0) :] = 0.0
-        return bands
-
-    index = np.arange(end, dtype=np.float64)
-    current, damping = smoothed[:end], damping[:end]
-    for _ in range(2):
-        place = [np.log(current), current]
-        curve = smooth(place, damping, cut(damping_bands), place, orders=(2, 3), kinks=True)
-        steps = (curve.value[1:] + curve.value[:-1]) / 2.0
-        base = np.concatenate([[0.0], -np.cumsum(steps)])
-        base -= np.mean(base - np.log(current))
-        scaled = cut(amplitude_bands)
-        for b in range(min(scaled.shape[0], end)):  # bands beyond the last cycle hold zeros
-            scaled[b, : end - b] /= current[: end - b] * current[b:]
-        # E[ln A] falls short of ln E[A]
-        residual = np.log(np.maximum(amplitude[:end], 0.1 * current)) + 0.5 * scaled[0] - base
-        rest = smooth([index], residual, scaled, [index], orders=(2,), undersmoothing=LOOSENESS, kinks=True)
-        current = np.exp(base + rest.value)
-    return current, rest.design * current[:, None], rest.spread

@@ -13,10 +13,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from .._common.checks import FloatArray, InputError, check_levels, check_observables
+from .._common.backbone_dataset import FREQUENCY
+from .._common.checks import OBSERVABLES, FloatArray, InputError, check_levels
 from .conditioning.condition import condition
 from .conditioning.conditioned import ConditionedRecord
 from .cycles import Cycles, extract_cycles
+from .envelope import envelope_cycles
 from .levels import DEFAULT_LEVELS, backbones_at_levels, default_levels
 from .options import Measuring
 from .outliers import Finding, find_outliers
@@ -42,19 +44,29 @@ class Extraction:
     Attributes
     ----------
     records, cycles : tuples
-        One each per specimen.
+        One each per specimen; no records where these are envelopes, which hold no waveform.
+    unit : str
+        Of the motion: m or rad; of envelopes that are not calibrated V, sqrt(W) or 1.
     refused : tuple of str
         A sentence for each record that was left out.
     """
 
     records: tuple[ConditionedRecord, ...]
     cycles: tuple[Cycles, ...]
+    unit: str
     refused: tuple[str, ...] = ()
 
     @property
-    def unit(self) -> str:
-        """Unit of the motion: m or rad."""
-        return self.records[0].unit
+    def observables(self) -> tuple[str, ...]:
+        """Those that every record tells."""
+        held = [item.observables for item in self.cycles]
+        offset = all(record.offset_is_measured for record in self.records)
+        return tuple(name for name in OBSERVABLES if all(name in one for one in held) and (name != "offset" or offset))
+
+    @property
+    def frequency(self) -> float:
+        """Typical frequency [Hz]."""
+        return float(np.median(np.concatenate([item.frequency for item in self.cycles])))
 
     def notes(self, others: Sequence[str] = ()) -> list[str]:
         """Return what was assumed or done, the specimen in front of what is about one; then what ``others`` add."""
@@ -140,15 +152,28 @@ def measure_batch(
     levels, said = levels_for(extraction.cycles, measuring.levels, whole_range=whole_range)
     observables = measuring.observables
     if observables is None:
-        has_offset = every_observable and all(record.offset_is_measured for record in extraction.records)
-        observables = (*DEFAULT_OBSERVABLES, "offset") if has_offset else DEFAULT_OBSERVABLES
-    backbones = backbones_at_levels(
-        extraction.cycles, levels, check_observables(observables), amplitude_unit=extraction.unit
-    )
+        observables = [name for name in extraction.observables if every_observable or name in DEFAULT_OBSERVABLES]
+    backbones = backbones_at_levels(extraction.cycles, levels, observables, amplitude_unit=extraction.unit)
+    if not extraction.records:
+        said = [*_of_envelopes(extraction), *said]
     outliers = find_outliers(extraction.cycles)
     said = [*(f"warning: {finding.sentence}" for finding in outliers), *_alike(backbones), *said]
     backbones.attrs["notes"] = [*extraction.notes(backbones.attrs.get("notes", [])), *said]
     return MeasuredBatch(backbones, extraction, tuple(outliers))
+
+
+def _of_envelopes(extraction: Extraction) -> list[str]:
+    """Say what envelopes do not tell."""
+    if FREQUENCY in extraction.observables:
+        return [
+            "warning: envelopes with their frequency: damping and frequency were measured, the mid-line was not, so "
+            "springs that are stiffer to one side show by their frequency alone"
+        ]
+    return [
+        f"warning: only damping was measured: the envelopes have no frequency over the amplitude, and "
+        f"{extraction.frequency:.6g} Hz is taken at every amplitude, so springs (hardening, softening, play) cannot be "
+        "told; a column of frequencies in the files would show them"
+    ]
 
 
 def _alike(backbones: xr.Dataset) -> list[str]:
@@ -204,13 +229,27 @@ def extract_all(
     InputError
         For records that cannot be used (one with ``strict``, else more than half), or that are of different units.
     """
+    envelopes = [item for item in records if isinstance(item, Record) and item.is_envelope]
+    if envelopes and len(envelopes) < len(records):
+        other = next(item for item in records if item not in envelopes)
+        raise InputError(
+            f"the records must all be waveforms or all be envelopes: {envelopes[0].source} holds an envelope, "
+            f"{other.source} a waveform; put them into folders of their own."
+        )
+    if envelopes and band is not None:
+        raise InputError("`band` is for waveforms, and these records are envelopes; drop it.")
     conditioned: list[ConditionedRecord] = []
+    units: list[str] = []
     cycles: list[Cycles] = []
     given, left_out = len(records) + len(refused), list(refused)
     for done, item in enumerate(records):
         if progress is not None:
             progress("extracting cycles", done / len(records))
         try:
+            if envelopes and isinstance(item, Record):
+                cycles.append(envelope_cycles(item, start=start, stop=stop, floor=floor))
+                units.append(item.unit)
+                continue
             record = (
                 condition(item, band=band, start=start, stop=stop, floor=floor) if isinstance(item, Record) else item
             )
@@ -223,15 +262,17 @@ def extract_all(
             left_out.append(str(error))
             continue
         conditioned.append(record)
+        units.append(record.unit)
         cycles.append(extracted)
-    if len(conditioned) < LEAST_SHARE * given:
+    if len(cycles) < LEAST_SHARE * given:
         raise InputError(
             f"{len(left_out)} of {given} records cannot be used, more than half of them; the first: {left_out[0]}"
         )
-    units = sorted({record.unit for record in conditioned})
-    if len(units) > 1:
-        raise InputError(f"the records must all be displacements or all be angles, got both {' and '.join(units)}.")
-    return Extraction(tuple(conditioned), tuple(cycles), tuple(left_out))
+    different = sorted(set(units))
+    if len(different) > 1:
+        what = "in one unit" if envelopes else "displacements or all be angles"
+        raise InputError(f"the records must all be {what}, got both {' and '.join(different)}.")
+    return Extraction(tuple(conditioned), tuple(cycles), units[0], tuple(left_out))
 
 
 def levels_for(

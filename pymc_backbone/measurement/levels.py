@@ -8,19 +8,22 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from .._common.backbone_dataset import backbone_dataset
+from .._common.backbone_dataset import FREQUENCY, backbone_dataset
 from .._common.checks import (
+    OBSERVABLES,
     FloatArray,
     InputError,
     check_levels,
     check_observables,
 )
 from .cycles import QUANTITIES, Cycles
+from .smoothed_amplitude import abscissas
 from .smoothing import smooth
 
 DEFAULT_LEVELS = 10
 """Levels chosen by default, fewer when a decay has fewer than two cycles per level."""
 
+_USUAL = ("frequency", "damping")
 UNDERSMOOTHING = {"frequency": 30.0, "damping": 4.0, "offset": 4.0}
 """Freedom to bend beyond what the likelihood asks for. Frequencies are so precise that the bias of a curve as smooth as
 is likeliest shows there first; a third more standard error removes a third of it."""
@@ -73,7 +76,7 @@ def default_levels(cycles: Sequence[Cycles], n_levels: int | None = None) -> Flo
 def backbones_at_levels(
     cycles: Cycles | Iterable[Cycles],
     levels: ArrayLike | None = None,
-    observables: str | Iterable[str] = ("frequency", "damping"),
+    observables: str | Iterable[str] | None = None,
     *,
     amplitude_unit: str = "m",
 ) -> xr.Dataset:
@@ -92,8 +95,9 @@ def backbones_at_levels(
         One per specimen.
     levels : (l,) array, optional
         Increasing amplitudes [m or rad]; by default `default_levels`.
-    observables : str or iterable of str, default ("frequency", "damping")
-        Any of ``frequency`` [Hz], ``damping`` [-], ``offset`` [-].
+    observables : str or iterable of str, optional
+        Any of ``frequency`` [Hz], ``damping`` [-], ``offset`` [-]; by default the first two, of envelopes without a
+        measured frequency damping alone.
     amplitude_unit : str, default "m"
         Recorded in the attributes.
 
@@ -103,12 +107,14 @@ def backbones_at_levels(
         ``value`` and ``standard_error`` (specimen, observable, level), ``covariance`` and ``noise_covariance``
         (specimen, observable, level, level_other): of all that is in doubt, and what noise alone has of it, the
         smoothness of the curve taken as it was found.
-        NaN at levels outside a specimen's own cycles: nothing is extrapolated.
+        NaN at levels outside a specimen's own cycles: nothing is extrapolated. Where the frequency is no observable,
+        the attribute ``frequency`` holds the typical one [Hz].
 
     Raises
     ------
     InputError
-        For levels that no specimen reaches, unknown observables, or specimen names given twice.
+        For levels that no specimen reaches, unknown observables or such as were not measured, or specimen names given
+        twice.
 
     See Also
     --------
@@ -123,7 +129,14 @@ def backbones_at_levels(
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise InputError(f"`cycles` must have distinct specimen names, got {twice!r} twice; rename one.")
-    chosen = check_observables(observables)
+    held = [name for name in OBSERVABLES if all(name in item.observables for item in items)]
+    chosen = check_observables([name for name in held if name in _USUAL] if observables is None else observables)
+    missing = [name for name in chosen if name not in held]
+    if missing:
+        raise InputError(
+            f"`observables` hold {missing[0]}, which these envelopes do not tell, but {' and '.join(held)}; leave "
+            f"{missing[0]} out{'' if missing[0] == 'offset' else ', or give records with a column of it'}."
+        )
     at = default_levels(items) if levels is None else check_levels(levels)
     shape = (len(items), len(chosen), at.size)
     value, covariance, noise = np.full(shape, np.nan), *np.full((2, *shape, at.size), np.nan)
@@ -147,7 +160,10 @@ def backbones_at_levels(
             f"`levels` must lie inside the measured amplitudes, {low:.4g} to {high:.4g} {amplitude_unit}, got "
             f"{at[0]:g} to {at[-1]:g} {amplitude_unit}."
         )
-    return backbone_dataset(names, chosen, at, value, covariance, amplitude_unit, notes, noise)
+    result = backbone_dataset(names, chosen, at, value, covariance, amplitude_unit, notes, noise)
+    if FREQUENCY not in chosen:
+        result.attrs[FREQUENCY] = float(np.median(np.concatenate([item.frequency for item in items])))
+    return result
 
 
 def _level_values(item: Cycles, observable: str, levels: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -157,10 +173,10 @@ def _level_values(item: Cycles, observable: str, levels: FloatArray) -> tuple[Fl
     beside = np.where(levels * (1.0 + step) <= amplitude.max(), levels * (1.0 + step), levels * (1.0 - step))
     wanted = np.concatenate([levels, beside])
     curve = smooth(
-        [np.log(amplitude), amplitude],
+        abscissas(amplitude, amplitude, is_envelope=item.is_of_envelope),
         getattr(item, observable),
         item.bands[QUANTITIES.index(observable)],
-        [np.log(wanted), wanted],
+        abscissas(amplitude, wanted, is_envelope=item.is_of_envelope),
         orders=(2, 3),
         kinks=True,
         undersmoothing=UNDERSMOOTHING[observable],

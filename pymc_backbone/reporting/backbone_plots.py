@@ -74,6 +74,8 @@ def plot_records(records: Sequence[Any], *, most: int = MOST_PANELS) -> Figure:
     for axis, record in zip(axes.flat, chosen, strict=False):
         time, values = _drawn_samples(np.asarray(record.time), np.asarray(record.values))
         axis.plot(time, values * scale, color=MEASURED, linewidth=0.6)
+        if chosen[0].quantity == "envelope":
+            axis.set_yscale("log")  # where the decay of a damper is straight
         axis.set_title(drawable(record.specimen), fontsize=8, pad=2)
         axis.tick_params(labelsize=8)
     for axis in axes.flat[len(chosen) :]:
@@ -83,7 +85,8 @@ def plot_records(records: Sequence[Any], *, most: int = MOST_PANELS) -> Figure:
     )
     figure.suptitle(f"{count}: {chosen[0].quantity}", fontsize=11)
     figure.supxlabel("Time [s]", fontsize=10)
-    figure.supylabel(f"{chosen[0].quantity.capitalize()} [{prefix}{chosen[0].unit}]", fontsize=10)
+    unit = f" [{prefix}{chosen[0].unit}]" if chosen[0].unit != "1" else ", relative"
+    figure.supylabel(f"{chosen[0].quantity.capitalize()}{unit}", fontsize=10)
     return figure
 
 

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from .._common.backbone_dataset import typical_frequency
 from .._common.checks import OBSERVABLES
 from .._common.text import printable
 from ..discrepancy.study import Study
@@ -198,6 +199,6 @@ def _bounds(model: Oscillator, study: Study) -> dict[str, tuple[float, float]]:
         return held
     backbones = sampled_backbones(study)
     levels = np.asarray(backbones["level"], dtype=float)
-    frequency = float(np.nanmedian(np.asarray(backbones["value"].sel(observable="frequency"))))
+    frequency = typical_frequency(backbones)
     default = model.default_bounds(float(levels[-1]), 2.0 * math.pi * frequency)
     return {name: held.get(name, (float(low), float(high))) for name, (low, high) in default.items()}

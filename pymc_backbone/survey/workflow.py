@@ -89,8 +89,8 @@ def diagnose_many(
     **settings
         ``candidates``, ``max_effects``, ``tolerance``, ``held_out``, ``quick``, ``band``, ``start``, ``stop``,
         ``levels``, ``strict``, ``floor``, ``draws``, ``tune``, ``chains``, ``step`` as in `find_missing_effect`;
-        ``columns``, ``quantity``, ``unit``, ``sampling_rate``, ``sensitivity`` as in `read_records`; ``is_table``: the
-        files are tables of backbones.
+        ``columns``, ``quantity``, ``unit``, ``sampling_rate``, ``sensitivity``, ``frequency``, ``reference`` as in
+        `read_records`; ``is_table``: the files are tables of backbones.
 
     Returns
     -------

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
 
-from .._common.backbone_dataset import backbone_dataset
+from .._common.backbone_dataset import FREQUENCY, backbone_dataset
 from .._common.checks import InputError, check_choice
 from .._common.options import settings_of
 from ..inference.options import (
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from ..inference.population_summary import Population
     from ..oscillator import Oscillator
 
+STIFFNESS = "linear_stiffness"
 TARGET_ACCEPT = 0.9  # of a hierarchical model: where spreads are small and damping near zero longer steps diverge
 FEWEST_DRAWS = 20  # of a run that was ended early; nothing can be said from fewer
 
@@ -54,6 +56,7 @@ def infer(
     from ..inference.sampling import sample
     from ..inference.targets import targets_of
 
+    modelling = _with_known_stiffness(oscillator, measured, modelling, say)
     is_hierarchical = comparing.likelihood == HIERARCHICAL
     kind = HIERARCHICAL if is_hierarchical else likelihood_of(measured.backbones, comparing.likelihood)
     bounds = _bounds(oscillator, measured, modelling)
@@ -221,6 +224,23 @@ def oscillator_of(modelling: Modelling) -> Oscillator:
     if set(modelling.fixed) == set(oscillator.parameter_names):
         raise InputError("Every parameter is fixed; leave at least one to infer.")
     return oscillator
+
+
+def _with_known_stiffness(oscillator: Oscillator, measured: Measured, modelling: Modelling, say: Say) -> Modelling:
+    """Return the model with its stiffness fixed where the frequency is known and was not measured.
+
+    Damping per cycle alone tells a damper only together with the stiffness, never the stiffness itself.
+    """
+    is_known = FREQUENCY in measured.backbones.attrs and FREQUENCY not in measured.backbones["observable"].values
+    if not is_known or STIFFNESS in modelling.priors or STIFFNESS in modelling.fixed:
+        return modelling
+    stiffness = oscillator.mass * measured.angular_frequency**2
+    unit = oscillator.units[STIFFNESS]
+    say(
+        f"\nOnly damping was measured: {STIFFNESS} is held at mass times angular frequency squared, {stiffness:.6g} "
+        f"{unit}; a prior for it would take its place."
+    )
+    return replace(modelling, fixed={**modelling.fixed, STIFFNESS: stiffness})
 
 
 def _bounds(oscillator: Oscillator, measured: Measured, modelling: Modelling) -> dict[str, tuple[float, float]]:

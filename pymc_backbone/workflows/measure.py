@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
+from .._common.backbone_dataset import FREQUENCY, typical_frequency
 from .._common.checks import InputError, check_choice, check_levels, check_motion
 from .._common.text import printable
 from ..measurement.options import Measuring
@@ -94,8 +95,7 @@ def measure(
     from ..measurement.extraction import measure_batch
 
     batch = measure_batch(files.records, measuring, refused=files.refused, progress=progress)
-    frequency = float(np.median(np.concatenate([item.frequency for item in batch.extraction.cycles])))
-    return Measured(batch.backbones, 2.0 * np.pi * frequency, files.records)
+    return Measured(batch.backbones, 2.0 * np.pi * batch.extraction.frequency, files.records)
 
 
 def _measure_tables(path: str | os.PathLike[str], reading: Reading, measuring: Measuring) -> Measured:
@@ -120,12 +120,13 @@ def _measure_tables(path: str | os.PathLike[str], reading: Reading, measuring: M
         backbones = read_backbones(path, levels=None if levels is None else check_levels(levels))
     _check_tables(backbones, path)
     held = [str(name) for name in backbones["observable"].values]
-    typical = "frequency" in held
-    frequency = float(np.nanmedian(np.asarray(backbones["value"].sel(observable="frequency")))) if typical else np.nan
+    frequency = typical_frequency(backbones)
     if measuring.observables is not None:
         for name in measuring.observables:
             check_choice("observables", name, held)
         backbones = backbones.sel(observable=list(measuring.observables))
+        if FREQUENCY not in measuring.observables and np.isfinite(frequency):
+            backbones.attrs[FREQUENCY] = frequency
     return Measured(backbones, 2.0 * np.pi * frequency)
 
 
@@ -133,11 +134,9 @@ def _check_tables(backbones: xr.Dataset, path: str | os.PathLike[str]) -> None:
     """Raise where amplitudes or frequencies of tables are those of no structure."""
     top = float(np.asarray(backbones["level"])[-1])
     unit = str(backbones.attrs.get("amplitude_unit", "m"))
-    is_told = "frequency" in backbones["observable"].values
-    frequency = np.asarray(backbones["value"].sel(observable="frequency")) if is_told else np.ones(1)
-    frequency = frequency[np.isfinite(frequency)]
-    if frequency.size:
-        check_motion(top, float(np.median(frequency)), unit, printable(str(path)))
+    frequency = typical_frequency(backbones)
+    if np.isfinite(frequency) and unit in ("m", "rad"):
+        check_motion(top, frequency, unit, printable(str(path)))
 
 
 def say_reading(measured: Measured, say: Say) -> None:

@@ -72,6 +72,10 @@ class FreePart:
             raise InputError(f"`record` must be a Record, got {type(record).__name__}; see `read_records`.")
         self.record = record
         self.name = printable(record.source)
+        if record.is_envelope:
+            raise InputError(
+                f"{self.name}: is an envelope, which has no waveform to condition; give it to `envelope_cycles`."
+            )
         self.notes: list[str] = list(record.notes)
         self.integrations = QUANTITIES.index(record.quantity)
         keep = self._chosen(start, stop)

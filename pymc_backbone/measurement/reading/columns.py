@@ -13,10 +13,14 @@ import numpy as np
 from ..._common.checks import FloatArray, InputError, check_choice, check_positive
 from ..._common.text import printable, shorten
 from .headers import (
+    ENVELOPE,
     ERROR_WORDS,
     FORCE_WORDS,
     QUANTITIES,
+    READABLE,
     is_angle_name,
+    is_envelope_name,
+    is_frequency,
     is_time,
     mentions_time,
     quantity_of_name,
@@ -24,7 +28,7 @@ from .headers import (
 )
 from .sensitivity import FORCE, Sensitivity, sensitivities_of
 from .tables import Column, Table
-from .units import Unit, dimension_of, is_voltage, parse_unit, require_unit
+from .units import Unit, amplitude_of, dimension_of, is_level_or_power, is_voltage, parse_unit, require_unit
 
 SI_UNITS = {
     "displacement": ("m", "rad"),
@@ -59,7 +63,10 @@ class Source(Protocol):
 
 @dataclass(frozen=True)
 class Reading:
-    """What the user said about the columns: names, the time column, quantity, unit, sampling rate [Hz], sensors."""
+    """What the user said about the columns: names, the time column, quantity, unit, sampling rate [Hz], sensors.
+
+    Of envelopes also the frequency of the motion [Hz] and the amplitude, with its unit, at 0 dB or at 1 of the file's.
+    """
 
     columns: tuple[str, ...] = ()
     time: str | None = None
@@ -67,6 +74,8 @@ class Reading:
     unit: str | None = None
     rate: float | None = None
     sensitivities: tuple[Sensitivity, ...] = ()
+    frequency: float | None = None
+    reference: tuple[float, str] | None = None
 
     def sensitivity_of(self, source: Source, column: Column, *, is_force: bool = False) -> Sensitivity | None:
         """Return the sensitivity of the sensor behind a column: its own, else that of all channels, else None."""
@@ -87,6 +96,8 @@ def reading_of(
     unit: str | None,
     sampling_rate: float | None,
     sensitivity: str | Sequence[str] | None = None,
+    frequency: float | None = None,
+    reference: float | str | None = None,
 ) -> Reading:
     """Check what the user said about the columns; an entry ``time=NAME`` of ``columns`` names the time column."""
     names = [columns] if isinstance(columns, str) else list(columns or ())
@@ -98,10 +109,12 @@ def reading_of(
     return Reading(
         tuple(name.strip() for name in names if not name.lower().startswith(TIME_KEY)),
         times[0] if times else None,
-        None if quantity is None else check_choice("quantity", quantity, QUANTITIES),
+        None if quantity is None else check_choice("quantity", quantity, READABLE),
         unit,
         None if sampling_rate is None else check_positive("sampling_rate", sampling_rate),
         sensitivities_of(sensitivity),
+        None if frequency is None else check_positive("frequency", frequency),
+        None if reference is None else amplitude_of(reference, "reference"),
     )
 
 
@@ -195,29 +208,43 @@ def _quantity_of(column: Column) -> str | None:
     words = set(words_of(column.name))
     if is_time(column.name) or mentions_time(column.name) or words & ERROR_WORDS or column.name.lower() == "specimen":
         return None
+    if is_envelope_name(column.name) or is_level_or_power(column.unit):
+        return ENVELOPE
+    return waveform_of(column)
+
+
+def waveform_of(column: Column) -> str | None:
+    """Return which waveform a column holds by its name or else by its unit; None where neither says so."""
     return quantity_of_name(column.name) or (dimension_of(column.unit) if column.unit else None)
 
 
 def find_values(source: Source, reading: Reading) -> list[tuple[Column, str]]:
     """Return the columns to read and the quantity each holds."""
-    by_unit = dimension_of(reading.unit) if reading.unit else None
+    by_unit = None
+    if reading.unit:
+        by_unit = ENVELOPE if is_level_or_power(reading.unit) else dimension_of(reading.unit)
     if reading.columns:
         return _named_values(source, reading, by_unit)
     found = _found_values(source, reading)
-    picked = found if reading.quantity is None else [pair for pair in found if pair[1] == reading.quantity]
+    if reading.quantity is None:  # where the motion itself is there, its envelope or a power beside it is not asked for
+        picked = [pair for pair in found if pair[1] != ENVELOPE] or found
+    else:
+        picked = [pair for pair in found if pair[1] == reading.quantity]
     if len(picked) == 1 or _is_one_cell(column for column, _ in picked):
         return picked
     of_all = next((item.quantity for item in reading.sensitivities if item.channel is None), None)
     held = reading.quantity or by_unit or (of_all if of_all in QUANTITIES else None)
     if not found and held:
         others = [column for column in source.columns if not is_no_signal(column, reading.time)]
+        if held == ENVELOPE:
+            others = [column for column in others if not is_frequency(column.name)]
         if len(others) == 1 or _is_one_cell(others):
             return [(column, held) for column in others]
     if not picked:
         expected = (
             f"a column '{reading.quantity}'"
             if reading.quantity
-            else "a column 'displacement', 'velocity' or 'acceleration'"
+            else "a column 'displacement', 'velocity', 'acceleration' or 'envelope'"
         )
         of_volts = " (of volts: `sensitivity`)" if any(is_voltage(column.unit) for column in source.columns) else ""
         source.fail(
@@ -247,7 +274,7 @@ def _named_values(source: Source, reading: Reading, by_unit: str | None) -> list
             if held is None:
                 source.fail(
                     f"what column {shorten(column.header)!r} holds is not known; give `quantity` "
-                    "(displacement, velocity or acceleration), or `unit`.",
+                    "(displacement, velocity, acceleration or envelope), or `unit`.",
                     source.header_line,
                 )
             if all(column.index != other.index for other, _ in picked):

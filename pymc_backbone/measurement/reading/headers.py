@@ -6,6 +6,10 @@ import re
 import unicodedata
 
 QUANTITIES: tuple[str, ...] = ("displacement", "velocity", "acceleration")
+ENVELOPE = "envelope"
+"""What a record holds that is amplitude or power over time, without the oscillation."""
+READABLE: tuple[str, ...] = (*QUANTITIES, ENVELOPE)
+"""What a channel may be said to hold."""
 QUANTITY_WORDS = {
     "displacement": {
         "displacement", "disp", "deflection", "position", "angle", "rotation",
@@ -14,6 +18,20 @@ QUANTITY_WORDS = {
     "velocity": {"velocity", "vel", "geschwindigkeit", "schwinggeschwindigkeit", "vitesse"},
     "acceleration": {"acceleration", "acc", "accel", "beschleunigung"},
 }  # fmt: skip
+ENVELOPE_WORDS = {
+    "envelope",
+    "magnitude",
+    "power",
+    "einhuellende",
+    "einhullende",
+    "huellkurve",
+    "hullkurve",
+    "betrag",
+    "leistung",
+}
+AMPLITUDE_WORDS = {"amplitude", "amplituden"}
+"""Loggers call a waveform so, too: such a column is an envelope where no value is negative."""
+FREQUENCY_WORDS = {"frequency", "freq", "frequenz", "frequence", "frecuencia"}
 FORCE_WORDS = {"force", "hammer", "kraft", "hammerkraft", "impuls", "marteau", "fuerza"}
 ANGLE_WORDS = {"angle", "rotation", "angular", "winkel"}
 TIME_WORDS = {
@@ -62,3 +80,32 @@ def quantity_of_name(name: str) -> str | None:
 def is_angle_name(name: str) -> bool:
     """Return whether a name speaks of a rotation."""
     return bool(ANGLE_WORDS & set(words_of(name)))
+
+
+def is_envelope_name(name: str) -> bool:
+    """Return whether a name is that of an envelope: by its words, or the R of a lock-in amplifier.
+
+    Examples
+    --------
+    >>> [is_envelope_name(name) for name in ("Envelope", "Demod 1 R", "R", "amplitude", "resistance R1 x")]
+    [True, True, True, True, False]
+    """
+    words = set(words_of(name))
+    if words & (ERROR_WORDS | TIME_WORDS):
+        return False
+    is_lock_in = re.fullmatch(
+        r"(?:(?:demod\w*|lock-?in|ch\w*)[\s._-]*\d*[\s._-]*)?r(?:[\s._-]*\d+)?", name.strip().lower()
+    )
+    return bool(words & (ENVELOPE_WORDS | AMPLITUDE_WORDS)) or is_lock_in is not None
+
+
+def may_be_waveform(name: str) -> bool:
+    """Return whether a name is that of an envelope by a word only by which loggers call waveforms, too."""
+    words = set(words_of(name))
+    return bool(words & AMPLITUDE_WORDS) and not words & ENVELOPE_WORDS
+
+
+def is_frequency(name: str) -> bool:
+    """Return whether a word for frequency is among the words of a name."""
+    words = set(words_of(name))
+    return bool(words & FREQUENCY_WORDS) and not words & ERROR_WORDS

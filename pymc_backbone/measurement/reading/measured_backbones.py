@@ -21,7 +21,7 @@ from .columns import find_specimens
 from .formats.netcdf import open_netcdf
 from .measured_curves import MeasuredCurve, ordered, with_errors
 from .tables import Column, Table, list_tables, read_table
-from .units import require_unit
+from .units import OF_POWER, Unit, parse_envelope_unit, require_unit
 
 DEFAULT_LEVELS = 8
 NETCDF = ".nc"
@@ -124,7 +124,8 @@ def _curves_of(table: Table) -> list[MeasuredCurve]:
     """Return the curves of one table, in SI units, sorted by amplitude."""
     amplitude_column = _find(table, "amplitude")
     frequency_column = _find(table, "frequency")
-    if amplitude_column is None or frequency_column is None:
+    has_damping = any(_find(table, name) is not None for name in ("damping", "damping_ratio"))
+    if amplitude_column is None or (frequency_column is None and not has_damping):
         missing = "amplitude" if amplitude_column is None else "frequency"
         table.fail(
             f"expected columns 'amplitude' and 'frequency', found {table.found}; name {missing!r} in the header.",
@@ -132,7 +133,11 @@ def _curves_of(table: Table) -> list[MeasuredCurve]:
         )
     notes: list[str] = list(table.notes)
     where = f"{table.name}, column {shorten(amplitude_column.header)!r}"
-    unit = require_unit(amplitude_column.unit or "m", "displacement", where)
+    of_envelope = parse_envelope_unit(amplitude_column.unit or "m")
+    if of_envelope is not None and of_envelope.law == "amplitude" and of_envelope.si in ("V", "1", OF_POWER):
+        unit = Unit(of_envelope.written, of_envelope.factor, of_envelope.si)
+    else:
+        unit = require_unit(amplitude_column.unit or "m", "displacement", where)
     if amplitude_column.unit is None:
         notes.append("the header states no unit of amplitude: m was assumed")
     amplitude = table.numbers(amplitude_column) * unit.factor
@@ -140,7 +145,10 @@ def _curves_of(table: Table) -> list[MeasuredCurve]:
     if bad.size:
         table.fail("amplitude must be positive; remove the line.", table.lines[bad[0]], amplitude_column)
     values, errors = {}, {}
-    values["frequency"], errors["frequency"] = _observable(table, "frequency", "frequency", "Hz")
+    if frequency_column is not None:
+        values["frequency"], errors["frequency"] = _observable(table, "frequency", "frequency", "Hz")
+    else:
+        notes.append("the table has no column of frequencies: damping alone was read")
     if _find(table, "damping") is not None:
         values["damping"], errors["damping"] = _observable(table, "damping", "ratio", "1")
         if _find(table, "damping_ratio") is not None:
@@ -150,8 +158,8 @@ def _curves_of(table: Table) -> list[MeasuredCurve]:
         notes.append("damping ratio was converted to the logarithmic decrement")
     if _find(table, "offset") is not None:
         values["offset"], errors["offset"] = _observable(table, "offset", "ratio", "1")
-    low = np.flatnonzero(~(values["frequency"] > 0.0))
-    if low.size:
+    low = np.flatnonzero(~(values.get("frequency", np.ones(1)) > 0.0))
+    if low.size and frequency_column is not None:
         table.fail("frequency must be positive; remove the line.", table.lines[low[0]], frequency_column)
     curves = []
     for specimen, rows in find_specimens(table).items():

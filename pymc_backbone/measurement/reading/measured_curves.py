@@ -66,6 +66,8 @@ def ordered(curve: MeasuredCurve) -> MeasuredCurve:
 
 def _fold(curve: MeasuredCurve) -> str:
     """Return a sentence when the way up and the way down give different frequencies at the same amplitude."""
+    if "frequency" not in curve.values:
+        return ""
     amplitude, frequency = curve.amplitude, curve.values["frequency"]
     turn = int(np.argmax(amplitude))
     if not 1 <= turn < amplitude.size - 1:

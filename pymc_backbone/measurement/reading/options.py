@@ -13,7 +13,7 @@ class Reading:
 
     Attributes
     ----------
-    columns, quantity, unit, sampling_rate, sensitivity
+    columns, quantity, unit, sampling_rate, sensitivity, frequency, reference
         As in `read_records`; for records only.
     is_table : bool
         Whether the files are tables of backbones instead of records.
@@ -24,6 +24,8 @@ class Reading:
     unit: str | None = None
     sampling_rate: float | None = None
     sensitivity: str | Sequence[str] | None = None
+    frequency: float | None = None
+    reference: float | str | None = None
     is_table: bool = False
 
     @property
@@ -35,4 +37,6 @@ class Reading:
             "unit": self.unit,
             "sampling_rate": self.sampling_rate,
             "sensitivity": self.sensitivity,
+            "frequency": self.frequency,
+            "reference": self.reference,
         }

@@ -29,9 +29,18 @@ from .columns import (
     unit_of_time,
     unit_of_values,
 )
+from .envelopes import (
+    EnvelopeColumn,
+    envelope_column,
+    envelope_record,
+    falls_back_to,
+    frequencies_of,
+    frequency_column,
+)
 from .formats import list_recordings, read_recording
 from .formats.channel import Recording
 from .formats.sep005 import channels_of_sep005
+from .headers import ENVELOPE
 from .hits import decays_of, is_force
 from .measured_backbones import read_backbones
 from .record import MINIMUM_SAMPLES, Record
@@ -54,6 +63,8 @@ def read_records(
     unit: str | None = None,
     sampling_rate: float | None = None,
     sensitivity: str | Sequence[str] | None = None,
+    frequency: float | None = None,
+    reference: float | str | None = None,
 ) -> list[Record]:
     """Read measured free decays from files, convert them to SI units and check them.
 
@@ -66,7 +77,7 @@ def read_records(
     columns : str or sequence of str, optional
         The channels to take: names as the file has them, without regard to case; patterns such as ``"acc*"``; or
         numbers counted from 1. ``"time=NAME"`` names the time channel. Each of several channels becomes a record.
-    quantity : {"displacement", "velocity", "acceleration"}, optional
+    quantity : {"displacement", "velocity", "acceleration", "envelope"}, optional
         Which channel to take where a file has several, or what ``columns`` hold.
     unit : str, optional
         Unit of the channels, for files that do not state it or state it wrongly.
@@ -75,6 +86,11 @@ def read_records(
     sensitivity : str or sequence of str, optional
         Of the sensors, for channels that are in volts: ``"10.2 mV/g"`` for all, ``"acc_x=10.2 mV/g"`` for one. A
         hammer's, ``"2.25 mV/N"``, scales the channel of force.
+    frequency : float, optional
+        Of the motion [Hz], for envelopes; replaces a column of frequencies.
+    reference : float or str, optional
+        For envelopes in decibels, volts, watts or relative: the amplitude at 0 dB, or at 1 of the file's unit, in
+        metres or as text such as ``"2.5 nm"``.
 
     Returns
     -------
@@ -101,10 +117,12 @@ def read_records(
     else white space; decimal commas and separators of thousands are told apart by the whole file. Columns are ``time``
     [s] and one of ``displacement``, ``velocity``, ``acceleration``; a unit may follow in brackets (``time [ms]``,
     ``Acc (g)``, ``angle [deg]``) and SI is assumed, and noted, where none does. A further column ``specimen`` divides a
-    file.
+    file. Instead of a waveform there may be its ``envelope`` (amplitude, magnitude, power, the R of a lock-in) in a
+    unit of motion, V, W, dB or dBm, and a column ``frequency`` beside it.
     """
     options = {"columns": columns, "quantity": quantity, "unit": unit, "sampling_rate": sampling_rate}
-    return list(read_record_files(path, strict=True, sensitivity=sensitivity, **options).records)
+    of_envelopes = {"frequency": frequency, "reference": reference}
+    return list(read_record_files(path, strict=True, sensitivity=sensitivity, **options, **of_envelopes).records)
 
 
 @dataclass(frozen=True)
@@ -133,7 +151,8 @@ def read_record_files(path: Any, *, strict: bool = False, **options: Any) -> Rec
     strict : bool, default False
         Whether the first file that cannot be used ends it.
     **options
-        ``columns``, ``quantity``, ``unit``, ``sampling_rate``, ``sensitivity``, as in `read_records`.
+        ``columns``, ``quantity``, ``unit``, ``sampling_rate``, ``sensitivity``, ``frequency``, ``reference``, as in
+        `read_records`.
 
     Returns
     -------
@@ -144,7 +163,7 @@ def read_record_files(path: Any, *, strict: bool = False, **options: Any) -> Rec
     InputError
         When nothing or less than half can be used, or two files hold the same specimen.
     """
-    names = ("columns", "quantity", "unit", "sampling_rate", "sensitivity")
+    names = ("columns", "quantity", "unit", "sampling_rate", "sensitivity", "frequency", "reference")
     reading = reading_of(*(options.get(name) for name in names))
     records: dict[str, Record] = {}
     refused: list[str] = []
@@ -170,6 +189,12 @@ def read_record_files(path: Any, *, strict: bool = False, **options: Any) -> Rec
         raise InputError(
             f"{len(refused)} of {len(sources)} files cannot be used, more than half of them; the first: {refused[0]}"
         )
+    for option in ("frequency", "reference"):
+        if options.get(option) is not None and not any(record.is_envelope for record in records.values()):
+            raise InputError(
+                f"`{option}` is for envelopes, and {next(iter(records.values())).source} holds a waveform; drop it, or "
+                "give `quantity=envelope`."
+            )
     return RecordFiles(tuple(records[name] for name in sorted(records, key=natural_key)), tuple(refused))
 
 
@@ -197,23 +222,41 @@ def _records_of_table(table: Table, reading: Reading) -> Iterator[Record]:
     """Yield the records of one table."""
     specimens = find_specimens(table)
     picked = find_values(table, reading)
+    picked = [
+        (column, (falls_back_to(column, table.numbers(column), reading, table) if held == ENVELOPE else None) or held)
+        for column, held in picked
+    ]
     force = _force_of(table, reading, [column for column, _ in picked])
-    units = [unit_of_values(table, column, quantity, reading) for column, quantity in picked]
+    of_motion = _frequency_of(table, reading, picked)
+    units = [
+        envelope_column(table, column, reading)
+        if quantity == ENVELOPE
+        else unit_of_values(table, column, quantity, reading)
+        for column, quantity in picked
+    ]
     for specimen, rows in specimens.items():
         if len(rows) < MINIMUM_SAMPLES:
             whose = f" of specimen {shorten(specimen)!r}" if len(specimens) > 1 else ""
             table.fail(f"a record needs at least {MINIMUM_SAMPLES} samples, got {len(rows)}{whose}; record longer.")
     specimens, twice = _without_repeats(table, reading, specimens)
     times, time_notes = _times_of_table(table, reading, specimens)
-    notes = table.notes + twice + time_notes + _choice(table, reading, [column for column, _ in picked], force)
-    for (column, quantity), (unit, unit_notes) in zip(picked, units, strict=True):
-        values = scaled(table.numbers(column), unit.factor)
+    beside = {column.index for column in (of_motion, None if force is None else force.column) if column is not None}
+    notes = table.notes + twice + time_notes + _choice(table, reading, [column for column, _ in picked], beside)
+    frequency = None if of_motion is None else frequencies_of(table, of_motion, table.numbers(of_motion))
+    for (column, quantity), how in zip(picked, units, strict=True):
+        values = table.numbers(column)
+        if not isinstance(how, EnvelopeColumn):
+            values = scaled(values, how[0].factor)
         for specimen, rows in specimens.items():
             time = times[specimen]
             _check_finite(table, column, time, values[rows])
             source = table.name if len(specimens) == 1 else f"{table.name} (specimen {shorten(printable(specimen))})"
             whole = specimen if len(picked) == 1 else f"{specimen} {_label(column)}"
-            record = Record(whole, time, values[rows], quantity, unit.si, source, notes + unit_notes)
+            if isinstance(how, EnvelopeColumn):
+                here = reading.frequency if frequency is None else frequency[rows]
+                yield envelope_record(whole, time, values[rows], here, how, source, notes)
+                continue
+            record = Record(whole, time, values[rows], quantity, how[0].si, source, notes + how[1])
             yield from [record] if force is None else _after_hits(record, table.numbers(force.column)[rows], force)
 
 
@@ -298,32 +341,66 @@ def _records_of_channels(recording: Recording, stem: str, reading: Reading) -> I
     picked = find_values(recording, reading)
     columns = [column for column, _ in picked]
     force = _force_of(recording, reading, columns)
-    for column, quantity in picked:
+    of_motion = _frequency_of(recording, reading, picked)
+    beside = {column.index for column in (of_motion, None if force is None else force.column) if column is not None}
+    chosen = _choice(recording, reading, columns, beside)
+    for column, named in picked:
         channel = recording.channels[column.index]
         if channel.refusal:
             recording.refuse(channel)
-        unit, notes = unit_of_values(recording, column, quantity, reading)
-        notes = recording.notes + notes
-        time_notes: tuple[str, ...] = ()
-        if reading.rate is not None:
-            time = np.arange(channel.values.size) / reading.rate
-            notes += (f"time was counted at the given {reading.rate:g} samples per second",)
-        else:
-            found, time_notes = recording.time_of(column.index, reading)
-            time = fail_without_time(recording) if found is None else found
+        time, notes = _time_of_channel(recording, column, reading)
+        notes = (*recording.notes, *notes, *chosen)
+        source = recording.name if len(picked) == 1 else f"{recording.name} ({shorten(column.header)})"
+        whole = stem if stem and len(picked) == 1 else f"{stem} {_label(column)}".strip()
+        other = falls_back_to(column, channel.values, reading, recording) if named == ENVELOPE else None
+        if named == ENVELOPE and other is None:
+            how = envelope_column(recording, column, reading)
+            frequency = _frequencies_of_channel(recording, of_motion, time.size, reading)
+            yield envelope_record(whole, time, channel.values, frequency, how, source, notes)
+            continue
+        quantity = other or named
+        unit, unit_notes = unit_of_values(recording, column, quantity, reading)
         values = scaled(channel.values, unit.factor)
         if np.isfinite(channel.values).all():  # else the record says which sample is not
             _check_finite(recording, column, values)
-        source = recording.name if len(picked) == 1 else f"{recording.name} ({shorten(column.header)})"
-        whole = stem if stem and len(picked) == 1 else f"{stem} {_label(column)}".strip()
-        chosen = _choice(recording, reading, columns, force)
-        record = Record(whole, time, values, quantity, unit.si, source, notes + time_notes + chosen)
+        record = Record(whole, time, values, quantity, unit.si, source, (*notes, *unit_notes))
         shown = None if force is None else recording.channels[force.column.index]
         is_beside = shown is not None and not shown.refusal and shown.values.size == values.size
         if shown is None or force is None or not is_beside or not np.isfinite(shown.values).all():
             yield record
         else:
             yield from _after_hits(record, shown.values, force)
+
+
+def _time_of_channel(recording: Recording, column: Column, reading: Reading) -> tuple[FloatArray, tuple[str, ...]]:
+    """Return the sampling instants [s] of a channel, and notes."""
+    if reading.rate is not None:
+        time = np.arange(recording.channels[column.index].values.size) / reading.rate
+        return time, (f"time was counted at the given {reading.rate:g} samples per second",)
+    found, notes = recording.time_of(column.index, reading)
+    return fail_without_time(recording) if found is None else found, notes
+
+
+def _frequencies_of_channel(
+    recording: Recording, column: Column | None, size: int, reading: Reading
+) -> FloatArray | float | None:
+    """Return the frequency [Hz] of the motion in an envelope: of each sample, or one, or None where it is unknown."""
+    if column is None:
+        return reading.frequency
+    channel = recording.channels[column.index]
+    if channel.refusal:
+        recording.refuse(channel)
+    if channel.values.size not in (1, size):
+        recording.fail(f"holds {channel.values.size} frequencies for {size} samples; give `frequency`.", None, column)
+    found = frequencies_of(recording, column, channel.values)
+    return found if found.size == size else float(found[0])
+
+
+def _frequency_of(source: Source, reading: Reading, picked: Sequence[tuple[Column, str]]) -> Column | None:
+    """Return the column of the motion's frequency where an envelope is read, else None."""
+    if all(held != ENVELOPE for _, held in picked):
+        return None
+    return frequency_column(source, reading, {column.index for column, _ in picked})
 
 
 @dataclass(frozen=True)
@@ -361,9 +438,9 @@ def _force_of(source: Source, reading: Reading, picked: Sequence[Column]) -> _Fo
     return _Force(column, unit.factor, unit.si)
 
 
-def _choice(source: Source, reading: Reading, picked: Sequence[Column], force: _Force | None) -> tuple[str, ...]:
-    """Return a sentence that says which channels were taken, where there are others."""
-    used = {column.index for column in picked} | ({force.column.index} if force is not None else set())
+def _choice(source: Source, reading: Reading, picked: Sequence[Column], beside: set[int]) -> tuple[str, ...]:
+    """Return a sentence that says which channels were taken, where there are others than those used ``beside`` them."""
+    used = {column.index for column in picked} | beside
     rest = [column for column in source.columns if column.index not in used and not is_no_signal(column, reading.time)]
     if not rest:
         return ()

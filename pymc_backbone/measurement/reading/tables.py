@@ -20,7 +20,7 @@ from ..._common.text import natural_key, printable, shorten
 from .dialect import PLAIN, AmbiguousNumbersError, Dialect, decide
 from .long_tables import NumberCells, head_of, numbers_below
 from .preamble import LONGEST, find_header, stated_rate
-from .units import UNITS, parse_unit, split_header
+from .units import UNITS, is_level_or_power, parse_unit, split_header
 
 _SEPARATORS = {";": "semicolon", "\t": "tab", ",": "comma"}
 _CONTROL = re.compile("[\x00-\x08\x0e-\x1f\x7f]")
@@ -355,7 +355,9 @@ def _is_units_row(row: list[str], columns: tuple[Column, ...]) -> bool:
     if len(row) != len(columns) or any(column.unit for column in columns):
         return False
     texts = [cell.strip().strip("[]() ") for cell in row]
-    return all(text and any(parse_unit(text, d) for d in UNITS) for text in texts) and not _all_numbers(texts)
+    return all(
+        text and (any(parse_unit(text, d) for d in UNITS) or is_level_or_power(text)) for text in texts
+    ) and not _all_numbers(texts)
 
 
 def _all_numbers(texts: Sequence[str]) -> bool:

@@ -7,6 +7,8 @@ import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from ..._common.checks import InputError
 from ..._common.text import printable, shorten
 from .record import Record
@@ -96,6 +98,11 @@ def _as_csv(record: Record, stem: str) -> str:
     named = record.specimen != stem
     quoted = '"' + record.specimen.replace('"', '""') + '"'
     tail = f",{quoted}\n" if named else "\n"
-    header = f"time [s],{record.quantity} [{record.unit}]" + (",specimen\n" if named else "\n")
-    pairs = zip(record.time.tolist(), record.values.tolist(), strict=True)
-    return header + "".join(f"{time!r},{value!r}{tail}" for time, value in pairs)
+    header = f"time [s],{record.quantity} [{record.unit}]"
+    columns = [record.time, record.values]
+    if record.frequency is not None:  # a known one in every line, as it is read
+        header += ",frequency [Hz]"
+        columns.append(np.broadcast_to(record.frequency, record.time.shape))
+    header += ",specimen\n" if named else "\n"
+    lines = zip(*(column.tolist() for column in columns), strict=True)
+    return header + "".join(",".join(map(repr, line)) + tail for line in lines)
