@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from contamination import distorted, jittered, limited
 from motion import Decay, simulate
+from new_strengths import draw_new
 from strengths import STIFFNESS_KINDS, draw_parameters, draw_strength, is_scattered, log_uniform
-from systems import pack
+from systems import LIBRARY_NAMES_OF_OUTSIDE, NEW, pack
 from tiers import Plan, draw_amplitude, draw_plan, draw_tier
 
 LARGEST_RECORD = 12000
@@ -97,17 +98,13 @@ def _draw_batch(plan: Plan, rng: np.random.Generator) -> Batch:
         wanted = draw_strength(effect, rng, visible=plan.visible or effect in plan.base, strong=plan.strong)
         if plan.contaminations and effect == plan.outside:
             wanted = _share(plan, strength, rng) / (1.0 if effect in STIFFNESS_KINDS else 2.0)
-        parameters, strength[effect] = draw_parameters(
-            effect,
-            wanted,
-            rng,
-            mass=mass,
-            stiffness=stiffness,
-            damping=damping,
-            amplitude=amplitude,
-            narrow=plan.narrow,
-            strong=plan.strong,
-        )
+        system = {"mass": mass, "stiffness": stiffness, "amplitude": amplitude}
+        if effect in NEW and effect != plan.outside:
+            parameters, strength[effect] = draw_new(effect, wanted, rng, **system)
+        else:
+            parameters, strength[effect] = draw_parameters(
+                effect, wanted, rng, **system, damping=damping, narrow=plan.narrow, strong=plan.strong
+            )
         nominal |= parameters
 
     noise_db = rng.uniform(*plan.noise_db)
@@ -158,6 +155,7 @@ def _draw_batch(plan: Plan, rng: np.random.Generator) -> Batch:
         "hidden": sorted(plan.hidden),
         "present": sorted(plan.present),
         "outside": None if plan.contaminations else plan.outside,
+        **_library_names(plan),
         "drift": drift,
         "second_mode": None if plan.contaminations else second,
         "contaminations": {**sizes, **({plan.outside: strength[plan.outside]} if "outside" in sizes else {})},
@@ -180,6 +178,16 @@ def _draw_batch(plan: Plan, rng: np.random.Generator) -> Batch:
         "start": start,
     }
     return Batch(records, truth)
+
+
+def _library_names(plan: Plan) -> dict[str, Any]:
+    """Return what is hidden in the package's names, and whether something acts that has none there."""
+    names, is_outside = set(plan.hidden), bool(plan.drift or plan.second_mode)
+    if plan.outside and not plan.contaminations:
+        name = LIBRARY_NAMES_OF_OUTSIDE.get(plan.outside)
+        names |= {name} if name else set()
+        is_outside = is_outside or name is None
+    return {"hidden_in_library": sorted(names), "is_outside": is_outside}
 
 
 def _draw_releases(amplitude: float, factor: float, count: int, rng: np.random.Generator) -> list[float]:
