@@ -46,6 +46,9 @@ GENERATOR = (
     "tiers.py",
     "batches.py",
     "generate.py",
+    "second_laws.py",
+    "second_motion.py",
+    "second_ranges.py",
 )
 
 
