@@ -24,10 +24,11 @@ import laws  # noqa: E402
 import meanings  # noqa: E402
 import outcomes  # noqa: E402
 import score  # noqa: E402
-from batches import linear_decay, make_batch  # noqa: E402
+from batches import make_batch  # noqa: E402
 from generate import write_batch  # noqa: E402
 from motion import simulate  # noqa: E402
 from new_strengths import draw_new  # noqa: E402
+from recording import linear_decay  # noqa: E402
 from strengths import STIFFNESS_KINDS, draw_parameters  # noqa: E402
 from systems import LIBRARY, LIBRARY_NAMES_OF_OUTSIDE, NEW, OUTSIDE, pack  # noqa: E402
 from tiers import CURVES, NEW_EFFECTS, TIERS, TIMED  # noqa: E402
@@ -44,6 +45,7 @@ GENERATOR = (
     "new_strengths.py",
     "contamination.py",
     "tiers.py",
+    "recording.py",
     "batches.py",
     "generate.py",
     "second_laws.py",

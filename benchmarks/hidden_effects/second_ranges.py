@@ -10,8 +10,8 @@ import math
 from typing import Any
 
 import numpy as np
-from batches import QUANTITIES, Batch, Record
 from new_strengths import draw_new
+from recording import QUANTITIES, Batch, Record
 from second_laws import TERMS
 from second_motion import decay
 from strengths import STIFFNESS_KINDS, draw_parameters, is_scattered, log_uniform
