@@ -21,8 +21,8 @@ from systems import pack  # noqa: E402
 
 
 def test_points_of_a_harmonic_motion_converge_to_its_spring() -> None:
-    time = np.arange(0.0, 5.0, 0.0005)
-    per_cycle = 2.0 * np.pi / 10.0 / 0.0005
+    time = np.arange(0.0, 5.0, 0.002)
+    per_cycle = 2.0 * np.pi / 10.0 / 0.002
 
     def excess(window: float) -> float:
         points = differentiated(time, 0.02 * np.cos(10.0 * time), 3.0, per_cycle, window)
