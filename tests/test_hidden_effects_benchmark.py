@@ -19,6 +19,7 @@ from pymc_backbone.simulation.decay import simulate_waveform
 FOLDER = Path(__file__).resolve().parents[1] / "benchmarks" / "hidden_effects"
 sys.path.insert(0, str(FOLDER))
 
+import distance as distances  # noqa: E402
 import figures  # noqa: E402
 import laws  # noqa: E402
 import meanings  # noqa: E402
@@ -400,3 +401,13 @@ def test_logistic_thresholds_are_recovered(rng: np.random.Generator) -> None:
     # 0.9 is reached at 8 * 9^(1/2); the tolerance is four times the scatter over seeds.
     assert half == pytest.approx(8.0, rel=0.2)
     assert most == pytest.approx(24.0, rel=0.3)
+
+
+@pytest.mark.slow
+def test_the_truth_is_near_and_every_other_effect_is_further_away(tmp_path: Path) -> None:
+    write_batch(make_batch(4, 10, "close_pairs"), tmp_path / "batch_0010")  # friction, two records at 48 dB
+    found = distances.distance(tmp_path / "batch_0010")
+    # Simulator and generator agree, and scatter is free: no motion is left, in standard deviations of all noise.
+    assert found["truth"] < 3.0
+    assert found["distance"] > 10.0
+    assert found["nearest"] in (["jenkins"], ["iwan"])  # stiff sliders
