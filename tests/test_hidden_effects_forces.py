@@ -53,10 +53,13 @@ def test_errors_know_the_truth_and_no_line() -> None:
     x, v = motion.displacement, motion.rates[0]
     true = sr.true_force([p], 2.0)
     with_line = sr.errors(lambda x, v: 1e6 * x**3 + 3.0 * x - 0.2 * v, true, x, v)
-    assert with_line["largest"] < 1e-9
-    # Without its line a cube errs by itself at the peak, and by half where it is half as large.
-    assert sr.errors(lambda x, v: 0.0 * x, true, x, v)["largest"] == pytest.approx(1.0)
-    assert sr.errors(lambda x, v: 0.9e6 * x**3, true, x, v)["largest"] == pytest.approx(0.1)
+    assert with_line["rms"] < 1e-9 and with_line["within"] < 1e-9
+    # Nothing found errs by the force itself, a cube of nine tenths by a tenth of it.
+    nothing = sr.errors(lambda x, v: 0.0 * x, true, x, v)
+    assert nothing["rms"] == pytest.approx(1.0) and 0.5 < nothing["within"] <= 1.0
+    part = sr.errors(lambda x, v: 0.9e6 * x**3, true, x, v)
+    assert part["rms"] == pytest.approx(0.1)
+    assert part["within"] == pytest.approx(0.1 * nothing["within"])
 
 
 @pytest.mark.parametrize(
