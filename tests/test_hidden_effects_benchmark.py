@@ -12,24 +12,47 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from pymc_backbone import Oscillator
+from pymc_backbone.effects import LIBRARY as PACKAGE
+from pymc_backbone.simulation.decay import simulate_waveform
+
 FOLDER = Path(__file__).resolve().parents[1] / "benchmarks" / "hidden_effects"
 sys.path.insert(0, str(FOLDER))
 
+import distance as distances  # noqa: E402
 import figures  # noqa: E402
+import laws  # noqa: E402
+import meanings  # noqa: E402
 import outcomes  # noqa: E402
 import score  # noqa: E402
-from batches import linear_decay, make_batch  # noqa: E402
+from batches import make_batch  # noqa: E402
 from generate import write_batch  # noqa: E402
 from motion import simulate  # noqa: E402
+from new_strengths import draw_new  # noqa: E402
+from recording import linear_decay  # noqa: E402
 from strengths import STIFFNESS_KINDS, draw_parameters  # noqa: E402
-from systems import LIBRARY, pack  # noqa: E402
-from tiers import TIERS, TIMED  # noqa: E402
+from systems import LIBRARY, LIBRARY_NAMES_OF_OUTSIDE, NEW, OUTSIDE, pack  # noqa: E402
+from tiers import CURVES, NEW_EFFECTS, TIERS, TIMED  # noqa: E402
 from timing import Clock, table  # noqa: E402
 
 MASS, STIFFNESS, DAMPING, AMPLITUDE = 2.0, 800.0, 0.4, 0.01
 LINEAR = {"mass": MASS, "linear_stiffness": STIFFNESS, "viscous_damping": DAMPING}
 FREQUENCY = math.sqrt(STIFFNESS / MASS) / (2.0 * math.pi)
-GENERATOR = ("systems.py", "motion.py", "strengths.py", "contamination.py", "tiers.py", "batches.py", "generate.py")
+GENERATOR = (
+    "systems.py",
+    "laws.py",
+    "motion.py",
+    "strengths.py",
+    "new_strengths.py",
+    "contamination.py",
+    "tiers.py",
+    "recording.py",
+    "batches.py",
+    "generate.py",
+    "second_laws.py",
+    "second_motion.py",
+    "second_ranges.py",
+)
 
 
 @pytest.mark.parametrize("name", GENERATOR)
@@ -77,12 +100,14 @@ def test_dry_friction_takes_the_same_from_every_half_cycle_and_stops_the_motion(
     assert abs(decay.displacement[-1]) <= friction / STIFFNESS
 
 
-@pytest.mark.parametrize("effect", sorted(set(LIBRARY) - STIFFNESS_KINDS))
+@pytest.mark.parametrize("effect", sorted({*LIBRARY, *NEW} - STIFFNESS_KINDS))
 def test_strength_is_the_damping_ratio_that_an_effect_adds(effect: str, rng: np.random.Generator) -> None:
     wanted = 0.001
-    parameters, strength = draw_parameters(
-        effect, wanted, rng, mass=MASS, stiffness=STIFFNESS, damping=DAMPING, amplitude=AMPLITUDE
-    )
+    system = {"mass": MASS, "stiffness": STIFFNESS, "amplitude": AMPLITUDE}
+    if effect in NEW:
+        parameters, strength = draw_new(effect, wanted, rng, **system)
+    else:
+        parameters, strength = draw_parameters(effect, wanted, rng, damping=DAMPING, **system)
     assert strength == pytest.approx(wanted)
 
     def decrement(system: dict[str, float]) -> float:
@@ -92,6 +117,64 @@ def test_strength_is_the_damping_ratio_that_an_effect_adds(effect: str, rng: np.
     added = (decrement(LINEAR | parameters) - decrement(LINEAR)) / (2.0 * math.pi)
     # To first order; hysteretic loops are not yet closed in the first cycle and the joint adds stiffness.
     assert added == pytest.approx(wanted, rel=0.12)
+
+
+@pytest.mark.parametrize("effect", sorted(NEW.keys() & STIFFNESS_KINDS))
+def test_strength_is_the_force_of_a_spring_over_the_linear_one(effect: str, rng: np.random.Generator) -> None:
+    for _ in range(20):
+        parameters, strength = draw_new(effect, 0.1, rng, mass=MASS, stiffness=STIFFNESS, amplitude=AMPLITUDE)
+        p = pack({"mass": MASS, "linear_stiffness": STIFFNESS} | parameters)
+        # a contact on the negative side alone has its force there
+        ends = [
+            -MASS * laws.acceleration(0.0, np.array([x, 0, 0, 0, 0]), 1.0, x, np.zeros(3), np.zeros((7, 2)), p)
+            - STIFFNESS * x
+            for x in (AMPLITUDE, -AMPLITUDE)
+        ]
+        assert strength == pytest.approx(max(map(abs, ends)) / (STIFFNESS * AMPLITUDE))
+
+
+@pytest.mark.parametrize("index, effect", list(enumerate(NEW)))
+def test_new_effects_move_as_the_package_says(index: int, effect: str) -> None:
+    for number in (index, index + len(NEW)):
+        batch = make_batch(9, number, NEW_EFFECTS)
+        truth = batch.truth
+        assert truth["hidden"] == truth["hidden_in_library"] == [effect] and not truth["is_outside"]
+        oscillator = Oscillator(truth["mass"], [effect])
+        for record, specimen in zip(batch.records[:2], truth["parameters"], strict=False):
+            own = {name: specimen[name] for name in oscillator.parameter_names}
+            time = record.time - record.release_time
+            theirs = simulate_waveform(oscillator, own, time, record.release_amplitude).displacement
+            # The package interpolates between steps of 1e-9; forces with roots at contact cost either a little more.
+            np.testing.assert_allclose(record.exact, theirs, rtol=0.0, atol=1e-6 * record.release_amplitude)
+
+
+def test_new_effects_are_those_of_the_package_that_the_other_kinds_do_not_hide() -> None:
+    tabulated = {"tabulated_stiffness", "tabulated_damping"}
+    assert set(PACKAGE) == {*LIBRARY, *NEW, "linear_stiffness", "viscous_damping", *tabulated}
+    for name, parameters in (LIBRARY | NEW).items():
+        assert parameters == PACKAGE[name].parameter_names
+        assert meanings.WORDS[name] == (PACKAGE[name].mechanism or "other")
+
+
+@pytest.mark.parametrize("law, name", sorted(LIBRARY_NAMES_OF_OUTSIDE.items()))
+def test_a_law_drawn_as_outside_that_the_package_holds_is_the_same_force(law: str, name: str) -> None:
+    batch = make_batch(12, tuple(OUTSIDE).index(law), CURVES)
+    truth, record = batch.truth, batch.records[0]
+    assert truth["outside"] == law and truth["hidden_in_library"] == [name] and not truth["is_outside"]
+    own = {key: value for key, value in truth["parameters"][0].items() if key not in ("specimen", "mass")}
+    rounding = 1e-7
+    if law == "stribeck_friction":
+        kinetic, static = own.pop("stribeck_kinetic"), own.pop("stribeck_static")
+        own |= {"kinetic_friction": kinetic, "stribeck_excess": static / kinetic - 1.0}
+    elif law == "root_damping":
+        speed = math.sqrt(own["linear_stiffness"] / truth["mass"]) * truth["amplitude"]
+        own |= {"power_damping": own.pop("root_damping") * math.sqrt(speed)}
+        own |= {"power_damping_exponent": 0.5, "power_damping_speed": speed}
+        rounding = 2e-3  # the package rounds below 1 % of the reference speed; the noise is at 2e-3
+    oscillator = Oscillator(truth["mass"], [name])
+    time = record.time - record.release_time
+    theirs = simulate_waveform(oscillator, own, time, record.release_amplitude).displacement
+    np.testing.assert_allclose(record.exact, theirs, rtol=0.0, atol=rounding * record.release_amplitude)
 
 
 @pytest.mark.parametrize("tier", sorted(TIERS))
@@ -259,6 +342,58 @@ def test_the_scorer_on_batches_with_known_figures(tmp_path: Path, capsys: pytest
     assert json.loads((tmp_path / "figures.json").read_text(encoding="utf-8"))["seconds"]["median"] == 2.0
 
 
+def _power(exponent: float) -> dict:
+    return {"hidden": ["power_damping"], "nominal": {"power_damping_exponent": exponent}}
+
+
+_PLAY = {"hidden": ["offset_freeplay"], "amplitude": 1.0}
+_PULLED = {"hidden": ["pendulum_stiffness"], "contaminations": {"outside": 0.1, "one_way_drag": 0.001}}
+
+
+@pytest.mark.parametrize(
+    "truth, result, outcome, is_kindred",
+    [
+        (_power(1.5), _found("power_damping"), "right", False),
+        (_power(1.5), _found("quadratic_damping"), "wrong", True),
+        (_power(2.01), _found("quadratic_damping"), "right", False),
+        (_power(0.4), _found("cubic_damping"), "wrong", True),  # drag, though of another power
+        (_power(0.4), _mechanism("hysteresis"), "mechanism", False),
+        (_power(1.5), _mechanism("hysteresis"), "wrong", False),
+        ({"hidden": ["dahl_friction"]}, _found("bouc_wen"), "right", False),
+        ({"hidden": ["dahl_friction"]}, _found("jenkins"), "wrong", True),
+        (_PLAY | {"nominal": {"play": 0.6, "play_asymmetry": 0.8}}, _found("one_sided_stiffness"), "right", False),
+        (_PLAY | {"nominal": {"play": 0.4, "play_asymmetry": 0.8}}, _found("one_sided_stiffness"), "wrong", True),
+        ({"hidden": ["maxwell_element"]}, {"verdict": "adequate"}, "adequate", False),
+        ({"hidden": ["maxwell_element"]}, _found("jenkins"), "wrong", False),
+        ({"hidden": [], "outside": "stribeck_friction"}, _found("stribeck_friction"), "right", False),
+        ({"hidden": [], "outside": "structural_damping"}, _mechanism("hysteresis"), "mechanism", False),
+        ({"hidden": [], "outside": "one_way_drag"}, _mechanism("drag"), "mechanism", False),
+        ({"hidden": [], "outside": "one_way_drag"}, _mechanism("rising_damping"), "mechanism", False),
+        ({"hidden": [], "outside": "one_way_drag"}, _mechanism("asymmetry"), "mechanism", False),
+        ({"hidden": [], "outside": "one_way_drag"}, _mechanism("hysteresis"), "wrong", False),
+        ({"hidden": [], "outside": "one_way_drag"}, _found("quadratic_damping"), "wrong", True),
+        ({"hidden": [], "outside": "impact_stop"}, _mechanism("clearance"), "mechanism", False),
+        ({"hidden": [], "outside": "deadband_damper"}, _mechanism("clearance"), "wrong", False),
+        ({"hidden": [], "drift": {"quantity": "stiffness", "share": 0.01}}, _mechanism("spring"), "wrong", False),
+        (_PULLED, _mechanism("spring"), "mechanism", False),
+        (_PULLED, _mechanism("drag"), "wrong", False),  # what was hidden is not among them
+        (_PULLED, _mechanism("spring") | {"mechanisms": [*_mechanism("spring")["mechanisms"],
+                                                         *_mechanism("drag")["mechanisms"]]}, "mechanism", False),
+    ],
+)  # fmt: skip
+def test_what_counts_as_right(truth: dict, result: dict, outcome: str, is_kindred: bool, tmp_path: Path) -> None:
+    _write_case(tmp_path / "batch_0000", truth, result, None)
+    (judged,) = outcomes.read_outcomes(tmp_path)
+    assert (judged.outcome, judged.is_kindred) == (outcome, is_kindred)
+
+
+def test_an_arm_that_the_base_imitates_is_nothing_to_be_found(tmp_path: Path) -> None:
+    _write_case(tmp_path / "batch_0000", {"hidden": ["maxwell_element"]}, _found("jenkins"), None)
+    (judged,) = outcomes.read_outcomes(tmp_path)
+    assert judged.has_empty_truth
+    assert figures.score([judged])["false_alarms"]["all"]["hits"] == 1
+
+
 def test_logistic_thresholds_are_recovered(rng: np.random.Generator) -> None:
     distance = np.exp(rng.uniform(-1.0, 5.0, 4000))
     chance = 1.0 / (1.0 + (8.0 / distance) ** 2)
@@ -266,3 +401,13 @@ def test_logistic_thresholds_are_recovered(rng: np.random.Generator) -> None:
     # 0.9 is reached at 8 * 9^(1/2); the tolerance is four times the scatter over seeds.
     assert half == pytest.approx(8.0, rel=0.2)
     assert most == pytest.approx(24.0, rel=0.3)
+
+
+@pytest.mark.slow
+def test_the_truth_is_near_and_every_other_effect_is_further_away(tmp_path: Path) -> None:
+    write_batch(make_batch(4, 10, "close_pairs"), tmp_path / "batch_0010")  # friction, two records at 48 dB
+    found = distances.distance(tmp_path / "batch_0010")
+    # Simulator and generator agree, and scatter is free: no motion is left, in standard deviations of all noise.
+    assert found["truth"] < 3.0
+    assert found["distance"] > 10.0
+    assert found["nearest"] in (["jenkins"], ["iwan"])  # stiff sliders

@@ -3,50 +3,24 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from contamination import distorted, jittered, limited
-from motion import Decay, simulate
+from motion import simulate
+from new_strengths import draw_new
+from recording import QUANTITIES, Batch, draw_release_time, measure, respond
 from strengths import STIFFNESS_KINDS, draw_parameters, draw_strength, is_scattered, log_uniform
-from systems import pack
+from systems import LIBRARY_NAMES_OF_OUTSIDE, NEW, pack
 from tiers import Plan, draw_amplitude, draw_plan, draw_tier
 
 LARGEST_RECORD = 12000
 """Samples."""
 ATTEMPTS = 200
-QUANTITIES = ("displacement", "velocity", "acceleration")
-"""What can be measured, by how often the displacement is differentiated."""
 
 
-class _RedrawError(Exception):
+class RedrawError(Exception):
     """What was drawn makes no usable records."""
-
-
-@dataclass
-class Record:
-    """One record: what was measured and what it would have been without noise.
-
-    ``exact`` is the measured quantity without noise and ``offset``; ``measured`` holds both and is rounded to the
-    converter's steps. ``noise_sd`` is the standard deviation of noise and rounding together.
-    """
-
-    time: np.ndarray
-    measured: np.ndarray
-    exact: np.ndarray
-    offset: float
-    noise_sd: float
-    release_amplitude: float
-    release_time: float
-
-
-@dataclass
-class Batch:
-    """Records of one batch and the truth about them, ready for JSON."""
-
-    records: list[Record]
-    truth: dict[str, Any] = field(default_factory=dict)
 
 
 def make_batch(seed: int, index: int, tier: str | None = None) -> Batch:
@@ -76,15 +50,23 @@ def make_batch(seed: int, index: int, tier: str | None = None) -> Batch:
         if attempt % 12 == 0:
             plan = draw_plan(tier, rng, index)
         try:
-            batch = _draw_batch(plan, rng)
-        except (_RedrawError, FloatingPointError):
+            batch = record_system(plan, _draw_system(plan, rng), rng)
+        except (RedrawError, FloatingPointError):
             continue
         batch.truth = {"index": index, "seed": seed, "tier": tier, **batch.truth}
         return batch
     raise RuntimeError(f"no usable records of tier {tier} with seed {seed} and index {index}.")
 
 
-def _draw_batch(plan: Plan, rng: np.random.Generator) -> Batch:
+class System(NamedTuple):
+    """An oscillator before specimens are drawn: parameters, strengths of effects, largest release amplitude [m]."""
+
+    nominal: dict[str, float]
+    strength: dict[str, float]
+    amplitude: float
+
+
+def _draw_system(plan: Plan, rng: np.random.Generator) -> System:
     mass = log_uniform(rng, 0.01, 1000.0)
     frequency = log_uniform(rng, 0.2, 200.0)
     amplitude = draw_amplitude(plan, rng)
@@ -97,19 +79,29 @@ def _draw_batch(plan: Plan, rng: np.random.Generator) -> Batch:
         wanted = draw_strength(effect, rng, visible=plan.visible or effect in plan.base, strong=plan.strong)
         if plan.contaminations and effect == plan.outside:
             wanted = _share(plan, strength, rng) / (1.0 if effect in STIFFNESS_KINDS else 2.0)
-        parameters, strength[effect] = draw_parameters(
-            effect,
-            wanted,
-            rng,
-            mass=mass,
-            stiffness=stiffness,
-            damping=damping,
-            amplitude=amplitude,
-            narrow=plan.narrow,
-            strong=plan.strong,
-        )
+        system = {"mass": mass, "stiffness": stiffness, "amplitude": amplitude}
+        if effect in NEW and effect != plan.outside:
+            parameters, strength[effect] = draw_new(effect, wanted, rng, **system)
+        else:
+            parameters, strength[effect] = draw_parameters(
+                effect, wanted, rng, **system, damping=damping, narrow=plan.narrow, strong=plan.strong
+            )
         nominal |= parameters
+    return System(nominal, strength, amplitude)
 
+
+def record_system(plan: Plan, system: System, rng: np.random.Generator) -> Batch:
+    """Draw specimens of a system and record their decays, as good as the plan says.
+
+    Raises
+    ------
+    RedrawError
+        If the motion stops too early or sinks into the noise.
+    FloatingPointError
+        If it cannot be integrated.
+    """
+    nominal, strength, amplitude = dict(system.nominal), system.strength, system.amplitude
+    mass, stiffness = nominal["mass"], nominal["linear_stiffness"]
     noise_db = rng.uniform(*plan.noise_db)
     bits = int(rng.integers(plan.bits[0], plan.bits[1] + 1))
     factor = 1.0 if plan.release_factor[0] == 1.0 and rng.random() < 0.3 else rng.uniform(*plan.release_factor)
@@ -140,17 +132,17 @@ def _draw_batch(plan: Plan, rng: np.random.Generator) -> Batch:
     for number, release in enumerate(releases, start=1):
         parameters = _draw_specimen(nominal, scatter, rng)
         sampling = per_cycle * actual_frequency
-        held = _draw_release_time(start, actual_frequency, sampling, rng)
+        held = draw_release_time(start, actual_frequency, sampling, rng)
         time = np.arange(int((duration + held) * sampling) + 1) / sampling
         taken = jittered(time, sizes["jitter"], actual_frequency, rng) if "jitter" in sizes else time
-        exact, decay = _respond(parameters, release, taken - held, second, plan.quantity)
+        exact, decay = respond(parameters, release, taken - held, second, plan.quantity)
         if decay.stuck and decay.turn_values.size < 8:
-            raise _RedrawError
+            raise RedrawError
         scale = (2.0 * math.pi * actual_frequency) ** QUANTITIES.index(plan.quantity)
         offset = offset_share * amplitude * scale
         if sizes:
             exact = distorted(exact, sizes, scale * release, per_cycle)
-        records.append(_measure(time, exact, offset, noise_db, bits, release, scale, held, rng))
+        records.append(measure(time, exact, offset, noise_db, bits, release, scale, held, rng))
         specimens.append({"specimen": f"specimen_{number}", **parameters})
     truth = {
         "mass": mass,
@@ -158,6 +150,7 @@ def _draw_batch(plan: Plan, rng: np.random.Generator) -> Batch:
         "hidden": sorted(plan.hidden),
         "present": sorted(plan.present),
         "outside": None if plan.contaminations else plan.outside,
+        **_library_names(plan),
         "drift": drift,
         "second_mode": None if plan.contaminations else second,
         "contaminations": {**sizes, **({plan.outside: strength[plan.outside]} if "outside" in sizes else {})},
@@ -167,12 +160,12 @@ def _draw_batch(plan: Plan, rng: np.random.Generator) -> Batch:
         "nominal": nominal,
         "parameters": specimens,
         "scatter": scatter,
-        "damping_ratio": damping / (2.0 * mass * omega),
+        "damping_ratio": nominal["viscous_damping"] / (2.0 * math.sqrt(mass * stiffness)),
         "noise_db": noise_db,
         "bits": bits,
         "cycles": cycles,
         "samples_per_cycle": per_cycle,
-        "frequency": frequency,
+        "frequency": math.sqrt(stiffness / mass) / (2.0 * math.pi),
         "actual_frequency": actual_frequency,
         "amplitude": amplitude,
         "release_amplitudes": releases,
@@ -180,6 +173,16 @@ def _draw_batch(plan: Plan, rng: np.random.Generator) -> Batch:
         "start": start,
     }
     return Batch(records, truth)
+
+
+def _library_names(plan: Plan) -> dict[str, Any]:
+    """Return what is hidden in the package's names, and whether something acts that has none there."""
+    names, is_outside = set(plan.hidden), bool(plan.drift or plan.second_mode)
+    if plan.outside and not plan.contaminations:
+        name = LIBRARY_NAMES_OF_OUTSIDE.get(plan.outside)
+        names |= {name} if name else set()
+        is_outside = is_outside or name is None
+    return {"hidden_in_library": sorted(names), "is_outside": is_outside}
 
 
 def _draw_releases(amplitude: float, factor: float, count: int, rng: np.random.Generator) -> list[float]:
@@ -207,7 +210,7 @@ def _usable_cycles(
         loud = int(np.count_nonzero(np.abs(decay.turn_values) > floor))
         turns = min(loud, decay.turn_times.size)
         if turns < 2.0 * fewest + 1.0:
-            raise _RedrawError
+            raise RedrawError
         if frequency == 0.0:
             last = turns - 1 - (turns - 1) % 2
             frequency = 0.5 * last / decay.turn_times[last]
@@ -304,61 +307,3 @@ def _draw_specimen(nominal: dict[str, float], scatter: dict[str, float], rng: np
         free = name != "mass" and is_scattered(name)
         drawn[name] = float(value * (1.0 + scatter[kind] * rng.standard_normal())) if free else float(value)
     return drawn
-
-
-def _draw_release_time(start: str, frequency: float, sampling: float, rng: np.random.Generator) -> float:
-    """Return when a record's release happens [s]; negative where the record begins after it."""
-    if start == "hold":
-        return log_uniform(rng, 0.2, 3.0) / frequency + rng.uniform(0.0, 1.0) / sampling
-    if start == "release":
-        return 0.0
-    return -rng.uniform(0.0, 1.0) / (sampling if rng.random() < 0.5 else frequency)
-
-
-def _respond(
-    parameters: dict[str, float],
-    release: float,
-    time: np.ndarray,
-    second: dict[str, float] | None,
-    quantity: str = "displacement",
-) -> tuple[np.ndarray, Decay]:
-    """Return displacement, velocity or acceleration at ``time`` after the release, without noise."""
-    share = second["share"] if second else 0.0
-    decay = simulate(pack(parameters), (1.0 - share) * release, time)
-    order = QUANTITIES.index(quantity)
-    motion = np.vstack([decay.displacement, decay.rates])[order]
-    if second:
-        other = linear_decay(np.maximum(time, 0.0), second["frequency"], second["damping_ratio"], order)
-        motion = motion + share * release * (other if order == 0 else np.where(time > 0.0, other, 0.0))
-    return motion, decay
-
-
-def linear_decay(time: np.ndarray, frequency: float, ratio: float, order: int = 0) -> np.ndarray:
-    """Return the decay of a linear oscillator released from rest at one; ``frequency`` is the undamped one [Hz].
-
-    Its displacement, or the derivative of that of ``order`` 1 or 2.
-    """
-    omega = 2.0 * math.pi * frequency
-    root = -ratio * omega + 1j * omega * math.sqrt(1.0 - ratio**2)
-    # x = Re(c exp(root t)) with x = 1 and x' = 0 at the release
-    start = 1.0 + 1j * root.real / root.imag
-    return np.real(start * root**order * np.exp(root * time))
-
-
-def _measure(
-    time: np.ndarray,
-    exact: np.ndarray,
-    offset: float,
-    noise_db: float,
-    bits: int,
-    release: float,
-    scale: float,
-    release_time: float,
-    rng: np.random.Generator,
-) -> Record:
-    """Add offset and noise and round to the converter's steps; ``scale`` is the quantity at a displacement of one."""
-    noise = scale * release / math.sqrt(2.0) * 10.0 ** (-noise_db / 20.0)
-    step = 2.0 * 1.2 * scale * release / 2.0**bits
-    measured = step * np.round((exact + offset + noise * rng.standard_normal(time.size)) / step)
-    total = math.hypot(noise, step / math.sqrt(12.0))
-    return Record(time, measured, exact, offset, total, release, release_time)

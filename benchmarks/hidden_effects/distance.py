@@ -76,14 +76,14 @@ def distance(folder: Path) -> dict:
         wrong |= {rest, *(tuple(sorted((*rest, name))) for name in candidates if name not in hidden)}
     # apart from the fit of the truth: a fit is given up where another is far ahead, and the nearest wrong one counts
     search = Search(batch, oscillator, candidates)
-    for names in sorted(wrong, key=len):
+    for names in sorted(wrong, key=lambda names: (len(names), names)):  # what is fitted first is a rival to others
         search.fit_set(names)
         if own is not None:
             layout = search.layout(names)
             lowest = min((item.cost for item in search.fits.values()), default=None)
-            for found in search.descend(layout, [embedded(layout, own)[0]], is_near=True, rival=lowest):
-                if names not in search.fits or found.cost < search.fits[names].cost:
-                    search.fits[names] = found
+            found = search.descent.from_near(layout, [embedded(layout, own)[0]], rival=lowest)
+            if found is not None and (names not in search.fits or found.cost < search.fits[names].cost):
+                search.fits[names] = found
     costs = {names: found.cost for names, found in search.fits.items()}
     if not costs:
         return {"distance": None, "nearest": [], "truth": None}
@@ -121,6 +121,10 @@ def main() -> None:
     with ProcessPoolExecutor(options.workers) as pool:
         for k, name in enumerate(pool.map(_one, folders)):
             print(f"{k + 1}/{len(folders)} {name}", file=sys.stderr, flush=True)
+    told = [json.loads((folder / "distance.json").read_text()) for folder in folders]
+    failed = [found["error"] for found in told if "error" in found]
+    if failed:
+        print(f"{len(failed)} of {len(folders)} batches could not be judged, the first: {failed[0]}", file=sys.stderr)
 
 
 if __name__ == "__main__":

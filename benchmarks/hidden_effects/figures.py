@@ -171,12 +171,20 @@ def score(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "false_alarms": rate_false_alarms(answered),
         "detection": measure_detection(answered),
         "wrong": share(answered, is_outcome("wrong")),
+        "kindred": share([o for o in answered if o.outcome == "wrong"], lambda o: o.is_kindred),
         "wrong_in_library": share([o for o in answered if o.is_in_library], is_outcome("wrong")),
         "reliability": measure_reliability(answered),
         "gaps": measure_gaps(answered),
         "seconds": _quantiles(np.array([o.seconds for o in answered])),
         "wrong_batches": [
-            {"batch": o.folder, "tier": o.tier, "hidden": o.hidden, "named": o.named, "distance": o.distance}
+            {
+                "batch": o.folder,
+                "tier": o.tier,
+                "hidden": o.hidden,
+                "named": o.named,
+                "distance": o.distance,
+                "kindred": o.is_kindred,
+            }
             for o in answered
             if o.outcome == "wrong"
         ],

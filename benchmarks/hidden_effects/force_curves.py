@@ -3,7 +3,7 @@
     python benchmarks/hidden_effects/generate.py --batches 27 --seed 990201 --tier force_curves --out DIR
     python benchmarks/hidden_effects/force_curves.py DIR [--workers 2] [--json FILE]
 
-The model is linear, nothing is named, and the true laws are those of `systems.py`, the mean of the specimens'. The
+The model is linear, nothing is named, and the true laws are those of `laws.py`, the mean of the specimens'. The
 conservative force is compared beyond its own line over the range over which the curve has none, the damping force as a
 whole; errors are the largest over what was visited, over the largest force of the hidden law there. Laws that are no
 force of displacement plus a force of speed have no true curve: of them held-out specimens are counted alone.
@@ -19,9 +19,10 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import laws
 import numpy as np
-import systems
 from quantities import batch_of
+from systems import pack
 from threadpoolctl import threadpool_limits
 
 from pymc_backbone import Oscillator
@@ -49,8 +50,9 @@ _HELD_OUT = 6
 def force(parameters: np.ndarray, x: float, v: float) -> float:
     """Return the force of a system [N] by the generator's own equation of motion."""
     p, direction = parameters, 1.0 if v >= 0.0 else -1.0
-    pull = systems.acceleration(0.0, x, v, 0.0, direction, x, np.zeros(3), np.zeros((7, 2)), p)
-    return -pull * p[systems.MASS] * (1.0 + p[systems.INERTIA] * x * x)
+    state = np.array([x, v, 0.0, 0.0, 0.0])
+    pull = laws.acceleration(0.0, state, direction, x, np.zeros(3), np.zeros((7, 2)), p)
+    return -pull * p[laws.MASS] * (1.0 + p[laws.INERTIA] * x * x)
 
 
 def compared(band: Band, truth: np.ndarray, peak: float) -> dict[str, Any]:
@@ -88,19 +90,19 @@ def _one(folder: Path) -> dict[str, Any]:
     row |= {"chi_square": float(found.fit.chi_square.sum()) / count, "p": lack.p_value, "settled": found.is_settled}
     row["is_noise"] = bool(lack.p_value >= UNEXPLAINED)
     each = [
-        systems.pack({name: value for name, value in specimen.items() if name != "specimen"})
+        pack({name: value for name, value in specimen.items() if name != "specimen"})
         for specimen in truth["parameters"]
     ]
     x, v = bands.conservative.at, bands.damping.at
 
     def spring(at: float) -> float:
-        return float(np.mean([force(p, at, _REST) - force(p, 0.0, _REST) - p[systems.K] * at for p in each]))
+        return float(np.mean([force(p, at, _REST) - force(p, 0.0, _REST) - p[laws.K] * at for p in each]))
 
     inner = np.linspace(0.0, found.tabulated.reach, 401)
     odd = np.array([0.5 * (spring(at) - spring(-at)) for at in inner])
     conservative = np.array([spring(at) for at in x]) - x * float(inner @ odd) / float(inner @ inner)
     damping = np.array([np.mean([force(p, 0.0, at) for p in each]) for at in v])
-    viscous = float(np.mean([p[systems.C] for p in each])) * v
+    viscous = float(np.mean([p[laws.C] for p in each])) * v
     elastic = found.tabulated.scale
     peak = max(float(np.abs(conservative).max()), float(np.abs(damping - viscous).max()))
     row["peak"] = peak / elastic

@@ -1,6 +1,7 @@
 """Generate batches of free-decay records in which a physical effect is hidden.
 
     python benchmarks/hidden_effects/generate.py --batches 60 --seed 101 --out DIR [--tier NAME] [--workers 2]
+    python benchmarks/hidden_effects/generate.py --batches 60 --seed 101 --out DIR --ranges second
 
 Batch i depends on the seed and i only. Nothing of the package under test is used.
 """
@@ -17,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 from batches import Batch, make_batch
+from second_ranges import make_second_batch
 from tiers import HARD_TIERS, TIERS, TIMED
 
 
@@ -48,9 +50,9 @@ def write_batch(batch: Batch, folder: Path) -> None:
     (folder / "truth.json").write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
 
 
-def generate(index: int, seed: int, out: Path, tier: str | None = None) -> tuple[int, int]:
+def generate(index: int, seed: int, out: Path, tier: str | None = None, ranges: str = "first") -> tuple[int, int]:
     """Generate and write one batch; return the number of its records and samples."""
-    batch = make_batch(seed, index, tier)
+    batch = make_second_batch(seed, index) if ranges == "second" else make_batch(seed, index, tier)
     write_batch(batch, out / f"batch_{index:04d}")
     return len(batch.records), sum(record.time.size for record in batch.records)
 
@@ -63,10 +65,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--out", type=Path, required=True, help="folder to write into")
     parser.add_argument("--tier", choices=sorted((*TIERS, *HARD_TIERS, TIMED)), help="all batches of this kind")
+    parser.add_argument(
+        "--ranges", choices=("first", "second"), default="first", help="which generator (default first)"
+    )
     parser.add_argument("--workers", type=int, default=1, help="processes (default 1)")
     given = parser.parse_args(arguments)
+    if given.tier and given.ranges == "second":
+        parser.error("the second generator has no tiers; leave --tier out.")
     indices = range(given.first, given.first + given.batches)
-    work = partial(generate, seed=given.seed, out=given.out, tier=given.tier)
+    work = partial(generate, seed=given.seed, out=given.out, tier=given.tier, ranges=given.ranges)
     start = time.perf_counter()
     if given.workers > 1:
         with ProcessPoolExecutor(given.workers) as pool:

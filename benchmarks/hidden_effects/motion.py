@@ -13,14 +13,16 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from scipy.integrate import DOP853
-from systems import (
+from laws import (
+    DAHL_F,
+    DAHL_K,
     JOINT_CHI,
     JOINT_F,
     JOINT_K,
     MASS,
     SLIDER_F,
     SLIDER_K,
+    STATES,
     Z_A,
     Z_BETA,
     Z_GAMMA,
@@ -28,14 +30,15 @@ from systems import (
     Z_N,
     K,
     acceleration,
-    hysteresis_rate,
     next_kink,
+    write_rates,
 )
+from scipy.integrate import DOP853
 
 # Code kept on disk is renewed when this file changes, not when the force laws do that it was compiled with.
-_LAWS = Path(__file__).with_name("systems.py").stat().st_mtime
-for _kept in Path(__file__).with_name("__pycache__").glob("motion.*.nbi"):
-    if _kept.stat().st_mtime < _LAWS:
+_LAWS = max(Path(__file__).with_name(name).stat().st_mtime for name in ("laws.py", "systems.py"))
+for _kept in Path(__file__).with_name("__pycache__").glob("*.nbi"):
+    if _kept.name.startswith(("motion.", "laws.")) and _kept.stat().st_mtime < _LAWS:
         _kept.unlink(missing_ok=True)
 
 _A = np.ascontiguousarray(DOP853.A[:12, :12])
@@ -94,7 +97,8 @@ def simulate(p: np.ndarray, release: float, times: np.ndarray, *, tolerance: flo
     bed = _make_bed(p, SLIDERS if has_bed else 1)
     motion = np.zeros((3, times.size))
     turns = np.empty((2, MAXIMUM_TURNS))
-    count, status = _integrate(times, p, release, _load_hysteresis(p, release), bed, limit, motion, turns)
+    y = np.array([release, 0.0, _load_hysteresis(p, release), _load_contact(p, release), 0.0])
+    count, status = _integrate(times, p, y, bed, limit, motion, turns)
     if status == 2:
         raise FloatingPointError("the motion left five times the release amplitude or needs too many turning points.")
     return Decay(motion[0], motion[1:], turns[0, :count].copy(), turns[1, :count].copy(), status == 1)
@@ -158,6 +162,14 @@ def _end_stroke(x, direction, bed):
         bed[2, i] = direction * min(direction * force, bed[0, i])
 
 
+def _load_contact(p: np.ndarray, release: float) -> float:
+    """Return the deflection of a Dahl contact after slow loading; a Maxwell element has relaxed by then."""
+    if p[DAHL_K] == 0.0:
+        return 0.0
+    way = p[DAHL_F] / p[DAHL_K]
+    return float(-way * math.expm1(-release / way))
+
+
 @numba.njit(cache=True)
 def _load_hysteresis(p, release):
     """Return the Bouc-Wen displacement z after slow loading from zero to ``release``."""
@@ -185,16 +197,15 @@ def _loading_slope(z, p):
 def _step(t, h, y, direction, probe, side, slider, bed, p, stages, scale, out):
     """Write the state after a step of length ``h`` into ``out`` and return the error in units of the tolerance."""
     for s in range(12):
-        x, v, z = y[0], y[1], y[2]
+        out[:] = y
         for j in range(s):
-            x += h * _A[s, j] * stages[j, 0]
-            v += h * _A[s, j] * stages[j, 1]
-            z += h * _A[s, j] * stages[j, 2]
-        stages[s, 0] = v
-        stages[s, 1] = acceleration(t + _C[s] * h, x, v, z, direction, probe, slider, bed, p)
-        stages[s, 2] = hysteresis_rate(v, z, direction, side, p)
+            for i in range(STATES):
+                out[i] += h * _A[s, j] * stages[j, i]
+        stages[s, 0] = out[1]
+        stages[s, 1] = acceleration(t + _C[s] * h, out, direction, probe, slider, bed, p)
+        write_rates(out, direction, side, p, stages[s])
     fifth, third = 0.0, 0.0
-    for i in range(3):
+    for i in range(STATES):
         change, e5, e3 = 0.0, 0.0, 0.0
         for s in range(12):
             change += _B[s] * stages[s, i]
@@ -257,12 +268,13 @@ def _probe(x, direction, target, release):
 
 
 @numba.njit(cache=True)
-def _integrate(times, p, release, z_release, bed, tolerance, motion, turns):
-    """Integrate from the release; return the number of turning points and 0, 1 (came to rest) or 2 (failed)."""
+def _integrate(times, p, y, bed, tolerance, motion, turns):
+    """Integrate from the state at the release; return the number of turning points and 0, 1 (at rest) or 2 (failed)."""
+    release, z_release = y[0], y[2]
     omega = math.sqrt(p[K] / p[MASS])
     longest, margin = 0.3 / omega, 1e-13 * release
-    y, out, mid = np.array([release, 0.0, z_release]), np.empty(3), np.empty(3)
-    scale, stages, slider = np.empty(3), np.empty((12, 3)), np.zeros(3)
+    out, mid = np.empty(STATES), np.empty(STATES)
+    scale, stages, slider = np.empty(STATES), np.zeros((12, STATES)), np.zeros(3)
     direction, side = -1.0, 1.0
     slider[0] = release
     slider[1] = min(p[SLIDER_K] * release, p[SLIDER_F])
@@ -275,7 +287,7 @@ def _integrate(times, p, release, z_release, bed, tolerance, motion, turns):
     count, t, h = 1, 0.0, 0.01 / omega
     target = next_kink(y[0], direction, margin, slider, p)
     probe = _probe(y[0], direction, target, release)
-    stuck = acceleration(0.0, y[0], 0.0, y[2], direction, probe, slider, bed, p) >= 0.0
+    stuck = acceleration(0.0, y, direction, probe, slider, bed, p) >= 0.0
     i = 0
     while i < times.size and times[i] <= 0.0:
         motion[0, i] = release
@@ -286,7 +298,8 @@ def _integrate(times, p, release, z_release, bed, tolerance, motion, turns):
             i += 1
             continue
         size = max(math.hypot(y[0], y[1] / omega), 1e-5 * release)
-        scale[0], scale[1] = tolerance * size, tolerance * size * omega
+        scale[:] = tolerance * size
+        scale[1] *= omega
         scale[2] = tolerance * size * max(abs(z_release) / release, 1e-300) if z_release != 0.0 else 1.0
         whole = min(h, longest)
         ends = times[i] - t <= whole
@@ -324,7 +337,7 @@ def _integrate(times, p, release, z_release, bed, tolerance, motion, turns):
         if ends:
             motion[0, i] = y[0]
             motion[1, i] = y[1]
-            motion[2, i] = acceleration(t, y[0], y[1], y[2], direction, probe, slider, bed, p)
+            motion[2, i] = acceleration(t, y, direction, probe, slider, bed, p)
             i += 1
         if event == -1:
             continue
@@ -351,5 +364,5 @@ def _integrate(times, p, release, z_release, bed, tolerance, motion, turns):
         target = next_kink(y[0], direction, margin, slider, p)
         probe = _probe(y[0], direction, target, release)
         if y[1] == 0.0:
-            stuck = direction * acceleration(t, y[0], 0.0, y[2], direction, probe, slider, bed, p) <= 0.0
+            stuck = direction * acceleration(t, y, direction, probe, slider, bed, p) <= 0.0
     return count, 1 if stuck else 0

@@ -9,32 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from meanings import Meaning, meaning_of
 from scipy.optimize import minimize
 from scipy.special import expit
+from systems import LIBRARY_NAMES_OF_OUTSIDE, NEW
 
 OUTCOMES = ("right", "mechanism", "listed", "wrong", "adequate", "unexplained", "ambiguous", "refused", "no result")
 """``listed``: ambiguous, the truth among the sets; ``ambiguous``: the truth not among them; ``mechanism``: no law is
 named, but its mechanism is; ``wrong``: another name, said with confidence. Where nothing is missing, ``adequate`` is
 the right answer and any name is wrong."""
 
-MECHANISMS: dict[str, str] = {
-    "cubic_stiffness": "spring",
-    "quintic_stiffness": "spring",
-    "pendulum_stiffness": "spring",
-    "quadratic_stiffness": "asymmetry",
-    "bilinear_stiffness": "asymmetry",
-    "freeplay": "clearance",
-    "coulomb_friction": "hysteresis",
-    "jenkins": "hysteresis",
-    "iwan": "hysteresis",
-    "bouc_wen": "hysteresis",
-    "quadratic_damping": "drag",
-    "cubic_damping": "drag",
-    "displacement_dependent_damping": "displacement_damping",
-}
-"""What the effects of the library have in common."""
-EITHER = {"rising_damping": {"drag", "displacement_damping"}, "changing_stiffness": {"spring", "clearance"}}
-"""What is said where one of two mechanisms is certain, but not which."""
 NAMED_FROM = 0.95
 LEAST_SHARE = 0.05
 """Probability and share of the gap from which the tool names a mechanism."""
@@ -49,8 +33,12 @@ class Outcome:
     ----------
     distance : float
         Standard deviations between the data and the nearest other explanation; NaN where unknown.
+    hidden : tuple of str
+        In the package's names; what the base imitates exactly is not among them.
     outcome : str
         One of `OUTCOMES`.
+    is_kindred : bool
+        Whether a wrong name is that of laws whose mechanisms may rightly be named.
     probability : float
         Of the most probable set; NaN where the tool gave none.
     is_top_right : bool
@@ -67,6 +55,7 @@ class Outcome:
     strength: dict[str, float]
     distance: float
     outcome: str
+    is_kindred: bool
     named: tuple[str, ...]
     probability: float
     is_top_right: bool
@@ -80,6 +69,8 @@ class Outcome:
             return "outside"
         if not self.hidden:
             return "nothing"
+        if not NEW.keys().isdisjoint(self.hidden):
+            return "variant"
         if self.base:
             return "base plus hidden"
         return {1: "one effect", 2: "two effects"}.get(len(self.hidden), "three effects")
@@ -131,22 +122,18 @@ def _names(entries: Any, base: frozenset[str]) -> frozenset[str]:
 def _judge(folder: Path) -> Outcome:
     truth, said = _read(folder / "truth.json"), _read(folder / "result.json")
     held = frozenset(truth["base"]) | ALWAYS_THERE
-    hidden = frozenset(truth["hidden"])
-    is_in_library = not (truth.get("outside") or truth.get("drift") or truth.get("second_mode"))
+    meaning = meaning_of(truth)
     named = _names(said.get("missing_effects"), held)
     listed = {_names(names, held) for names in said.get("ambiguous_sets") or ()}
-    is_answerable = is_in_library or bool(hidden)
-    outcome = _classify(said.get("verdict"), named, listed, hidden, is_answerable)
+    outcome = _classify(said.get("verdict"), named, listed, meaning)
+    is_kindred = outcome == "wrong" and meaning.is_kindred(named)
     if said.get("verdict") == "found" and said.get("named_level") == "mechanism":
         kinds = {
             item["mechanism"]
             for item in said["mechanisms"]
-            if item["probability"] >= NAMED_FROM and item["share_of_gap"] >= 0.05
+            if item["probability"] >= NAMED_FROM and item["share_of_gap"] >= LEAST_SHARE
         }
-        # a law that no effect of the library describes has no mechanism to be right or wrong about
-        true = {MECHANISMS[name] for name in hidden}
-        is_right = not is_in_library or (bool(kinds) and all(EITHER.get(kind, {kind}) & true for kind in kinds))
-        outcome = "mechanism" if is_right else "wrong"
+        outcome, is_kindred = "mechanism" if meaning.allows(kinds) else "wrong", False
     candidates = [(_number(c.get("probability")), _names(c.get("effects"), held)) for c in said.get("candidates") or ()]
     candidates = [candidate for candidate in candidates if not math.isnan(candidate[0])]
     top = max(candidates, key=lambda candidate: candidate[0], default=(_number(said.get("probability")), named))
@@ -155,33 +142,34 @@ def _judge(folder: Path) -> Outcome:
         folder=folder.name,
         tier=truth["tier"],
         base=tuple(sorted(truth["base"])),
-        hidden=tuple(sorted(hidden)),
-        is_in_library=is_in_library,
-        strength=dict(truth.get("strength") or {}),
+        hidden=tuple(sorted(meaning.hidden)),
+        is_in_library=meaning.is_in_library,
+        strength=_strength(truth),
         distance=_number(_read(folder / "distance.json").get("distance")),
         outcome=outcome,
+        is_kindred=is_kindred,
         named=tuple(sorted(named)),
         probability=top[0] if math.isnan(given) else given,
-        is_top_right=is_answerable and top[1] == hidden,
+        is_top_right=top[1] in meaning.accepted,
         gap=dict(said.get("gap") or {}),
         seconds=_number(said.get("seconds")),
     )
 
 
-def _classify(
-    verdict: str | None,
-    named: frozenset[str],
-    listed: set[frozenset[str]],
-    hidden: frozenset[str],
-    is_answerable: bool,
-) -> str:
+def _strength(truth: dict[str, Any]) -> dict[str, float]:
+    """Return the strengths by the package's names."""
+    held = truth.get("strength") or {}
+    return {LIBRARY_NAMES_OF_OUTSIDE.get(name, name): float(value) for name, value in held.items()}
+
+
+def _classify(verdict: str | None, named: frozenset[str], listed: set[frozenset[str]], meaning: Meaning) -> str:
     """Return one of `OUTCOMES`."""
     if verdict is None:
         return "no result"
     if verdict == "found":
-        return "right" if is_answerable and hidden and named == hidden else "wrong"
+        return "right" if named and named in meaning.accepted else "wrong"
     if verdict == "ambiguous":
-        return "listed" if is_answerable and hidden in listed else "ambiguous"
+        return "listed" if listed & meaning.accepted else "ambiguous"
     if verdict in ("adequate", "unexplained"):
         return verdict
     if verdict in ("refused", "failed"):  # one sentence instead of a verdict, or a fault of the tool

@@ -3,7 +3,7 @@
     python benchmarks/hidden_effects/score.py DIR [--json FILE]
 
 Reads ``truth.json``, ``distance.json`` and ``result.json`` of every batch. A name is right when the set of named
-effects equals the set of hidden ones.
+effects equals the set of hidden ones, or one that is the same at their parameters (`meanings.py`).
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ def _render_gaps(gaps: dict[str, Any]) -> list[str]:
 def render(figures: dict[str, Any]) -> str:
     """Return the figures as Markdown; intervals are Wilson's, 95 %."""
     reliability, seconds = figures["reliability"], figures["seconds"]
-    wrong = [[tuple(v) if isinstance(v, list) else v for v in row.values()] for row in figures["wrong_batches"]]
+    wrong = [[*list(row.values())[:-1], "yes" if row["kindred"] else "no"] for row in figures["wrong_batches"]]
     curve = []
     for row in reliability["bins"]:
         means = (row.get(name, math.nan) for name in ("probability", "right"))
@@ -106,7 +106,8 @@ def render(figures: dict[str, Any]) -> str:
         "## Confident wrong names",
         f"Over all batches {_percent(figures['wrong'])}, target {100.0 * WRONG_TARGET:.0f} %; "
         f"without what lies outside of the library {_percent(figures['wrong_in_library'])}.",
-        _table(("batch", "tier", "hidden", "named", "distance"), wrong),
+        f"In {_percent(figures['kindred'])} of the wrong answers the law named is another one of the right mechanism.",
+        _table(("batch", "tier", "hidden", "named", "distance", "right mechanism"), wrong),
         "## Reliability of the probability of the most probable set",
         _table(("probability", "batches", "mean probability", "right"), curve),
         f"Expected calibration error {_cell(reliability['expected_calibration_error'])} "

@@ -28,6 +28,11 @@ STIFFNESS_KINDS = frozenset(
         "magnetic_attraction",
         "impact_stop",
         "displacement_dependent_inertia",
+        "hertz_contact",
+        "magnetic_stiffness",
+        "offset_freeplay",
+        "one_sided_stiffness",
+        "power_stiffness",
     )
 )
 """Effects whose strength is a share of the linear spring's force; of all others it is a damping ratio."""
@@ -288,8 +293,26 @@ def draw_strength(effect: str, rng: np.random.Generator, *, visible: bool = Fals
 
 
 def is_scattered(parameter: str) -> bool:
-    """Whether a parameter differs between specimens; exponents and the scaling of a hysteresis do not."""
-    return parameter not in ("bouc_wen_amplitude", "bouc_wen_alpha", "bouc_wen_exponent", "joint_exponent")
+    """Whether a parameter differs between specimens.
+
+    Exponents, the scaling of a hysteresis, and the speed or displacement at which a power is given do not.
+    """
+    return parameter not in _THE_SAME
+
+
+_THE_SAME = frozenset(
+    (
+        "bouc_wen_amplitude",
+        "bouc_wen_alpha",
+        "bouc_wen_exponent",
+        "joint_exponent",
+        "magnet_exponent",
+        "power_damping_exponent",
+        "power_damping_speed",
+        "power_stiffness_exponent",
+        "power_stiffness_displacement",
+    )
+)
 
 
 LIBRARY_NAMES: tuple[str, ...] = tuple(LIBRARY)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from contamination import CONTAMINATIONS
 from strengths import LIBRARY_NAMES, log_uniform
-from systems import OUTSIDE
+from systems import NEW, OUTSIDE
 
 TIERS: dict[str, float] = {
     "nothing_missing": 0.12,
@@ -62,8 +62,12 @@ QUANTITY_EFFECTS = (
 CURVES = "force_curves"
 """One effect outside of the library after the other, in five specimens at 50 dB; made by name only."""
 
+NEW_EFFECTS = "new_effects"
+"""One effect of `systems.NEW` after the other, in five specimens at 50 dB; made by name only."""
+
 HARD_TIERS: tuple[str, ...] = (
     CURVES,
+    NEW_EFFECTS,
     "strong",
     "strong_pairs",
     "strong_triples",
@@ -89,9 +93,9 @@ class Plan:
     base : tuple of str
         Effects that the model under test holds.
     present : tuple of str
-        Effects of the library that act; the hidden ones are those that are not in ``base``.
+        Effects that act, in the package's names; the hidden ones are those that are not in ``base``.
     outside : str or None
-        Effect outside of the library that acts.
+        Law of `systems.OUTSIDE` that acts.
     visible : bool
         Whether strengths are drawn from the range that most records show.
     quantity : str
@@ -214,8 +218,12 @@ def draw_plan(tier: str, rng: np.random.Generator, index: int = 0) -> Plan:
             plan.outside = _pick(rng, tuple(OUTSIDE), 1)[0]
         plan.specimens, plan.cycles, plan.samples_per_cycle = (2, 3, 3, 4, 5), (30, 80), (16.0, 50.0)
         plan.noise_db, plan.bits, plan.fewest_cycles = (45.0, 60.0), (14, 24), 12.0
-    elif tier == CURVES:
-        plan.outside, plan.visible = tuple(OUTSIDE)[index % len(OUTSIDE)], True
+    elif tier in (CURVES, NEW_EFFECTS):
+        plan.visible = True
+        if tier == CURVES:
+            plan.outside = tuple(OUTSIDE)[index % len(OUTSIDE)]
+        else:
+            plan.present = (tuple(NEW)[index % len(NEW)],)
         plan.specimens, plan.cycles, plan.samples_per_cycle = (5,), (30, 80), (20.0, 60.0)
         plan.noise_db, plan.bits, plan.fewest_cycles = (50.0, 50.0), (24, 24), 15.0
     elif tier in HARD_TIERS:
