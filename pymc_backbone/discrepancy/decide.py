@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
 
 from ..effects import EITHER
 from . import evidence
+from .corrected_evidence import Corrected, corrections
 from .estimates import estimates_of
 from .evidence import DRIFT, UNEXPLAINED, Drifting, Evidence, LackOfFit, is_unexplained
 from .joint_fit import Fit
@@ -76,6 +77,8 @@ class Decision:
         What the best set leaves, where none is exact.
     is_single_valued : bool
         Whether what no set explains goes with the amplitude, and not with the record.
+    corrected : Corrected
+        By how much Laplace's method was off, for the sets between which the verdict lies.
     """
 
     verdict: Verdict
@@ -99,6 +102,7 @@ class Decision:
     named_level: NamedLevel | None = None
     remainder: tuple[Remainder, ...] = ()
     is_single_valued: bool = True
+    corrected: Corrected = field(default_factory=Corrected)
 
 
 def decide(search: Search, drifting: Mapping[Set, Drifting], tolerance: Mapping[str, float]) -> Decision:
@@ -165,7 +169,12 @@ def _weighed(search: Search, drifting: Mapping[Set, Drifting]) -> Decision:
     fits, bonus = dict(search.fits), {}
     for names, item in drifting.items():
         fits[(*names, *DRIFT)], bonus[(*names, *DRIFT)] = item.fit, item.bonus
-    evidences = evidence.probabilities(fits, search.batch, len(search.candidates), bonus, search.variants)
+    arguments = (fits, search.batch, len(search.candidates), bonus, search.variants)
+    evidences = evidence.probabilities(*arguments)
+    corrected = _corrected(search, fits, evidences, p_missing)
+    if corrected.sets:
+        leading = max(evidences, key=lambda names: evidences[names].log_posterior)
+        evidences = evidence.probabilities(*arguments, corrected.shifts(leading))
     drifts = tuple(
         names
         for names in drifting
@@ -200,7 +209,18 @@ def _weighed(search: Search, drifting: Mapping[Set, Drifting]) -> Decision:
         ranked=ranked,
         drift_probability=explained * drift_probability,
         drifts=drifts,
+        corrected=corrected,
     )
+
+
+def _corrected(search: Search, fits: Mapping[Set, Fit], known: Mapping[Set, Evidence], p_missing: float) -> Corrected:
+    """Return by how much Laplace's method is off, where the verdict rests on evidence at all."""
+    if p_missing > evidence.MISSING:
+        return Corrected(reason="evidence is Laplace's: the test of nothing being missing decides")
+    best = min(fits.values(), key=lambda item: item.cost)
+    if evidence.lack_of_fit(search.batch, best).p_value < UNEXPLAINED:
+        return Corrected(reason="evidence is Laplace's: no set leaves noise, and the backbones decide")
+    return corrections(fits, known, search.batch, search.budget)
 
 
 def _either(first: Evidence, second: Evidence) -> Evidence:
