@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -289,9 +290,5 @@ def _candidates(verdict: str) -> tuple[Candidate, ...]:
     reason = "no better than Coulomb friction"
     rows += [Candidate(("coulomb_friction", name), 0.003, 809.0, 1.0, 0.96, "rejected", reason) for name in others[:6]]
     rows.sort(key=lambda row: -row.probability)
-    best = rows[0]
-    rows[0] = Candidate(
-        best.effects, best.probability, best.log_evidence, best.reduced_chi_square, best.backbone_chi_square,
-        "best", best.reason, best.parameters,
-    )  # fmt: skip
+    rows[0] = replace(rows[0], status="best")
     return tuple(rows)

@@ -118,7 +118,10 @@ def test_scatter_of_the_effects_and_what_evidence_rests_on_are_told(studies, tmp
     assert "Between specimens the effects differ by 6.2 %" in page and "2.1 to 17 %" in page
     friction = next(item for item in result["candidates"] if item["effects"] == ["coulomb_friction"])
     assert (friction["evidence_shift"], friction["pareto_k"]) == (-0.47, 0.31)
-    assert "-0.47 (k 0.3)" in page and "The evidence of the 2 leading sets is corrected" in page
+    assert (
+        "-0.47 (k 0.3)" in page.replace("\N{MINUS SIGN}", "-")
+        and "The evidence of the 2 leading sets is corrected" in page
+    )
     assert result["evidence_basis"]["sets"] == 2
     write_study(studies[Verdict.ADEQUATE], tmp_path / "none")
     assert read_result(tmp_path / "none")["scatter"] is None
