@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,10 +14,12 @@ from pymc_backbone.discrepancy.study import (
     Check,
     Detectable,
     Estimate,
+    EvidenceBasis,
     GapRange,
     HeldOut,
     LawProbability,
     MissingMechanism,
+    ScatterOfEffects,
     Study,
 )
 from pymc_backbone.discrepancy.verdict import NamedLevel
@@ -206,6 +209,8 @@ def make_study(
         notes=(f"{labels[0]}: the release was found at 0.31 s",),
         seconds=12.3,
         seed=seed,
+        scatter=ScatterOfEffects(0.062, 0.021, 0.17) if is_found and specimens > 1 else None,
+        evidence_basis=EvidenceBasis("the evidence of the 2 leading sets is corrected by importance sampling", 2, 61e3),
     )
 
 
@@ -251,7 +256,16 @@ def _candidates(verdict: str) -> tuple[Candidate, ...]:
             (), nothing, 0.0, *((1.02, 1.1, "best") if verdict == "adequate" else (41.0, 1.1, "rejected")), "base"
         ),
         Candidate(
-            ("coulomb_friction",), friction, 812.4, 1.01, 0.97, of_friction, "fits", {"friction_force": (0.12, 0.003)}
+            ("coulomb_friction",),
+            friction,
+            812.4,
+            1.01,
+            0.97,
+            of_friction,
+            "fits",
+            {"friction_force": (0.12, 0.003)},
+            evidence_shift=-0.47,
+            pareto_k=0.31,
         ),
     ]
     if verdict == "ambiguous":
@@ -276,9 +290,5 @@ def _candidates(verdict: str) -> tuple[Candidate, ...]:
     reason = "no better than Coulomb friction"
     rows += [Candidate(("coulomb_friction", name), 0.003, 809.0, 1.0, 0.96, "rejected", reason) for name in others[:6]]
     rows.sort(key=lambda row: -row.probability)
-    best = rows[0]
-    rows[0] = Candidate(
-        best.effects, best.probability, best.log_evidence, best.reduced_chi_square, best.backbone_chi_square,
-        "best", best.reason, best.parameters,
-    )  # fmt: skip
+    rows[0] = replace(rows[0], status="best")
     return tuple(rows)

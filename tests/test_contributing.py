@@ -86,7 +86,7 @@ def test_the_example_is_named_where_it_is_hidden(example, rng):
     study = pb.find_missing_effect(pb.Oscillator(MASS), records, candidates=[*springs, example.EFFECT], **options)
     assert study.verdict == "found", study.sentence
     assert study.missing_effects == ("rubber_stop",) and study.probability > 0.9
-    (reason,) = study.reasons
+    reason = study.reasons[0]
     assert reason.startswith("Rubber stop: ") and reason.endswith("In other words: stop of rubber.")
     estimate = study.parameters["rubber_stop"]["rubber_stop_stiffness"]
     assert estimate.mean == pytest.approx(0.4 * STIFFNESS / AMPLITUDE**6, rel=0.1)

@@ -22,6 +22,7 @@ from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.discrepancy.study import LawProbability, MissingMechanism
 from pymc_backbone.discrepancy.verdict import AdequateBy, NamedLevel, Status, Verdict
 from pymc_backbone.effects import BASE_EFFECTS, LIBRARY
+from pymc_backbone.workflows.diagnose import describe_study
 
 from .discrepancy_cases import (
     AMPLITUDE,
@@ -119,18 +120,31 @@ def test_one_missing_effect_is_found(effect, rng):
 
 def test_the_reason_is_in_physical_words(cubic_study):
     """A cubic spring raises the frequency in proportion to the square of the amplitude."""
-    (reason,) = cubic_study.reasons
+    reason, _ = cubic_study.reasons
     assert "frequency rises" in reason and "grows with amplitude" in reason
     power = float(reason.split("A^(")[1].split(" ")[0])
     assert power == pytest.approx(2.0, abs=0.15)  # 8 % of hardening bends the law by some per cent
     assert cubic_study.where[0].observable == "frequency"
 
 
+def test_a_named_effect_comes_with_its_scatter_and_what_the_evidence_rests_on(cubic_study):
+    scatter = cubic_study.scatter
+    # two specimens with the same spring: little is known of a scatter but that it is not large
+    assert 0.01 <= scatter.low < scatter.median < scatter.high <= 0.5 and scatter.median < 0.1
+    assert cubic_study.reasons[-1].startswith("Its parameters differ between specimens by")
+    assert f"to {100.0 * scatter.high:.2g} % with 90 %" in cubic_study.reasons[-1]
+    assert cubic_study.reasons[-1] in describe_study(cubic_study)
+    basis = cubic_study.evidence_basis
+    asked = [item for item in cubic_study.candidates if np.isfinite(item.evidence_shift)]
+    assert len(asked) == basis.sets and basis.sentence
+    assert (basis.cycles > 0.0) == (basis.sets > 0)
+
+
 def test_two_missing_effects_are_found_together(rng):
     study = study_of(make_records(rng, ("cubic_stiffness", "coulomb_friction")))
     check_whole(study)
     assert study.verdict == "found" and study.missing_effects == ("coulomb_friction", "cubic_stiffness")
-    assert len(study.reasons) == 2
+    assert len(study.reasons) == 3  # one for each, and how they scatter
 
 
 def test_a_base_that_holds_an_effect(rng):

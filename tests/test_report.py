@@ -109,6 +109,24 @@ def test_result_has_the_documented_keys(studies, tmp_path, verdict):
         assert result["adequate_by"] == "statistics"
 
 
+def test_scatter_of_the_effects_and_what_evidence_rests_on_are_told(studies, tmp_path):
+    study = studies[Verdict.FOUND]
+    write_study(study, tmp_path / "out")
+    result = read_result(tmp_path / "out")
+    page = Page((tmp_path / "out" / "report.html").read_text(encoding="utf-8")).text.replace("\N{NO-BREAK SPACE}", " ")
+    assert result["scatter"] == {"median": 0.062, "low": 0.021, "high": 0.17}
+    assert "Between specimens the effects differ by 6.2 %" in page and "2.1 to 17 %" in page
+    friction = next(item for item in result["candidates"] if item["effects"] == ["coulomb_friction"])
+    assert (friction["evidence_shift"], friction["pareto_k"]) == (-0.47, 0.31)
+    assert (
+        "-0.47 (k 0.3)" in page.replace("\N{MINUS SIGN}", "-")
+        and "The evidence of the 2 leading sets is corrected" in page
+    )
+    assert result["evidence_basis"]["sets"] == 2
+    write_study(studies[Verdict.ADEQUATE], tmp_path / "none")
+    assert read_result(tmp_path / "none")["scatter"] is None
+
+
 def test_a_named_mechanism_comes_first_and_no_law_is_named(studies, tmp_path):
     study = dataclasses.replace(studies["found"], named_level=NamedLevel.MECHANISM, missing_effects=())
     write_study(study, tmp_path / "out")

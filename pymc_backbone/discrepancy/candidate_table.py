@@ -12,6 +12,7 @@ from .verdict import Status
 
 _LISTED_LEFT = 20  # sets in the table that were compared by their backbones only
 _POSSIBLE = 0.01  # probability from which a set is called possible
+_NOT_TRUSTED = "; its probability is not to be trusted: importance sampling does not confirm its evidence"
 _ABOUT = 0.5  # of the best set's probability, from which a set explains the records about as well
 
 
@@ -22,7 +23,7 @@ def candidates_of(search: Search, decision: Decision) -> tuple[Candidate, ...]:
     best_cost = search.fits[decision.best].cost
     for names, found in search.fits.items():
         probability = decision.probabilities.get(names, 0.0)
-        weighed = decision.evidences.get(names)
+        weighed, shift = decision.evidences.get(names), decision.corrected.sets.get(names)
         reduced = float(found.chi_square.sum() / count)
         status = status_of(names, probability, decision, is_open=search.is_open(names))
         rows.append(
@@ -35,8 +36,11 @@ def candidates_of(search: Search, decision: Decision) -> tuple[Candidate, ...]:
                 if status is not Status.REJECTED or len(names) < 2
                 else float("nan"),
                 status=status,
-                reason=_reason(names, probability, best_cost - found.cost, decision, status),
+                reason=_reason(names, probability, best_cost - found.cost, decision, status)
+                + ("" if shift is None or shift.is_trusted else _NOT_TRUSTED),
                 parameters=estimates_of(found),
+                evidence_shift=float("nan") if shift is None else shift.shift,
+                pareto_k=float("nan") if shift is None else shift.pareto_k,
             )
         )
     rows.sort(key=lambda item: -item.probability)

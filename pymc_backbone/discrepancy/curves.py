@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from .batch import Batch
 from .data_term import LevelTerm
 from .joint_fit import Fit, fit, parameters_of
 from .layout import Layout
-from .normal_equations import NUISANCES, State, linearise
+from .normal_equations import NUISANCES, State, linearise, start_state
 from .scatter import SCATTER
 
 NO_NUISANCES = np.zeros(5)  # levels see none of them
@@ -28,6 +29,16 @@ def on_levels(batch: Batch, found: Fit, *, free_effects: bool = False) -> Fit:
     rows = [one_on_levels(found, batch.levels[r], state, r) for r in range(len(batch.specimens))]
     own = np.array(rows)
     return replace(found, state=State(state.eta, own))
+
+
+def fit_on_levels(batch: Batch, layout: Layout, begun: Sequence[tuple[FloatArray, FloatArray]]) -> Fit | None:
+    """Return the best fit to the backbones from some starts: shared coordinates (q,), and stiffness and damping (r, 2).
+
+    None where none of them can be simulated.
+    """
+    starts = [start_state(layout, eta, np.column_stack([own, np.zeros((len(own), 3))])) for eta, own in begun]
+    fits = [fit(layout, batch.levels, start, iterations=20, nuisances=(0, 1), tolerance=0.1) for start in starts]
+    return min((item for item in fits if item is not None), key=lambda item: item.cost, default=None)
 
 
 def one_on_levels(found: Fit, term: LevelTerm, state: State, specimen: int) -> FloatArray:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import xarray as xr
@@ -49,6 +49,10 @@ class DataTerm(Protocol):
         """Return residuals and derivatives."""
         ...
 
+    def residuals(self, simulator: Simulator, parameters: FloatArray, nuisances: FloatArray) -> FloatArray | None:
+        """Return the residuals alone, in less than half the time."""
+        ...
+
 
 @dataclass(frozen=True, eq=False)
 class LevelTerm:
@@ -85,17 +89,26 @@ class LevelTerm:
         self, simulator: Simulator, parameters: FloatArray, nuisances: FloatArray
     ) -> tuple[FloatArray, FloatArray] | None:
         """Return residuals (m,) and derivatives (m, p + 5)."""
+        jacobian = np.zeros((3, self.levels.size, parameters.size))
+        residuals = self._simulated(simulator, parameters, jacobian, sensitivities=True)
+        if residuals is None:
+            return None
+        slopes = np.zeros((self.size, parameters.size + 5))
+        slopes[:, : parameters.size] = jacobian[self.rows[:, 0], self.rows[:, 1]]
+        return residuals, self.whitening @ slopes
+
+    def residuals(self, simulator: Simulator, parameters: FloatArray, nuisances: FloatArray) -> FloatArray | None:
+        """Return residuals (m,)."""
+        return self._simulated(simulator, parameters, np.zeros((3, self.levels.size, 0)), sensitivities=False)
+
+    def _simulated(
+        self, simulator: Simulator, parameters: FloatArray, jacobian: FloatArray, *, sensitivities: bool
+    ) -> FloatArray | None:
+        """Return residuals (m,), and write the derivatives of the simulated values, where they are wanted."""
         n = self.levels.size
         values, status = np.empty((3, n)), np.zeros(n, dtype=np.int64)
-        jacobian = np.zeros((3, n, parameters.size))
-        simulator.backbone(parameters, self.levels, 0.0, True, values, jacobian, status)
-        if status.any():
-            return None
-        pick = (self.rows[:, 0], self.rows[:, 1])
-        slopes = np.zeros((self.size, parameters.size + 5))
-        slopes[:, : parameters.size] = jacobian[pick]
-        residuals = self.whitening @ (self.values - values[pick])
-        return residuals, self.whitening @ slopes
+        simulator.backbone(parameters, self.levels, 0.0, sensitivities, values, jacobian, status)
+        return None if status.any() else self.whitening @ (self.values - values[self.rows[:, 0], self.rows[:, 1]])
 
 
 def level_term(backbones: xr.Dataset, specimen: int, keep: BoolArray | None = None) -> LevelTerm | None:
@@ -213,6 +226,11 @@ class TurningTerm:
         jacobian[n:, columns + 3] = -0.5 * share**2 * turns * less / self.value_errors
         return residuals, jacobian
 
+    def residuals(self, simulator: Simulator, parameters: FloatArray, nuisances: FloatArray) -> FloatArray | None:
+        """Return residuals (2 n,)."""
+        compared = self.compare(simulator, parameters, nuisances)
+        return None if compared is None else compared[0]
+
 
 @dataclass(frozen=True, eq=False)
 class WaveformTerm:
@@ -251,12 +269,20 @@ class WaveformTerm:
     offset_scale: float = 1.0
 
     def simulate(
-        self, simulator: Simulator, parameters: FloatArray, release: float, release_time: float, time: FloatArray
+        self,
+        simulator: Simulator,
+        parameters: FloatArray,
+        release: float,
+        release_time: float,
+        time: FloatArray,
+        *,
+        sensitivities: bool = True,
     ) -> tuple[FloatArray, FloatArray] | None:
         """Return the quantity (n,) and derivatives (n, 2 + p): with respect to release amplitude, parameters, time."""
         values, slopes, _ = simulator.waveform(
-            parameters, release, time - release_time, self.order, tolerance=TOLERANCE, maximum=self.most_turns
-        )
+            parameters, release, time - release_time, self.order, sensitivities=sensitivities, tolerance=TOLERANCE,
+            maximum=self.most_turns,
+        )  # fmt: skip
         return (values, slopes) if np.isfinite(values[-1]) else None
 
     @property
@@ -274,27 +300,21 @@ class WaveformTerm:
     ) -> tuple[FloatArray, FloatArray] | None:
         """Return residuals (m,) and derivatives (m, p + 5)."""
         release, release_time, offset, drift, loss = nuisances
-        length = float(self.time[-1] - self.time[0])
-        elapsed = np.maximum(self.time - release_time, 0.0)
-        later = 0.5 * DRIFT * elapsed**2 / length
-        simulated = self.simulate(simulator, parameters, release, release_time, self.time + drift * later)
+        course = self._course(nuisances)
+        simulated = self.simulate(simulator, parameters, release, release_time, self.time + drift * course.later)
         if simulated is None:
             return None
         values, slopes = simulated
-        share = 0.5 * (elapsed / length) ** 2
-        # y(s(t)) exp(-loss share) is the displacement: its rates have the pace ds/dt in them
-        pace = 1.0 + drift * DRIFT * elapsed / length
-        factor = np.exp(-loss * share) * pace**self.order
         if loss != 0.0 or (self.order and drift != 0.0):
-            values, slopes = values * factor, slopes * factor[:, None]
+            values, slopes = values * course.factor, slopes * course.factor[:, None]
         n, p = self.time.size, parameters.size
         columns = np.empty((n, p + 6))
         columns[:, :p] = slopes[:, 1:-1]
         columns[:, p] = slopes[:, 0]
         columns[:, p + 1] = -slopes[:, -1]
         columns[:, p + 2] = self.offset_scale
-        columns[:, p + 3] = slopes[:, -1] * later + values * (self.order * DRIFT * elapsed / length / pace)
-        columns[:, p + 4] = -share * values
+        columns[:, p + 3] = slopes[:, -1] * course.later + values * course.hastened
+        columns[:, p + 4] = -course.share * values
         columns[:, p + 5] = offset * self.offset_scale + values
         if self.together > 1:
             columns = average(columns, self.together)
@@ -303,3 +323,54 @@ class WaveformTerm:
             columns[:, p + 5] = self.values - columns[:, p + 5]
         whitened = self.whiten(columns)
         return whitened[:, -1], whitened[:, :-1]
+
+    def residuals(self, simulator: Simulator, parameters: FloatArray, nuisances: FloatArray) -> FloatArray | None:
+        """Return residuals (m,)."""
+        release, release_time, offset, drift, loss = nuisances
+        course = self._course(nuisances)
+        simulated = self.simulate(
+            simulator, parameters, release, release_time, self.time + drift * course.later, sensitivities=False
+        )
+        if simulated is None:
+            return None
+        values = simulated[0]
+        if loss != 0.0 or (self.order and drift != 0.0):
+            values = values * course.factor
+        column = (offset * self.offset_scale + values)[:, None]
+        if self.together > 1:
+            left = self.values[EDGE:-EDGE, None] - average(column, self.together)
+        else:
+            left = self.values[:, None] - column
+        return self.whiten(left)[:, 0]
+
+    def _course(self, nuisances: FloatArray) -> _Course:
+        """Return how the drifts change the motion over the record."""
+        _, release_time, _, drift, loss = nuisances
+        length = float(self.time[-1] - self.time[0])
+        elapsed = np.maximum(self.time - release_time, 0.0)
+        share = 0.5 * (elapsed / length) ** 2
+        # y(s(t)) exp(-loss share) is the displacement: its rates have the pace ds/dt in them
+        pace = 1.0 + drift * DRIFT * elapsed / length
+        factor = np.exp(-loss * share) * pace**self.order
+        return _Course(0.5 * DRIFT * elapsed**2 / length, share, factor, self.order * DRIFT * elapsed / length / pace)
+
+
+class _Course(NamedTuple):
+    """What drifts do over a record, sample by sample.
+
+    Attributes
+    ----------
+    later : (n,) array
+        By how much one unit of the drift of frequency puts the motion forward [s].
+    share : (n,) array
+        By how much one unit of the drift of damping lowers the logarithm of the amplitude.
+    factor : (n,) array
+        By which both change the measured quantity.
+    hastened : (n,) array
+        Derivative of the logarithm of that with respect to the drift of frequency.
+    """
+
+    later: FloatArray
+    share: FloatArray
+    factor: FloatArray
+    hastened: FloatArray

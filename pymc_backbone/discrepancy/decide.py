@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
 
 from ..effects import EITHER
 from . import evidence
-from .batch import Batch
+from .corrected_evidence import Corrected, corrections
+from .curves import fit_on_levels
 from .estimates import estimates_of
 from .evidence import DRIFT, UNEXPLAINED, Drifting, Evidence, LackOfFit, is_unexplained
-from .harmonics import Harmonics
-from .joint_fit import Fit, fit
+from .harmonics import odds_behind_bands
+from .joint_fit import Fit
 from .mechanisms import Weighed, weigh
-from .normal_equations import start_state
 from .search import Search, Set
 from .shares import estimates_with, missing_mechanisms, remainder_of
 from .study import MissingMechanism, Remainder
@@ -28,7 +28,6 @@ LISTED = 0.95  # probability that the sets listed as possible hold together
 DRIFT_POSSIBLE = 0.05  # probability of a drift with time from which nothing is named
 MOST_OF_THE_GAP = 0.85  # share of the gap that named mechanisms explain together: it shrinks at least sevenfold
 _MOST_LISTED = 16
-_TO_BACKBONES = 20  # iterations
 _IMITATES = (0.0, 0.03, 0.06, 0.15)  # how probable it is that a set of so many effects imitates what the library lacks
 _HARDLY = 200.0  # gap in standard deviations of the noise beyond which that is rarer, in proportion
 _WEIGHT_OF_NOISE = 0.1  # how much rarer residuals like noise are where the library lacks what is missing
@@ -80,6 +79,8 @@ class Decision:
         Whether what no set explains goes with the amplitude, and not with the record.
     on_backbones : Fit or None
         The best set fitted to the backbones, where no fit of it keeps the phase of the records; then it is believed.
+    corrected : Corrected
+        By how much Laplace's method was off, for the sets between which the verdict lies.
     """
 
     verdict: Verdict
@@ -103,6 +104,7 @@ class Decision:
     remainder: tuple[Remainder, ...] = ()
     is_single_valued: bool = True
     on_backbones: Fit | None = None
+    corrected: Corrected = field(default_factory=Corrected)
 
 
 def decide(search: Search, drifting: Mapping[Set, Drifting], tolerance: Mapping[str, float]) -> Decision:
@@ -169,8 +171,13 @@ def _weighed(search: Search, drifting: Mapping[Set, Drifting]) -> Decision:
     fits, bonus = dict(search.fits), {}
     for names, item in drifting.items():
         fits[(*names, *DRIFT)], bonus[(*names, *DRIFT)] = item.fit, item.bonus
-    odds = _harmonic_odds(search.batch, fits)
-    evidences = evidence.probabilities(fits, search.batch, len(search.candidates), bonus, search.variants, odds)
+    odds = odds_behind_bands(search.batch, fits)
+    arguments = (fits, search.batch, len(search.candidates), bonus, search.variants, odds)
+    evidences = evidence.probabilities(*arguments)
+    corrected = _corrected(search, fits, evidences, p_missing)
+    if corrected.sets:
+        leading = max(evidences, key=lambda names: evidences[names].log_posterior)
+        evidences = evidence.probabilities(*arguments, corrected.shifts(leading))
     drifts = tuple(
         names
         for names in drifting
@@ -205,18 +212,18 @@ def _weighed(search: Search, drifting: Mapping[Set, Drifting]) -> Decision:
         ranked=ranked,
         drift_probability=explained * drift_probability,
         drifts=drifts,
+        corrected=corrected,
     )
 
 
-def _harmonic_odds(batch: Batch, fits: Mapping[Set, Fit]) -> dict[Set, float]:
-    """Return what harmonics that a band-pass keeps from the fits say of each set; without one the fits hold them."""
-    if not any(record.measured.band_pass is not None for record in batch.records):
-        return {}
-    loudest = int(np.argmax([term.levels[-1] for term in batch.levels]))
-    record = Harmonics.of_batch(batch, loudest)
-    if record is None:
-        return {}
-    return {names: record.log_odds(found.layout, found.parameters(loudest)) for names, found in fits.items()}
+def _corrected(search: Search, fits: Mapping[Set, Fit], known: Mapping[Set, Evidence], p_missing: float) -> Corrected:
+    """Return by how much Laplace's method is off, where the verdict rests on evidence at all."""
+    if p_missing > evidence.MISSING:
+        return Corrected(reason="evidence is Laplace's: the test of nothing being missing decides")
+    best = min(fits.values(), key=lambda item: item.cost)
+    if evidence.lack_of_fit(search.batch, best).p_value < UNEXPLAINED:
+        return Corrected(reason="evidence is Laplace's: no set leaves noise, and the backbones decide")
+    return corrections(fits, known, search.batch, search.budget)
 
 
 def _either(first: Evidence, second: Evidence) -> Evidence:
@@ -298,16 +305,10 @@ def _departing(search: Search, decision: Decision) -> Decision:
 
 def _on_backbones(search: Search, best: Set, weighed: Weighed) -> Fit | None:
     """Return a set fitted to the backbones of all specimens: from its proposals, and where it departs least."""
-    layout, levels = search.layout(best), search.batch.levels
     begun = [(weighed.departing[best].state.eta, search.fits[best].state.own[:, :2])]
     if best in search.proposals:
         begun += [(eta, own) for _, eta, own in search.proposals[best].starts]
-    fits = [
-        fit(layout, levels, start_state(layout, eta, np.column_stack([own, np.zeros((len(own), 3))])),
-            iterations=_TO_BACKBONES, nuisances=(0, 1), tolerance=0.1)
-        for eta, own in begun
-    ]  # fmt: skip
-    return min((item for item in fits if item is not None), key=lambda item: item.cost, default=None)
+    return fit_on_levels(search.batch, search.layout(best), begun)
 
 
 def _told(search: Search, weighed: Weighed, best: Set) -> tuple[MissingMechanism, ...]:

@@ -25,7 +25,7 @@ _RELEASE = (2, 3, 4)  # the specimen's own values that say how it was released a
 _ENOUGH = 1.0  # decrease of the cost below which a fit that is not the last one ends
 _TURNING, _ON_THE_WAY = 20, 6  # iterations over all turning points, and over the first of them
 _NEAR_NOISE = 1.3  # of the turning points' reduced chi-square, from which the samples take over
-_PER_CYCLE = 40.0  # values that a cycle counts for at least: it is simulated however few samples are kept
+PER_CYCLE = 40.0  # values that a cycle counts for at least: it is simulated however few samples are kept
 _HOPELESS = 4.0  # sum of squares over the turning points, over that of a model that explains the records
 _UNHEARD_OF = 10.0  # reduced chi-square of the turning points that no model leaves which explains the records
 _SAME_WAY = 0.005  # relative difference of two costs over all turning points that were reached on the same way
@@ -196,7 +196,7 @@ class Descent:
         )  # fmt: skip
         if found is not None:
             weight = 1.0 + 4.0 * is_heavy(layout)
-            values = sum(max(term.size, _PER_CYCLE * term.cycles) for term in terms)
+            values = sum(max(term.size, PER_CYCLE * term.cycles) for term in terms)
             self.effort += found.evaluations * values * weight
         return found
 

@@ -43,6 +43,24 @@ class Evidence:
     probability: float
 
 
+class NoiseScale(NamedTuple):
+    """What the likelihood of all sets refers to.
+
+    Attributes
+    ----------
+    sizes : (r,) array
+        Independent pieces in the residuals of each specimen; infinite where the noise is known.
+    floor : (r,) array
+        Sums of squares of the best set.
+    noise : float
+        Variance of the residuals in units of the one assumed.
+    """
+
+    sizes: FloatArray
+    floor: FloatArray
+    noise: float
+
+
 class Drifting(NamedTuple):
     """A set whose frequency and damping also change with time in each record: its fit, and what its evidence gains."""
 
@@ -63,6 +81,7 @@ def probabilities(
     bonus: Mapping[tuple[str, ...], float] | None = None,
     variants: Collection[str] = (),
     odds: Mapping[tuple[str, ...], float] | None = None,
+    corrections: Mapping[tuple[str, ...], float] | None = None,
 ) -> dict[tuple[str, ...], Evidence]:
     """Return the evidence of every fitted set.
 
@@ -70,24 +89,17 @@ def probabilities(
     the residuals of the best set are white, ``n_eff`` is the number of samples. Where they are not, something is there
     that no set explains; it does not repeat itself independently in every sample, and ``n_eff`` is the number of
     independent pieces that the residuals' own correlation leaves. So a wrong set is never preferred with a certainty
-    that only the number of samples lends it. ``bonus`` is added to the logarithm of the evidence of some; ``odds``
-    are what else than the likelihood speaks for a set, as a natural logarithm. Effects that are ``variants`` of others
-    are rarer than these by a factor `VARIANT`.
+    that only the number of samples lends it. ``bonus`` is added to the logarithm of the evidence of some, and so is
+    what Laplace's method is off by (``corrections``); ``odds`` are what else than the likelihood speaks for a set, as a
+    natural logarithm. Effects that are ``variants`` of others are rarer than these by a factor `VARIANT`.
     """
     if not fits:
         return {}
-    best = min(fits.values(), key=lambda item: item.cost)
-    effective = np.array([effective_size(w, best, r) for r, w in enumerate(batch.deciding)])
-    floor = np.maximum(best.chi_square, 1e-12)
-    noise = float(floor.sum() / effective.sum()) if batch.has_records else 1.0
-    logs = {}
-    for names, found in fits.items():
-        ratio = np.maximum(found.chi_square, 1e-12) / floor
-        likelihood = -0.5 * float(effective @ np.log(ratio)) - 0.5 * found.penalty
-        if not batch.has_records:
-            likelihood = -0.5 * found.cost
-        determinant = information(found.layout, found.system, found.state, found.active, noise)[0]
-        logs[names] = likelihood - 0.5 * determinant + found.scatter.log_evidence + (bonus or {}).get(names, 0.0)
+    scale, off = noise_scale(fits, batch), corrections or {}
+    logs = {
+        names: laplace(found, scale) + found.scatter.log_evidence + (bonus or {}).get(names, 0.0) + off.get(names, 0.0)
+        for names, found in fits.items()
+    }
     base = logs.get((), 0.0)
     for names in logs:
         if len(names) == 1 and names not in (bonus or {}):
@@ -102,6 +114,26 @@ def probabilities(
     return {
         names: Evidence(logs[names] - base, posterior[names], float(np.exp(posterior[names] - total))) for names in fits
     }
+
+
+def noise_scale(fits: Mapping[tuple[str, ...], Fit], batch: Batch) -> NoiseScale:
+    """Return what the best of some fits says of the noise."""
+    best = min(fits.values(), key=lambda item: item.cost)
+    floor = np.maximum(best.chi_square, 1e-12)
+    if not batch.has_records:
+        return NoiseScale(np.full(floor.size, np.inf), floor, 1.0)
+    sizes = np.array([effective_size(w, best, r) for r, w in enumerate(batch.deciding)])
+    return NoiseScale(sizes, floor, float(floor.sum() / sizes.sum()))
+
+
+def laplace(found: Fit, scale: NoiseScale) -> float:
+    """Return the logarithm of the evidence of a fit with the scatter that it was made with, by Laplace's method."""
+    if np.isfinite(scale.sizes).all():
+        ratio = np.maximum(found.chi_square, 1e-12) / scale.floor
+        likelihood = -0.5 * float(scale.sizes @ np.log(ratio)) - 0.5 * found.penalty
+    else:
+        likelihood = -0.5 * found.cost
+    return likelihood - 0.5 * information(found.layout, found.system, found.state, found.active, scale.noise)[0]
 
 
 def residuals_of(term: DataTerm, found: Fit, specimen: int) -> FloatArray:

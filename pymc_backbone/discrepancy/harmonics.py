@@ -7,6 +7,7 @@ so is whether a spring that softens does so on both sides.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Self
 
 import numpy as np
@@ -14,6 +15,7 @@ from scipy.signal.windows import blackmanharris
 
 from .._common.checks import FloatArray
 from .batch import Batch
+from .joint_fit import Fit
 from .layout import Layout
 
 _HARMONICS = np.array([2, 3, 4, 5])
@@ -118,6 +120,17 @@ class Harmonics:
         return None if found is None else found[2]
 
 
+def odds_behind_bands(batch: Batch, fits: Mapping[tuple[str, ...], Fit]) -> dict[tuple[str, ...], float]:
+    """Return what harmonics that a band-pass keeps from the fits say of each set; without one the fits hold them."""
+    if not any(record.measured.band_pass is not None for record in batch.records):
+        return {}
+    loudest = int(np.argmax([term.levels[-1] for term in batch.levels]))
+    record = Harmonics.of_batch(batch, loudest)
+    if record is None:
+        return {}
+    return {names: record.log_odds(found.layout, found.parameters(loudest)) for names, found in fits.items()}
+
+
 def _windowed(values: FloatArray) -> FloatArray:
     """Return the samples less their mean, in a window whose lines do not reach each other."""
     window = blackmanharris(values.size, sym=False)
@@ -155,4 +168,4 @@ def _beside(spectrum: FloatArray, place: float) -> float:
     return min((float(np.sqrt((side**2).mean())) for side in sides if side.size), default=0.0)
 
 
-__all__ = ["Harmonics"]
+__all__ = ["Harmonics", "odds_behind_bands"]

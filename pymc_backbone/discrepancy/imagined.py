@@ -32,11 +32,18 @@ class _Weighted(WaveformTerm):
     added_mass: float = 0.0
 
     def simulate(
-        self, simulator: Simulator, parameters: FloatArray, release: float, release_time: float, time: FloatArray
+        self,
+        simulator: Simulator,
+        parameters: FloatArray,
+        release: float,
+        release_time: float,
+        time: FloatArray,
+        *,
+        sensitivities: bool = True,
     ) -> tuple[FloatArray, FloatArray] | None:
         """Simulate with the mass of this test."""
         heavier = with_mass(simulator.oscillator, self.added_mass) if self.added_mass else simulator
-        return super().simulate(heavier, parameters, release, release_time, time)
+        return super().simulate(heavier, parameters, release, release_time, time, sensitivities=sensitivities)
 
 
 @dataclass(frozen=True, eq=False)

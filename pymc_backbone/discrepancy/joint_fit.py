@@ -26,6 +26,7 @@ from .normal_equations import (
     eliminate,
     information,
     linearise,
+    parameters_at,
     prior_width,
     symmetric,
 )
@@ -119,11 +120,7 @@ class Fit:
 
 def parameters_of(layout: Layout, state: State, specimen: int) -> FloatArray:
     """Return the full parameter vector of one specimen at a point of the fit."""
-    own = state.own[specimen]
-    vector = layout.template.copy()
-    vector[:2] = own[:2]
-    vector[layout.free] = layout.physical(state.eta, own[NUISANCES:], SCATTER)[0]
-    return vector
+    return parameters_at(layout, state.eta, state.own[specimen], SCATTER)[0]
 
 
 def fit(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -84,15 +84,38 @@ def linearise(layout: Layout, terms: Sequence[DataTerm], state: State, scatter: 
     return System(chi_square, penalty, shared_gradient, shared, mixed, own, own_gradient)
 
 
-def _gram(
-    layout: Layout, term: DataTerm, eta: FloatArray, values: FloatArray, scatter: float, active: Any
-) -> FloatArray | None:
-    """Return the products of derivatives and residuals of one specimen: shared, own, residual; None where it fails."""
-    delta = values[NUISANCES:]
-    effects, slopes = layout.physical(eta, delta, scatter)
+class Derivatives(NamedTuple):
+    """Residuals (n,) of one specimen, and derivatives of what is simulated with respect to what is fitted.
+
+    Attributes
+    ----------
+    residuals : (n,) array
+        Standardised, measured minus simulated.
+    shared : (n, q) array
+        With respect to the shared coordinates.
+    own : (n, 7 + q) array
+        With respect to the specimen's own values; zero where these are not fitted.
+    """
+
+    residuals: FloatArray
+    shared: FloatArray
+    own: FloatArray
+
+
+def parameters_at(layout: Layout, eta: FloatArray, values: FloatArray, scatter: float) -> tuple[FloatArray, FloatArray]:
+    """Return the parameter vector (p,) of a specimen with these own values, and the effects' derivatives (q, q)."""
+    effects, slopes = layout.physical(eta, values[NUISANCES:], scatter)
     vector = layout.template.copy()
     vector[:2] = values[:2]
     vector[layout.free] = effects
+    return vector, slopes
+
+
+def derivatives(
+    layout: Layout, term: DataTerm, eta: FloatArray, values: FloatArray, scatter: float, active: Any
+) -> Derivatives | None:
+    """Return residuals and derivatives of one specimen at a point; None where it cannot be simulated."""
+    vector, slopes = parameters_at(layout, eta, values, scatter)
     compared = term.compare(layout.simulator, vector, values[2:NUISANCES])
     if compared is None:
         return None
@@ -103,7 +126,17 @@ def _gram(
     to_own[:, 2:NUISANCES] = jacobian[:, vector.size :]
     to_own[:, NUISANCES:] = to_effects * (eta * scatter)
     to_own[:, ~active] = 0.0
-    together = np.concatenate([to_effects * (1.0 + scatter * delta), to_own, residuals[:, None]], axis=1)
+    return Derivatives(residuals, to_effects * (1.0 + scatter * values[NUISANCES:]), to_own)
+
+
+def _gram(
+    layout: Layout, term: DataTerm, eta: FloatArray, values: FloatArray, scatter: float, active: Any
+) -> FloatArray | None:
+    """Return the products of derivatives and residuals of one specimen: shared, own, residual; None where it fails."""
+    found = derivatives(layout, term, eta, values, scatter, active)
+    if found is None:
+        return None
+    together = np.concatenate([found.shared, found.own, found.residuals[:, None]], axis=1)
     gram: FloatArray = together.T @ together
     return gram if np.isfinite(gram).all() else None
 

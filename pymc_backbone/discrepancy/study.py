@@ -12,6 +12,7 @@ from .._common.checks import FloatArray
 from ..oscillator import Oscillator
 from .curve_records import ForceCurves
 from .design import Contender, Design, Plan
+from .importance import LARGEST_K
 from .verdict import LEAST_SHARE, MECHANISM_NAMED, AdequateBy, NamedLevel, Status, Verdict
 
 
@@ -56,6 +57,10 @@ class Candidate:
         Why, in one sentence.
     parameters : mapping of str to (float, float)
         Value over the batch and standard error, by parameter of the added effects.
+    evidence_shift : float
+        What importance sampling adds to the logarithm of the evidence by Laplace's method; NaN where not asked.
+    pareto_k : float
+        Shape of the tail of its weights: above 0.7 the shift is not trusted and not used. NaN where nothing was drawn.
     """
 
     effects: tuple[str, ...]
@@ -66,6 +71,47 @@ class Candidate:
     status: Status
     reason: str
     parameters: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    evidence_shift: float = float("nan")
+    pareto_k: float = float("nan")
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether importance sampling was asked and does not confirm the probability."""
+        return bool(self.pareto_k > LARGEST_K)
+
+
+@dataclass(frozen=True)
+class ScatterOfEffects:
+    """How much the parameters of the added effects differ between specimens, as a share of their value.
+
+    Attributes
+    ----------
+    median, low, high : float
+        Of the posterior of the relative standard deviation over specimens; 5 % and 95 %.
+    """
+
+    median: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class EvidenceBasis:
+    """What the probabilities of the sets rest on.
+
+    Attributes
+    ----------
+    sentence : str
+        Whether Laplace's method was corrected by importance sampling, for how many sets, and why for no more.
+    sets : int
+        How many were asked.
+    cycles : float
+        Simulated cycles that this took.
+    """
+
+    sentence: str
+    sets: int = 0
+    cycles: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -311,6 +357,10 @@ class Study:
     force_curves : ForceCurves or None
         What is left as forces of displacement and of speed, where no law is exact: beside the named mechanisms, or
         beside the base where none is named; None elsewhere, and without records.
+    scatter : ScatterOfEffects or None
+        How much the effects of the extended model differ between specimens; None without effects, or of one specimen.
+    evidence_basis : EvidenceBasis or None
+        What the probabilities of the sets rest on.
 
     See Also
     --------
@@ -360,3 +410,5 @@ class Study:
     named_level: NamedLevel | None = None
     remainder: tuple[Remainder, ...] = ()
     force_curves: ForceCurves | None = None
+    scatter: ScatterOfEffects | None = None
+    evidence_basis: EvidenceBasis | None = None

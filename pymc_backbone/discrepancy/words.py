@@ -14,7 +14,7 @@ from .estimates import without
 from .joint_fit import Fit, parameters_of
 from .normal_equations import State
 from .search import Search, Set
-from .study import Detectable
+from .study import Detectable, ScatterOfEffects
 from .verdict_words import is_drift_possible, named
 
 _DETECTED = 5.0  # standard deviations at which an effect is named nine times in ten
@@ -35,7 +35,21 @@ def reasons(batch: Batch, found: Fit, names: Set) -> tuple[str, ...]:
         unseen = "the waveforms show it" if batch.has_records else "all levels together show it"
         text = "; ".join(parts) if parts else f"too small to be seen at single levels; {unseen}"
         sentences.append(f"{capitalised(in_words(name))}: {text}.{_said_by_the_library(summaries[name], bool(parts))}")
-    return tuple(sentences)
+    scatter = scatter_of(found)
+    return (*sentences, scatter_sentence(scatter, len(names))) if scatter is not None and names else tuple(sentences)
+
+
+def scatter_of(found: Fit) -> ScatterOfEffects | None:
+    """Return how much the effects differ between specimens; None where nothing is known of it."""
+    value, low, high, _ = found.scatter
+    return ScatterOfEffects(value, low, high) if np.isfinite(value) else None
+
+
+def scatter_sentence(scatter: ScatterOfEffects, effects: int) -> str:
+    """Say how much effects differ between specimens; where records say little, what the prior allows is the answer."""
+    whose = "Its parameters differ" if effects == 1 else "Their parameters differ"
+    low, middle, high = (f"{100.0 * share:.2g}" for share in (scatter.low, scatter.median, scatter.high))
+    return f"{whose} between specimens by {middle} % of their value (standard deviation; {low} to {high} % with 90 %)."
 
 
 def _said_by_the_library(summary: str, is_measured: bool) -> str:

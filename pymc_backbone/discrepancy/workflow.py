@@ -34,7 +34,7 @@ from .locate import where_different
 from .plan import plan_tests
 from .question import Question, ask
 from .search import Search
-from .study import Check, Study
+from .study import Check, EvidenceBasis, Study
 from .verdict import NamedLevel, Verdict
 from .verify import MOST_HELD_OUT, Verification, verify
 
@@ -161,7 +161,8 @@ def find_missing_effect(
     -----
     Every set is fitted to all specimens at once: each has its own stiffness, damping, release and sensor offset; the
     effects are shared up to a scatter, which is inferred. The waveforms decide, by way of the backbones and the turning
-    points; evidence is Laplace's, with the level of the noise left free. See ``docs/naming.md``.
+    points; evidence is Laplace's, with the level of the noise left free, corrected by importance sampling for the sets
+    between which the verdict lies. See ``docs/naming.md``.
     """
     begun = time.perf_counter()
     say = progress or (lambda _stage, _share: None)
@@ -318,6 +319,10 @@ def _study(
         mechanisms=decision.mechanisms,
         named_level=decision.named_level,
         remainder=decision.remainder,
+        scatter=None if extended is None else words.scatter_of(extended),
+        evidence_basis=EvidenceBasis(
+            decision.corrected.reason, len(decision.corrected.sets), decision.corrected.cycles
+        ),
     )
 
 

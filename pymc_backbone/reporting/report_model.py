@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import astuple
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from .._common.text import in_words
+from .._common.text import capitalised, in_words
 from ..discrepancy.study import Candidate, Detectable, Study
 from ..discrepancy.verdict import Verdict
 from ..effects import LIBRARY
@@ -28,6 +29,7 @@ def candidates(study: Study, figures: Mapping[str, Figure]) -> str:
         ("reduced \N{GREEK SMALL LETTER CHI}\N{SUPERSCRIPT TWO}", "n"),
         ("of backbones", "n"),
         ("log evidence", "n"),
+        ("corrected by", "n"),
         ("status", ""),
         ("reason", "text"),
     )
@@ -41,9 +43,12 @@ def candidates(study: Study, figures: Mapping[str, Figure]) -> str:
     note = paragraph(
         "Log evidence is relative to the base model; every set that was tried is listed. After "
         "\N{PLUS-MINUS SIGN} stands the standard error of the fit to all specimens, between which an effect may "
-        "differ by a tenth.",
+        "differ by a tenth. Corrected by: what importance sampling adds to the evidence by Laplace's method, with the "
+        "Pareto k of its weights; above 0.7 it is not used.",
         "soft",
     )
+    if study.evidence_basis is not None:
+        note += paragraph(f"{capitalised(study.evidence_basis.sentence)}.", "soft")
     return section("Candidates", first, rest, note, details("The same as a figure", picture)) if rows else ""
 
 
@@ -103,9 +108,18 @@ def _candidate_row(candidate: Candidate, units: Mapping[str, str]) -> tuple[obje
         number(candidate.reduced_chi_square, 3),
         number(candidate.backbone_chi_square, 3),
         number(candidate.log_evidence),
+        _shift(candidate),
         STATUS_WORDS.get(candidate.status, candidate.status),
         Raw(reason),
     )
+
+
+def _shift(candidate: Candidate) -> str:
+    """Return what importance sampling adds to an evidence, and the Pareto k of its weights where draws were made."""
+    if not np.isfinite(candidate.evidence_shift):
+        return "-"
+    said = f"{candidate.evidence_shift:+.2f}"
+    return said if np.isnan(candidate.pareto_k) else f"{said} (k {candidate.pareto_k:.1f})"
 
 
 def _bar(probability: float) -> Raw:
@@ -147,6 +161,11 @@ def parameters(study: Study, figures: Mapping[str, Figure]) -> str:
         )
     else:
         note += " Nothing was sampled: intervals are those of the fit."
+    if study.scatter is not None:
+        middle, low, high = (f"{100.0 * share:.2g}" for share in astuple(study.scatter))
+        note += (
+            f" Between specimens the effects differ by {middle} % (standard deviation; {low} to {high} % with 90 %)."
+        )
     title = "Parameters of the extended model" if added else "Parameters of the base model"
     if study.verdict == Verdict.UNEXPLAINED and added:
         note = f"This model explains a part of the gap only. {note}"

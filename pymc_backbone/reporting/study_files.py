@@ -62,7 +62,12 @@ DIAGNOSIS_KEYS = {
     "probability": "of the most probable set, which is the missing one where the verdict is found",
     "candidates": "every set, in falling probability: effects, probability, reduced_chi_square, log_evidence (relative "
     "to the base), status (best | possible | rejected | failed), reason, backbone_chi_square, parameters "
-    "(name: value, standard_error)",
+    "(name: value, standard_error), evidence_shift (what importance sampling adds to the evidence by Laplace's method; "
+    "null where not asked), pareto_k (of its weights: above 0.7 the shift is not used and the probability not trusted)",
+    "scatter": "how much the parameters of the added effects differ between specimens, as a share of their value: "
+    "median, low (5 %), high (95 %) of the relative standard deviation; null without effects, or of one specimen",
+    "evidence_basis": "what the probabilities rest on: sentence (whether Laplace's method was corrected by importance "
+    "sampling, and why for no more sets), sets (asked), cycles (simulated for it)",
     "ambiguous_sets": "the sets that cannot be told apart; empty unless ambiguous",
     "advice": "sentences on what measurement would tell more",
     "reasons": "sentences that give the naming in physical words",
@@ -198,9 +203,13 @@ def study_entries(study: Study, version: str) -> dict[str, Any]:
                 "reason": item.reason,
                 "backbone_chi_square": item.backbone_chi_square,
                 "parameters": _values(item.parameters),
+                "evidence_shift": item.evidence_shift,
+                "pareto_k": item.pareto_k,
             }
             for item in falling
         ],
+        "scatter": None if study.scatter is None else asdict(study.scatter),
+        "evidence_basis": None if study.evidence_basis is None else asdict(study.evidence_basis),
         "ambiguous_sets": [list(names) for names in study.ambiguous_sets],
         "advice": list(study.advice),
         "reasons": list(study.reasons),

@@ -272,6 +272,8 @@ def describe_study(study: Study) -> str:
         lines += ["", f"Gap on held-out data, as reduced chi-square: {'; '.join(gaps)}."]
     warned = [f"- {check.message}" for check in study.checks if not check.passed]
     warned += [f"- {sentence}" for sentence in study.findings]
+    if study.evidence_basis is not None and any(item.is_doubtful for item in study.candidates):
+        warned.append(f"- {study.evidence_basis.sentence}")
     if warned:
         lines += ["", "Look at this:", *warned]
     return "\n".join(lines)

@@ -1,0 +1,187 @@
+"""By how much Laplace's method is off, for the sets between which the verdict lies: importance sampling says it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from .._common.text import in_words
+from .batch import Batch
+from .conditional import Conditional
+from .descent import PER_CYCLE, is_heavy
+from .evidence import Evidence, laplace, noise_scale
+from .importance import LARGEST_K, MOST_ROUNDS, integrate
+from .joint_fit import Fit
+
+SETTLED = 0.999
+"""Probability by Laplace's method from which nothing is asked: rivals would have to gain 4.9 on it, as logarithms, to
+bring it below the 0.88 from which a set is named; no correction seen was as large."""
+ASKED = 5e-3
+"""Probability by Laplace's method from which a set is asked."""
+SHARE_OF_EFFORT = 0.5
+"""Of what the search may simulate."""
+_MOST_ASKED = 6
+_STEPS = 2.0  # simulations of a specimen for each draw, as a rule
+_MOST_DRAWS, _FEWEST_DRAWS = 128, 64
+_HEAVY = 5.0  # what a cycle costs where the model has states with an equation of their own
+_SEED = 20240229  # the same for all sets, so that their differences are known better than each
+
+
+class Correction(NamedTuple):
+    """What importance sampling says of one evidence.
+
+    Attributes
+    ----------
+    shift : float
+        To be added to the logarithm of the evidence by Laplace's method.
+    error : float
+        Standard error of it.
+    pareto_k : float
+        Shape of the tail of the weights: above 0.7 the shift is not trusted. NaN where nothing had to be sampled.
+    draws : int
+        Points that were asked.
+    """
+
+    shift: float
+    error: float
+    pareto_k: float
+    draws: int
+
+    @property
+    def is_trusted(self) -> bool:
+        """Whether the weights have a tail that can be summed."""
+        return bool(np.isfinite(self.shift)) and not self.pareto_k > LARGEST_K
+
+
+@dataclass(frozen=True)
+class Corrected:
+    """Which evidences were corrected, and what that took.
+
+    Attributes
+    ----------
+    sets : mapping of set to Correction
+        Those that were asked.
+    reason : str
+        In one sentence, what was done and why no more.
+    cycles : float
+        Cycles that were simulated.
+    """
+
+    sets: Mapping[tuple[str, ...], Correction] = field(default_factory=dict)
+    reason: str = ""
+    cycles: float = 0.0
+
+    def shifts(self, leading: tuple[str, ...]) -> dict[tuple[str, ...], float]:
+        """Return what is added to the logarithm of each evidence, relative to that of the leading set.
+
+        Sets that were not asked are taken to be off by as much as the leading one is, so only differences are moved.
+        """
+        trusted = {names: item.shift for names, item in self.sets.items() if item.is_trusted}
+        common = trusted.get(leading, 0.0)
+        return {names: shift - common for names, shift in trusted.items()}
+
+
+def corrections(
+    fits: Mapping[tuple[str, ...], Fit],
+    known: Mapping[tuple[str, ...], Evidence],
+    batch: Batch,
+    effort: float,
+) -> Corrected:
+    """Return by how much the evidences of the sets between which the verdict lies are off.
+
+    Parameters
+    ----------
+    fits : mapping
+        All sets.
+    known : mapping
+        Their evidence by Laplace's method.
+    batch : Batch
+        The data.
+    effort : float
+        Values that may be simulated, as the search counts them: what is asked does not depend on a clock.
+
+    See Also
+    --------
+    evidence.probabilities : takes the shifts.
+    """
+    ranked = sorted(known, key=lambda names: -known[names].log_posterior)
+    leading = known[ranked[0]].probability
+    if leading > SETTLED:
+        return Corrected(reason=f"evidence is Laplace's: the most probable set holds {leading:.2%} by it")
+    near = [names for names in ranked if known[names].probability > ASKED][:_MOST_ASKED]
+    if len(near) < 2:
+        return Corrected(reason=f"evidence is Laplace's: no rival of the most probable set holds {ASKED:.1%} by it")
+    allowed, cycles = SHARE_OF_EFFORT * effort / PER_CYCLE, 0.0
+    scale = noise_scale(fits, batch)
+    costs = {names: _cost(fits[names], batch) for names in near}
+    chosen, draws = _affordable(near, costs, allowed)
+    found: dict[tuple[str, ...], Correction] = {}
+    for names in chosen:
+        conditional = Conditional(fits[names], batch.deciding, scale.sizes, scale.floor)
+        spare = allowed - cycles - sum(draws * costs[other] for other in chosen if other not in found)
+        rounds = int(spare // max(draws * costs[names], 1.0))
+        middle, covariance = conditional.proposal
+        layout = fits[names].layout
+        integral = integrate(
+            conditional.log_densities, middle, covariance, draws, low=layout.low, high=layout.high,
+            rounds=min(max(rounds, 0), MOST_ROUNDS), random_seed=_SEED,
+        )  # fmt: skip
+        cycles += conditional.simulated * _weight(fits[names])
+        shift = integral.log_value - laplace(fits[names], scale)
+        found[names] = Correction(float(shift), integral.error, integral.pareto_k, integral.draws)
+    return Corrected(found, _reason(found, near, draws), cycles)
+
+
+def _weight(found: Fit) -> float:
+    return _HEAVY if is_heavy(found.layout) else 1.0
+
+
+def _cost(found: Fit, batch: Batch) -> float:
+    """Return the cycles that one draw of a set takes; none where there is nothing to be drawn."""
+    if not found.layout.free.size:
+        return 0.0
+    return _STEPS * _weight(found) * float(sum(term.cycles for term in batch.deciding))
+
+
+def _affordable(
+    near: list[tuple[str, ...]], costs: Mapping[tuple[str, ...], float], allowed: float
+) -> tuple[list[tuple[str, ...]], int]:
+    """Return the sets that can be asked, the leading one and as many rivals as may be, and with how many draws each.
+
+    Nothing where the leading one cannot, or none beside it: what all have in common moves nothing.
+    """
+    draws = _MOST_DRAWS
+    while draws > _FEWEST_DRAWS and draws * sum(costs[names] for names in near) > allowed:
+        draws //= 2
+    chosen: list[tuple[str, ...]] = []
+    for names in near:
+        if draws * (sum(costs[other] for other in chosen) + costs[names]) <= allowed:
+            chosen.append(names)
+        elif not chosen:
+            break
+    return (chosen, draws) if len(chosen) > 1 else ([], draws)
+
+
+def _reason(found: Mapping[tuple[str, ...], Correction], near: list[tuple[str, ...]], draws: int) -> str:
+    """Return in one sentence what was done."""
+    if not found:
+        return "evidence is Laplace's: importance sampling of the leading sets would cost more than it may"
+    said = f"the evidence of the {len(found)} leading sets is corrected by importance sampling"
+    if len(found) < len(near):
+        said += f", that of {len(near) - len(found)} more is not, because that would cost more than it may"
+    if draws < _MOST_DRAWS:
+        said += f"; with {draws} draws for each instead of {_MOST_DRAWS}, for what they cost"
+    lost = [names for names, item in found.items() if not item.is_trusted]
+    if lost:
+        sets = "; ".join(" + ".join(map(in_words, names)) or "the model as it is" for names in lost)
+        said += (
+            f"; it fails for {sets} (Pareto k above {LARGEST_K:g}), whose probability stays Laplace's and is not to be "
+            "trusted"
+        )
+    return said
+
+
+__all__ = ["Corrected", "Correction", "corrections"]

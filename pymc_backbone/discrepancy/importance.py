@@ -1,0 +1,251 @@
+"""An integral by importance sampling, its largest weights smoothed by a Pareto tail, with what says whether it holds.
+
+The first draws are of Student-t distributions from the curvature at the mode, as wide and wider. Where their weights
+are uneven, the next are of a mixture of narrower ones around the draws that count, so that a bent or skewed integrand
+is followed. All draws are weighted by the mixture of all that was drawn from [1]_, and the tail of the weights is
+smoothed [2]_.
+
+References
+----------
+.. [1] Veach E., Guibas L. J. (1995) Optimally combining sampling techniques for Monte Carlo rendering. SIGGRAPH 95,
+   419-428. doi:10.1145/218380.218498
+.. [2] Vehtari A., Simpson D., Gelman A., Yao Y., Gabry J. (2024) Pareto smoothed importance sampling. Journal of
+   Machine Learning Research 25(72), 1-58.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import gammaincinv, gammaln, logsumexp, ndtri
+
+from .._common.checks import FloatArray
+
+LARGEST_K = 0.7
+"""Shape of the Pareto tail up to which an estimate is trusted."""
+MOST_ROUNDS = 4
+"""Rounds of mixtures after the first, where the weights stay uneven."""
+_REACHED = 4.0  # standard deviations of a draw within which a limit is near
+_FEWEST = 25  # weights of which a fifth is a tail that can be fitted
+_FREEDOM = 6.0  # degrees of freedom of the proposals: tails heavier than any of the integrands'
+_FAR, _WIDER = 0.4, 3.0  # share of the first draws that looks further, and how much: what is not seen has no weight
+_KERNELS = 16
+_DEFENSIVE = 0.2  # share of the first proposal in a mixture
+_EVEN = 1e-9  # spread of the logarithm of weights below which they are equal: the integrand is the proposal
+
+
+class Integral(NamedTuple):
+    """An integral and what it rests on.
+
+    Attributes
+    ----------
+    log_value : float
+        Logarithm.
+    error : float
+        Standard error of that.
+    pareto_k : float
+        Shape of the tail of the weights; NaN where nothing had to be sampled.
+    draws : int
+        Points at which the integrand was asked.
+    """
+
+    log_value: float
+    error: float
+    pareto_k: float
+    draws: int
+
+
+class _Mirror(NamedTuple):
+    """A limit at which draws are reflected: of which argument, where, and +1 where it is the lower one, else -1."""
+
+    argument: int
+    at: float
+    side: float
+
+
+class _Kernels(NamedTuple):
+    """A mixture of Student-t distributions: weights (k,), middles (k, q), factor (q, q) of each scale matrix, draws."""
+
+    weights: FloatArray
+    middles: FloatArray
+    factors: Sequence[FloatArray]
+    draws: int
+
+
+def integrate(
+    log_densities: Callable[[FloatArray], FloatArray],
+    middle: FloatArray,
+    covariance: FloatArray,
+    draws: int,
+    *,
+    low: FloatArray | None = None,
+    high: FloatArray | None = None,
+    rounds: int = MOST_ROUNDS,
+    random_seed: int = 0,
+) -> Integral:
+    """Return the integral of a function over all of its arguments.
+
+    Parameters
+    ----------
+    log_densities : callable
+        Takes points (n, q) to the logarithms of the integrand (n,); minus infinity where there is nothing.
+    middle : (q,) array
+        Near the mode.
+    covariance : (q, q) array
+        What the curvature there says.
+    draws : int
+        Of the first round, a power of two; as many again in each of the following.
+    low, high : (q,) arrays, optional
+        Limits of the arguments; by default none. Draws beyond the nearer one, where it is near, are reflected.
+    rounds : int
+        Of mixtures at most, after the first: where the tail of the weights asks for them.
+    random_seed : int
+        Of the shift of the points, which fill the space evenly.
+
+    Returns
+    -------
+    Integral
+        Where no draw found anything, minus infinity.
+
+    See Also
+    --------
+    corrected_evidence.corrections : which evidences are integrated so.
+    """
+    q = middle.size
+    if q == 0:
+        return Integral(float(log_densities(np.zeros((1, 0)))[0]), 0.0, float("nan"), 1)
+    rng = np.random.default_rng(random_seed)
+    factor = np.linalg.cholesky(covariance)
+    first = _Kernels(np.array([1.0 - _FAR, _FAR]), np.array([middle, middle]), [factor, _WIDER * factor], draws)
+    mirrors = _mirrors(middle, np.sqrt(np.diag(covariance)), low, high)
+    asked = [first]
+    points = _reflected(_drawn(first, rng), mirrors)
+    values = np.asarray(log_densities(points))
+    found = _estimate(_log_weights(points, values, asked, mirrors))
+    for _ in range(rounds):
+        if not np.isfinite(found.log_value) or found.pareto_k < _good(values.size):
+            break
+        asked.append(_adapted(points, _log_weights(points, values, asked, mirrors), first))
+        new = _reflected(_drawn(asked[-1], rng), mirrors)
+        points, values = np.concatenate([points, new]), np.concatenate([values, np.asarray(log_densities(new))])
+        found = _estimate(_log_weights(points, values, asked, mirrors))
+    return found
+
+
+def _mirrors(
+    middle: FloatArray, spread: FloatArray, low: FloatArray | None, high: FloatArray | None
+) -> tuple[_Mirror, ...]:
+    """Return the limits that draws reach: of each argument the nearer one."""
+    q = middle.size
+    down = middle - (np.full(q, -np.inf) if low is None else low)
+    up = (np.full(q, np.inf) if high is None else high) - middle
+    return tuple(
+        _Mirror(k, float(middle[k] - down[k]), 1.0) if down[k] <= up[k] else _Mirror(k, float(middle[k] + up[k]), -1.0)
+        for k in range(q)
+        if min(down[k], up[k]) < _REACHED * spread[k]
+    )
+
+
+def _reflected(points: FloatArray, mirrors: Sequence[_Mirror]) -> FloatArray:
+    """Return points (n, q), those behind a mirror before it."""
+    for item in mirrors:
+        points[:, item.argument] = item.at + item.side * np.abs(points[:, item.argument] - item.at)
+    return points
+
+
+def _log_reflected(points: FloatArray, kernels: _Kernels, mirrors: Sequence[_Mirror]) -> FloatArray:
+    """Return the logarithm of the density of reflected draws: the sum over all that would come to the same point."""
+    parts = []
+    for count in range(len(mirrors) + 1):
+        for chosen in combinations(mirrors, count):
+            there = points.copy()
+            for item in chosen:
+                there[:, item.argument] = 2.0 * item.at - there[:, item.argument]
+            parts.append(_log_mixture(there, kernels))
+    return np.asarray(logsumexp(parts, axis=0))
+
+
+def _good(draws: int) -> float:
+    """Return the shape of the tail up to which so many draws are enough (Vehtari et al. 2024, equation 13)."""
+    return min(1.0 - 1.0 / float(np.log10(draws)), LARGEST_K)
+
+
+def _drawn(kernels: _Kernels, rng: np.random.Generator) -> FloatArray:
+    """Return points (n, q) of a mixture that fill it evenly: of a shifted Sobol sequence, kernel by kernel."""
+    from scipy.stats import qmc
+
+    q = kernels.middles.shape[1]
+    even = qmc.Sobol(q + 2, scramble=False).random(kernels.draws)
+    share = np.clip(np.mod(even + rng.random(q + 2), 1.0), 1e-12, 1.0 - 1e-12)
+    which = np.minimum(np.searchsorted(np.cumsum(kernels.weights), share[:, 0]), kernels.weights.size - 1)
+    stretch = np.sqrt(0.5 * _FREEDOM / gammaincinv(0.5 * _FREEDOM, share[:, 1]))
+    normal = ndtri(share[:, 2:]) * stretch[:, None]
+    return np.array([kernels.middles[k] + kernels.factors[k] @ row for k, row in zip(which, normal, strict=True)])
+
+
+def _log_mixture(points: FloatArray, kernels: _Kernels) -> FloatArray:
+    """Return the logarithm of the density of a mixture at points (n, q)."""
+    q = points.shape[1]
+    constant = gammaln(0.5 * (_FREEDOM + q)) - gammaln(0.5 * _FREEDOM) - 0.5 * q * np.log(_FREEDOM * np.pi)
+    each = np.empty((kernels.weights.size, points.shape[0]))
+    for k, (weight, middle, factor) in enumerate(zip(kernels.weights, kernels.middles, kernels.factors, strict=True)):
+        scaled = np.linalg.solve(factor, (points - middle).T)
+        distance = (scaled**2).sum(axis=0) / _FREEDOM
+        each[k] = np.log(weight) - np.log(np.diag(factor)).sum() - 0.5 * (_FREEDOM + q) * np.log1p(distance)
+    density: FloatArray = constant + np.asarray(logsumexp(each, axis=0))
+    return density
+
+
+def _log_weights(
+    points: FloatArray, values: FloatArray, rounds: Sequence[_Kernels], mirrors: Sequence[_Mirror]
+) -> FloatArray:
+    """Return the logarithm of the weights (n,) of all draws, each over the mixture of all rounds."""
+    total = sum(item.draws for item in rounds)
+    parts = [np.log(item.draws / total) + _log_reflected(points, item, mirrors) for item in rounds]
+    return values - np.asarray(logsumexp(parts, axis=0))
+
+
+def _estimate(raw: FloatArray) -> Integral:
+    """Return the mean of the weights, whose logarithms (n,) are given, the largest smoothed."""
+    held = raw[np.isfinite(raw)]
+    if held.size < _FEWEST:
+        mean = float(logsumexp(held)) - np.log(raw.size) if held.size else -np.inf
+        return Integral(mean, np.inf, np.inf, raw.size)
+    if np.ptp(held) < _EVEN:
+        return Integral(float(held[0]) + np.log(held.size / raw.size), 0.0, -np.inf, raw.size)
+    from arviz_stats.base import array_stats
+
+    smoothed, k = array_stats.psislw(-held)  # takes what weights are divided by, returns them summing to one
+    # the least weight is not smoothed: it says what all were divided by
+    least = int(np.argmin(held))
+    log_sum = float(held[least] - smoothed[least])
+    effective = float(np.exp(-logsumexp(2.0 * smoothed)))
+    # draws without weight count in the variance, too
+    error = np.sqrt(max(1.0 / effective - 1.0 / raw.size, 0.0))
+    return Integral(log_sum - np.log(raw.size), float(error), float(k), raw.size)
+
+
+def _adapted(points: FloatArray, log_weights: FloatArray, first: _Kernels) -> _Kernels:
+    """Return a mixture around the draws that count, beside the first proposal."""
+    q = points.shape[1]
+    # half the logarithm is flatter, so that one draw does not make them all
+    weights = np.exp(0.5 * (log_weights - np.max(log_weights)))
+    weights /= weights.sum()
+    places = (np.arange(_KERNELS) + 0.5) / _KERNELS
+    chosen = points[np.minimum(np.searchsorted(np.cumsum(weights), places), weights.size - 1)]
+    centred = points - weights @ points
+    own = first.factors[0] @ first.factors[0].T
+    spread = (weights[:, None] * centred).T @ centred + 1e-3 * own
+    narrow = np.linalg.cholesky(spread) * _KERNELS ** (-1.0 / (q + 4.0))
+    return _Kernels(
+        np.array([*(_DEFENSIVE * first.weights), *[(1.0 - _DEFENSIVE) / _KERNELS] * _KERNELS]),
+        np.vstack([first.middles, chosen]),
+        [*first.factors, *[narrow] * _KERNELS],
+        first.draws,
+    )
+
+
+__all__ = ["LARGEST_K", "MOST_ROUNDS", "Integral", "integrate"]

@@ -1,0 +1,268 @@
+"""Evidence by importance sampling: against closed forms, quadrature, and fits that know nothing of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from scipy.integrate import dblquad
+from scipy.optimize import least_squares
+from scipy.special import logsumexp
+
+from pymc_backbone.discrepancy import corrected_evidence, evidence
+from pymc_backbone.discrepancy.conditional import Conditional
+from pymc_backbone.discrepancy.corrected_evidence import Corrected, Correction, corrections
+from pymc_backbone.discrepancy.evidence import Evidence, laplace, noise_scale
+from pymc_backbone.discrepancy.importance import LARGEST_K, integrate
+from pymc_backbone.discrepancy.joint_fit import Fit, fit
+from pymc_backbone.discrepancy.layout import make_layout
+from pymc_backbone.discrepancy.normal_equations import NUISANCES, start_state
+from pymc_backbone.oscillator import Oscillator
+
+from .discrepancy_cases import AMPLITUDE, DAMPING, MASS, OMEGA, STIFFNESS, batch_of, make_records
+
+COVARIANCE = np.array([[2.0, 0.9], [0.9, 1.0]])
+EFFORT = 1.5e7
+
+
+def gaussian(points):
+    return -0.5 * np.einsum("ni,ij,nj->n", points, np.linalg.inv(COVARIANCE), points)
+
+
+def banana(bend, width):
+    """A ridge along a parabola; its volume is that of two normal densities whatever the bend."""
+    return lambda x: -0.5 * x[:, 0] ** 2 - 0.5 * ((x[:, 1] - bend * x[:, 0] ** 2) / width) ** 2
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_gaussian_has_its_closed_volume(seed):
+    found = integrate(gaussian, np.zeros(2), COVARIANCE, 128, random_seed=seed)
+    exact = np.log(2.0 * np.pi) + 0.5 * np.log(np.linalg.det(COVARIANCE))
+    assert found.log_value == pytest.approx(exact, abs=3.0 * found.error)
+    assert found.error < 0.1 and found.pareto_k < 0.5 and found.draws == 128
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_gaussian_cut_off_at_a_corner_is_what_quadrature_says(seed):
+    exact = dblquad(lambda y, x: np.exp(gaussian(np.array([[x, y]]))[0]), 0.0, 20.0, 0.0, 20.0)[0]
+    found = integrate(
+        lambda x: np.where((x < 0.0).any(axis=1), -np.inf, gaussian(x)), np.zeros(2), COVARIANCE, 128,
+        low=np.zeros(2), high=np.full(2, 100.0), random_seed=seed,
+    )  # fmt: skip
+    assert found.log_value == pytest.approx(np.log(exact), abs=max(3.0 * found.error, 0.02))
+    assert found.pareto_k < 0.5
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_bent_ridge_is_followed_by_the_mixtures(seed):
+    """The curvature at the mode sees a third of it only where the ridge bends by three widths."""
+    exact = np.log(2.0 * np.pi * 0.3)
+    first = integrate(banana(1.0, 0.3), np.zeros(2), np.diag([1.0, 0.09]), 128, rounds=0, random_seed=seed)
+    found = integrate(banana(1.0, 0.3), np.zeros(2), np.diag([1.0, 0.09]), 128, random_seed=seed)
+    assert found.draws > first.draws
+    assert abs(found.log_value - exact) < 0.45  # what no draw has reached is in no weight, and in no error either
+    mild = integrate(banana(0.5, 1.0), np.zeros(2), np.eye(2), 128, random_seed=seed)
+    assert mild.log_value == pytest.approx(np.log(2.0 * np.pi), abs=0.12)
+
+
+def test_a_second_mode_that_draws_reach_is_seen_or_told():
+    """Negative control: nine tenths of the volume lie in a mode eight standard deviations off."""
+    exact = np.log(np.sqrt(2.0 * np.pi) * (1.0 + 0.5 * np.exp(3.0)))
+
+    def two(x):
+        return np.logaddexp(-0.5 * x[:, 0] ** 2, -2.0 * (x[:, 0] - 8.0) ** 2 + 3.0)
+
+    told = []
+    for seed in range(8):
+        found = integrate(two, np.zeros(1), np.eye(1), 128, random_seed=seed)
+        told.append(found.pareto_k > LARGEST_K or abs(found.log_value - exact) < 0.3)
+    assert sum(told) >= 4  # which of the few draws that far come near it is chance
+
+
+def test_a_second_mode_far_away_is_missed():
+    """What the method cannot do: of a mode forty standard deviations off no draw says anything."""
+    exact = np.log(np.sqrt(2.0 * np.pi) * (1.0 + 0.5 * np.exp(3.0)))
+    found = integrate(
+        lambda x: np.logaddexp(-0.5 * x[:, 0] ** 2, -2.0 * (x[:, 0] - 40.0) ** 2 + 3.0), np.zeros(1), np.eye(1), 128
+    )
+    assert found.log_value < exact - 2.0
+
+
+def test_nothing_to_draw_and_nowhere_to_go():
+    one = integrate(lambda x: np.full(len(x), 3.0), np.zeros(0), np.zeros((0, 0)), 128)
+    assert one.log_value == 3.0 and one.draws == 1 and np.isnan(one.pareto_k)
+    none = integrate(lambda x: np.full(len(x), -np.inf), np.zeros(1), np.eye(1), 64)
+    assert none.log_value == -np.inf and none.pareto_k == np.inf
+
+
+@dataclass(frozen=True)
+class Linear:
+    """A data term whose values are linear in everything: then Laplace's method is exact."""
+
+    matrix: np.ndarray
+    values: np.ndarray
+    cycles: float = 10.0
+
+    @property
+    def size(self) -> int:
+        return self.values.size
+
+    def residuals(self, simulator, parameters, nuisances):
+        return self.values - self.matrix @ np.concatenate([parameters, nuisances])
+
+    def compare(self, simulator, parameters, nuisances):
+        return self.residuals(simulator, parameters, nuisances), self.matrix
+
+
+def linear_fit(truth: float = 0.4, samples: int = 40) -> tuple[Fit, Linear]:
+    """A fit of stiffness, damping and a cubic spring to one specimen's linear data with unit noise."""
+    layout = make_layout(Oscillator(MASS, ["cubic_stiffness"]), AMPLITUDE, OMEGA)
+    rng = np.random.default_rng(11)
+    cubic = truth * STIFFNESS / AMPLITUDE**2
+    vector = np.array([STIFFNESS, DAMPING, cubic])
+    matrix = rng.standard_normal((samples, 8)) / np.array([*(0.03 * vector), 1.0, 1.0, 1.0, 1.0, 1.0])
+    values = matrix @ np.concatenate([vector, np.zeros(5)]) + rng.standard_normal(samples)
+    own = np.array([[STIFFNESS, DAMPING, 0.0, 0.0, 0.0]])
+    term = Linear(matrix, values)
+    found = fit(layout, [term], start_state(layout, np.array([cubic]), own), nuisances=(0, 1))
+    assert found is not None
+    return found, term
+
+
+def test_where_everything_is_linear_laplace_is_exact():
+    found, term = linear_fit()
+    conditional = Conditional(found, [term], np.array([np.inf]), found.chi_square)
+    middle, covariance = conditional.proposal
+    integral = integrate(conditional.log_densities, middle, covariance, 128)
+    scale = evidence.NoiseScale(np.array([np.inf]), found.chi_square, 1.0)
+    assert integral.log_value == pytest.approx(laplace(found, scale), abs=0.05)
+    assert integral.pareto_k < 0.5
+    # negative control: of a proposal that is far off, the weights say so
+    far = integrate(
+        conditional.log_densities, middle + 30.0 * np.sqrt(np.diag(covariance)), 0.01 * covariance, 128, rounds=0
+    )
+    assert far.pareto_k > LARGEST_K
+
+
+@pytest.fixture(scope="module")
+def weak():
+    """One specimen whose friction is known to some half of itself: its likelihood ends at zero."""
+    rng = np.random.default_rng(5)
+    batch = batch_of(make_records(rng, ("coulomb_friction",), specimens=1, share=0.06, decibels=38.0))
+    fits = {}
+    for names in ((), ("coulomb_friction",), ("quadratic_damping",)):
+        layout = make_layout(Oscillator(MASS, list(names)), batch.amplitude, batch.angular_frequency)
+        eta = np.array([1e-4 * STIFFNESS * AMPLITUDE if names == ("coulomb_friction",) else 0.05][: layout.free.size])
+        fits[names] = fit(layout, batch.waveform, start_state(layout, eta, batch.own), iterations=100)
+    return batch, fits
+
+
+def by_quadrature(batch, found, scale):
+    """The logarithm of the evidence: quadrature over the strength, the rest by Laplace's method from SciPy's fits."""
+    (term,), layout = batch.waveform, found.layout
+    size, floor = float(scale.sizes[0]), float(scale.floor[0])
+    start = found.state.own[0, :5].copy()
+    start[4] = start[4] or 1e-9
+    unit = np.array([STIFFNESS, DAMPING, AMPLITUDE, 1.0 / OMEGA, AMPLITUDE])
+
+    def residuals(own, eta):
+        vector = layout.template.copy()
+        vector[:2] = own[:2] * unit[:2]
+        vector[layout.free] = layout.physical(eta, np.zeros(eta.size), 0.0)[0]
+        return term.compare(layout.simulator, vector, np.array([*(own[2:] * unit[2:]), 0.0, 0.0]))[0]
+
+    def log_likelihood(eta):
+        low = np.array([0.0, 0.0, -np.inf, -np.inf, -np.inf])
+        solved = least_squares(
+            residuals, start / unit, args=(eta,), jac="3-point", x_scale=np.sqrt(np.diag(spread)), bounds=(low, np.inf),
+            xtol=1e-12, ftol=1e-12, gtol=1e-12,
+        )  # fmt: skip
+        noise = float(found.chi_square[0]) / size
+        determinant = np.linalg.slogdet(solved.jac.T @ solved.jac / noise)[1] - 2.0 * np.log(unit).sum()
+        return -0.5 * size * np.log(2.0 * solved.cost / floor) - 0.5 * determinant
+
+    at_fit = least_squares(residuals, start / unit, args=(found.state.eta,), jac="3-point", max_nfev=1)
+    spread = np.linalg.inv(at_fit.jac.T @ at_fit.jac)
+    if not layout.free.size:
+        return log_likelihood(np.zeros(0))
+    conditional = Conditional(found, batch.waveform, scale.sizes, scale.floor)
+    width, middle = float(conditional.widths[0]), float(found.state.eta[0])
+    error = float(np.sqrt(conditional.proposal.covariance[0, 0]))
+    grid = np.linspace(max(middle - 7.0 * error, float(layout.low[0])), middle + 7.0 * error, 61)
+    logs = np.array([log_likelihood(np.array([eta])) for eta in grid])
+    logs += -0.5 * ((grid - middle) / width) ** 2 - np.log(width * np.sqrt(2.0 * np.pi))
+    weights = np.full(grid.size, grid[1] - grid[0])
+    weights[[0, -1]] *= 0.5
+    return float(logsumexp(logs, b=weights))
+
+
+@pytest.mark.parametrize("names", [("coulomb_friction",), ("quadratic_damping",)])
+def test_evidence_over_the_base_is_that_of_quadrature(weak, names):
+    batch, fits = weak
+    scale = noise_scale(fits, batch)
+    exact = by_quadrature(batch, fits[names], scale) - by_quadrature(batch, fits[()], scale)
+    plain = laplace(fits[names], scale) - laplace(fits[()], scale)
+    known = {key: Evidence(0.0, 0.0, 0.4) for key in fits}
+    found = corrections(fits, known, batch, EFFORT)
+    corrected = plain + found.sets[names].shift - found.sets[()].shift
+    assert found.sets[names].is_trusted
+    assert corrected == pytest.approx(exact, abs=0.05 + 2.0 * found.sets[names].error)
+    if names == ("coulomb_friction",):
+        assert abs(plain - exact) > 0.15  # negative control: here Laplace's method is off, by what lies below zero
+
+
+def test_derivatives_are_not_needed_for_the_conditional_likelihood(weak):
+    """What chord steps find is what a fit with the strength held finds, although specimens move by many errors."""
+    batch, fits = weak
+    found, scale = fits[("coulomb_friction",)], noise_scale(fits, batch)
+    conditional = Conditional(found, batch.waveform, scale.sizes, scale.floor)
+    error = float(np.sqrt(conditional.proposal.covariance[0, 0]))
+    base = float(conditional.log_densities(found.state.eta[None])[0])
+    for shift in (0.5, 1.0, 3.0):
+        eta = found.state.eta + shift * error
+        layout = replace(found.layout, low=eta, high=eta)
+        held = fit(layout, batch.waveform, start_state(layout, eta, found.state.own[:, :NUISANCES]), iterations=50)
+        place = (eta[0] - found.state.eta[0]) / conditional.widths[0]
+        fall = -0.5 * float(scale.sizes @ np.log(held.chi_square / found.chi_square)) - 0.5 * place**2
+        assert float(conditional.log_densities(eta[None])[0]) - base == pytest.approx(fall, abs=0.03)
+    assert conditional.simulated > 0.0
+
+
+def test_what_is_asked_rests_on_probability_and_effort_and_nothing_else(weak, monkeypatch):
+    batch, fits = weak
+    sets = list(fits)
+    known = {names: Evidence(0.0, -k, p) for k, (names, p) in enumerate(zip(sets, (0.6, 0.397, 0.003), strict=True))}
+    found = corrections(fits, known, batch, EFFORT)
+    assert list(found.sets) == sets[:2]
+    assert repr(found) == repr(corrections(fits, known, batch, EFFORT))  # to the last digit
+    assert found.cycles > 0.0 and "2 leading sets" in found.reason
+    settled = {names: Evidence(0.0, -k, p) for k, (names, p) in enumerate(zip(sets, (0.9995, 4e-4, 1e-4), strict=True))}
+    assert not corrections(fits, settled, batch, EFFORT).sets
+    assert "99.95%" in corrections(fits, settled, batch, EFFORT).reason
+    poor = corrections(fits, known, batch, 1e3)
+    assert not poor.sets and "cost more than it may" in poor.reason and poor.cycles == 0.0
+    # what a limit on the effort leaves of the draws is said
+    monkeypatch.setattr(corrected_evidence, "_MOST_DRAWS", 2**16)
+    assert "instead of" in corrections(fits, known, batch, EFFORT).reason
+
+
+def test_shifts_move_differences_only_and_what_fails_moves_nothing():
+    asked = {
+        ("a",): Correction(-1.0, 0.1, 0.1, 128),
+        ("b",): Correction(-1.5, 0.1, 0.1, 128),
+        ("c",): Correction(-9.0, 0.1, 0.9, 128),
+    }
+    shifts = Corrected(asked, "").shifts(("a",))
+    assert shifts == {("a",): 0.0, ("b",): -0.5}
+
+
+def test_corrections_enter_the_probabilities(weak):
+    batch, fits = weak
+    plain = evidence.probabilities(fits, batch, 2, bonus={("coulomb_friction",): 0.0})
+    moved = evidence.probabilities(
+        fits, batch, 2, bonus={("coulomb_friction",): 0.0}, corrections={("coulomb_friction",): -2.0}
+    )
+    gain = moved[("coulomb_friction",)].log_posterior - plain[("coulomb_friction",)].log_posterior
+    assert gain == pytest.approx(-2.0)
+    assert sum(item.probability for item in moved.values()) == pytest.approx(1.0)
