@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -13,6 +16,7 @@ from pymc_backbone.discrepancy.departing import DepartingSets
 from pymc_backbone.discrepancy.departure import NOISES, OWN_SHARE, SCALES, SIZES, Choice
 from pymc_backbone.discrepancy.joint_fit import fit
 from pymc_backbone.discrepancy.layout import make_layout
+from pymc_backbone.discrepancy.mechanisms import _log_size
 from pymc_backbone.discrepancy.normal_equations import start_state
 from pymc_backbone.oscillator import Oscillator
 from pymc_backbone.simulation.decay import simulate_backbone
@@ -178,3 +182,31 @@ def test_smoothness_and_sizes_cover_what_is_possible():
     assert SIZES[0] == 0.0 and module.PRIOR_OF_SIZES.sum() == pytest.approx(1.0)
     assert module.PRIOR_OF_NOISES.sum() == pytest.approx(1.0) and NOISES[2] == 1.0
     assert module.PRIOR_OF_SIZES[SIZES > 0.3].sum() < 0.05 and len(SCALES) == 2
+
+
+def test_forces_far_larger_than_what_is_missing_are_rarer_in_proportion():
+    """Of a gap of a few per mille: a spring as large as the elastic one is too large for it, one of a per mille not."""
+    k, c = OMEGA**2, 2.0 * ZETA * OMEGA
+
+    def gentle(scale):
+        frequency = OMEGA * scale / (2.0 * np.pi) * (1.0 + 0.003 * LEVELS)
+        return frequency, 2.0 * np.pi * ZETA * np.ones(LEVELS.size)
+
+    batch = batch_of(gentle, 11)
+    departures = DepartingSets(batch, 1.0)
+    base = lone(batch, ())
+    search = SimpleNamespace(batch=batch, base=Oscillator(1.0, ()), layout=lambda names: layout_of(batch, names))
+
+    def size(**strengths):
+        names = tuple(strengths)
+        state = start_state(layout_of(batch, names), np.array([*strengths.values()]), np.array([[k, c, 0.0, 0.0, 0.0]]))
+        return _log_size(search, names, replace(base, state=state), departures, base)
+
+    assert size(cubic_stiffness=0.005 * k) == 0.0
+    large = size(bilinear_stiffness=k)
+    gap = 2.0 * 0.003 * float(np.std(LEVELS))  # of the elastic force, what a uniform change of stiffness leaves
+    assert large == pytest.approx(-np.log(1.0 / (5.0 * gap)), abs=0.3)
+    assert size(bilinear_stiffness=2.0 * k) == pytest.approx(large - np.log(2.0), abs=1e-6)
+    both = size(bilinear_stiffness=k, quadratic_stiffness=-k)
+    assert both == pytest.approx(2.0 * large, abs=1e-6)  # each pays
+    assert size() == 0.0

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import Self
 
 import numpy as np
-from scipy.signal.windows import blackmanharris
+from scipy.signal.windows import kaiser
 
 from .._common.checks import FloatArray
 from .batch import Batch
@@ -22,8 +22,9 @@ _HARMONICS = np.array([2, 3, 4, 5])
 _CYCLES = 24  # that are looked at, less where the amplitude has fallen to half before
 _FEWEST = 10  # cycles that a line needs to stand beside its neighbours
 _NYQUIST = 0.8  # share of the highest frequency up to which a sensor is taken to tell
-_WIDTH = 4.0  # half width of a line of the window, in bins
-_NEAR, _FAR = 6.0, 9.0  # bins: what lies so far from a line says how quiet the record is there
+_WIDTHS = (3.0, 5.5)  # least and largest half width of a line, in bins: the wider, the less it reaches beyond
+_LINES = 4.5  # half widths between one harmonic and the next
+_BESIDE = (1.0, 4.0)  # bins beyond a line: what is there says how quiet the record is
 _QUIETER = 0.1  # of what is beside the fundamental: a filter took the harmonic away
 _FLOOR = 1e-4  # least share of the fundamental that a sensor is trusted with
 _MODEL = 0.05  # of a simulated harmonic, that its parameters leave open
@@ -59,12 +60,13 @@ class Harmonics:
         if found is None:
             return
         place, height, ratios = found
-        spectrum = np.abs(np.fft.rfft(_windowed(values)))
-        reference = _beside(spectrum, place)
+        width = _width(values.size / sampling)
+        spectrum = np.abs(np.fft.rfft(_windowed(values, width)))
+        reference = _beside(spectrum, place, width)
         for k, n in enumerate(_HARMONICS):
-            if n * place + _WIDTH > _NYQUIST * spectrum.size:
+            if n * place + width > _NYQUIST * spectrum.size:
                 break
-            beside = _beside(spectrum, n * place)
+            beside = _beside(spectrum, n * place, width)
             if beside > _QUIETER * reference:
                 self.ratios[k], self.errors[k] = ratios[k], max(beside / height, _FLOOR)
 
@@ -131,9 +133,14 @@ def odds_behind_bands(batch: Batch, fits: Mapping[tuple[str, ...], Fit]) -> dict
     return {names: record.log_odds(found.layout, found.parameters(loudest)) for names, found in fits.items()}
 
 
-def _windowed(values: FloatArray) -> FloatArray:
-    """Return the samples less their mean, in a window whose lines do not reach each other."""
-    window = blackmanharris(values.size, sym=False)
+def _width(cycles: float) -> float:
+    """Return half the width of a line [bins] for so many cycles, so that lines do not reach each other."""
+    return float(np.clip(cycles / _LINES, *_WIDTHS))
+
+
+def _windowed(values: FloatArray, width: float) -> FloatArray:
+    """Return the samples less their mean, in the window whose lines have this half width."""
+    window = kaiser(values.size, np.pi * np.sqrt(width**2 - 1.0), sym=False)
     windowed: FloatArray = window * (values - float(window @ values / window.sum()))
     return windowed
 
@@ -144,9 +151,9 @@ def _lines(values: FloatArray, sampling: float) -> tuple[float, float, np.ndarra
     None where no line is near so many samples per cycle. Phases are relative to that of the fundamental, which a shift
     of time does not change.
     """
-    windowed = _windowed(values)
-    spectrum = np.abs(np.fft.rfft(windowed))
     cycles = values.size / sampling
+    windowed = _windowed(values, _width(cycles))
+    spectrum = np.abs(np.fft.rfft(windowed))
     low, high = max(int(0.8 * cycles), 1), int(1.2 * cycles) + 2
     if high + 1 >= spectrum.size or spectrum[low:high].max() <= 0.0:
         return None
@@ -161,10 +168,12 @@ def _lines(values: FloatArray, sampling: float) -> tuple[float, float, np.ndarra
     return place, abs(first), ratios
 
 
-def _beside(spectrum: FloatArray, place: float) -> float:
+def _beside(spectrum: FloatArray, place: float, width: float) -> float:
     """Return the root mean square of the magnitudes beside a line [bins], on the quieter side."""
-    sides = [spectrum[max(round(place + low), 0) : round(place + high) + 1] for low, high in
-             ((-_FAR, -_NEAR), (_NEAR, _FAR))]  # fmt: skip
+    near, far = width + _BESIDE[0], width + _BESIDE[1]
+    sides = [
+        spectrum[max(round(place + low), 0) : round(place + high) + 1] for low, high in ((-far, -near), (near, far))
+    ]
     return min((float(np.sqrt((side**2).mean())) for side in sides if side.size), default=0.0)
 
 

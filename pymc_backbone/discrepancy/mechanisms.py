@@ -35,6 +35,7 @@ _MOST_WEIGHED = 40
 _MOST_HEAVY = 24  # sets that take long, beside single effects
 _LOOKED_BACK = 5  # sets whose subsets begin once more where these ended
 _REACH = 20.0  # logarithm of the odds at first sight from which a set is fitted with the departure
+_AMPLE = 5.0  # forces over the gap from which they are too large for it
 _DRIFTS = 0.1  # prior probability that frequency and damping change with time as well
 _STANDS_OUT = 3.0  # standard errors of a level value from which the departure of an observable counts
 _EXPLAINED = 0.2  # of the gap that a set leaves up to which it does not matter whose own the rest is
@@ -87,8 +88,10 @@ def weigh(search: Search) -> Weighed | None:
     chosen = _specimens(search)
     departures = DepartingSets(search.batch.subset(chosen), search.base.mass)
     departing = _departing(search, departures, chosen)
-    shown = _harmonics(search, departing, chosen)
-    logs = {names: item.log_evidence + _log_prior(names, search) + shown[names] for names, item in departing.items()}
+    beside = _harmonics(search, departing, chosen)
+    sizes = {names: _log_size(search, names, item, departures, departing.get(())) for names, item in departing.items()}
+    beside = {names: value + sizes[names] for names, value in beside.items()}
+    logs = {names: item.log_evidence + _log_prior(names, search) + beside[names] for names, item in departing.items()}
     logs = {names: value for names, value in logs.items() if np.isfinite(value)}
     if () not in logs:
         return None
@@ -97,7 +100,7 @@ def weigh(search: Search) -> Weighed | None:
     if search.batch.has_records:
         of_drift = _of_drift(search, departures, departing[()], ())
         for names in _beside_drift(logs):  # what is left beside a law may go with the time
-            drifting = _of_drift(search, departures, departing[names], names) + shown[names]
+            drifting = _of_drift(search, departures, departing[names], names) + beside[names]
             logs[names] = float(np.logaddexp(logs[names], drifting))
     total = float(logsumexp([*logs.values(), of_drift]))
     gaps = _gaps(departing, departures)
@@ -163,6 +166,35 @@ def _harmonics(search: Search, departing: Mapping[Set, Departing], chosen: list[
         names: record.log_odds(search.layout(names), parameters_of(search.layout(names), item.state, largest))
         for names, item in departing.items()
     }
+
+
+def _log_size(search: Search, names: Set, item: Departing, departures: DepartingSets, base: Departing | None) -> float:
+    """Return how much rarer a set is whose forces are far larger than what is missing, as a natural logarithm.
+
+    They compensate each other, or go unseen by chance. Beforehand a force is as large as the gap, with a tail that
+    falls with the square of its size; widths of the evidence are in proportion to it, so it is rarer in proportion.
+    """
+    if base is None or not names:
+        return 0.0
+    gap = float(np.sqrt((_mean_squares(base) / departures.per_force**2).sum()))
+    layout = search.layout(names)
+    vector, amplitude, omega = (
+        parameters_of(layout, item.state, 0),
+        search.batch.amplitude,
+        search.batch.angular_frequency,
+    )
+    elastic = search.base.mass * omega**2 * amplitude
+    points = [(side * amplitude, 0.0) for side in (-1.0, 1.0)] + [
+        (0.0, side * amplitude * omega) for side in (-1.0, 1.0)
+    ]
+    lost = 0.0
+    for effect in layout.oscillator.effects:
+        if effect.name in names:
+            own = np.array([vector[layout.oscillator.index(parameter.name)] for parameter in effect.parameters])
+            states = np.zeros(effect.n_states)
+            force = max(abs(effect.force(x, v, 1.0 if x + v > 0.0 else -1.0, states, own)) for x, v in points)
+            lost += np.log(max(force / elastic / (_AMPLE * max(gap, 1e-300)), 1.0))
+    return -float(lost)
 
 
 def _looked_back(search: Search, departures: DepartingSets, departing: Mapping[Set, Departing]) -> dict[Set, Departing]:
