@@ -12,6 +12,7 @@ from .._common.checks import FloatArray
 from ..oscillator import Oscillator
 from .curve_records import ForceCurves
 from .design import Contender, Design, Plan
+from .portraits import Portraits
 from .verdict import LEAST_SHARE, MECHANISM_NAMED, AdequateBy, NamedLevel, Status, Verdict
 
 
@@ -312,6 +313,9 @@ class Study:
         What is left as forces of displacement and of speed, where no law is exact: beside the named mechanisms, or
         beside the base where none is named; None elsewhere, and without records.
 
+    portraits : Portraits or None
+        What single records show apart from their backbones: harmonics, forces, spectra; None without records.
+
     See Also
     --------
     find_missing_effect : makes it.
@@ -360,3 +364,4 @@ class Study:
     named_level: NamedLevel | None = None
     remainder: tuple[Remainder, ...] = ()
     force_curves: ForceCurves | None = None
+    portraits: Portraits | None = None

@@ -31,6 +31,7 @@ from .force_curve import force_curves
 from .joint_fit import Fit
 from .locate import where_different
 from .plan import plan_tests
+from .portraits import portraits
 from .question import Question, ask
 from .search import Search
 from .study import Check, Study
@@ -311,6 +312,7 @@ def _study(
         mechanisms=decision.mechanisms,
         named_level=decision.named_level,
         remainder=decision.remainder,
+        portraits=portraits(batch, verification.before, verification.after, quick=bool(asked["quick"])),
     )
 
 
