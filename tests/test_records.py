@@ -543,7 +543,7 @@ def test_long_backbone_file_with_levels_out_of_reach(tmp_path: Path) -> None:
         ("amplitude,frequency", "-1,2", ("line 14", "column 'amplitude'", "positive")),
         ("amplitude,frequency", "1,0", ("line 14", "column 'frequency'", "positive")),
         ("amplitude,frequency", "1,x", ("line 14", "'x'")),
-        ("amplitude [V],frequency", "1,2", ("'V'", "unit")),
+        ("amplitude [kg],frequency", "1,2", ("'kg'", "unit")),
         ("amplitude,frequency,frequency_error,frequency_se", "1,2,3,4", ("one column of standard errors",)),
         ("amplitude,frequency,frequency_error", "1,2,-3", ("line 14", "negative")),
         ("amplitude,frequency,zeta", "1,2,1.5", ("line 14", "below 1")),

@@ -14,7 +14,7 @@ from .corrected_evidence import Corrected, corrections
 from .curves import fit_on_levels
 from .estimates import estimates_of
 from .evidence import DRIFT, UNEXPLAINED, Drifting, Evidence, LackOfFit, is_unexplained
-from .harmonics import odds_behind_bands
+from .harmonic_odds import odds_behind_bands
 from .joint_fit import Fit
 from .mechanisms import Weighed, weigh
 from .search import Search, Set

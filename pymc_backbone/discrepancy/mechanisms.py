@@ -16,7 +16,7 @@ from .._common.threads import in_threads
 from . import evidence, starts
 from .departing import Departing, DepartingSets, Point
 from .descent import is_heavy
-from .harmonics import Harmonics
+from .harmonic_odds import Harmonics
 from .joint_fit import parameters_of
 from .normal_equations import NUISANCES, State, start_state
 from .search import Search, Set

@@ -13,6 +13,7 @@ from ..oscillator import Oscillator
 from .curve_records import ForceCurves
 from .design import Contender, Design, Plan
 from .importance import LARGEST_K
+from .portraits import Portraits
 from .verdict import LEAST_SHARE, MECHANISM_NAMED, AdequateBy, NamedLevel, Status, Verdict
 
 
@@ -362,6 +363,9 @@ class Study:
     evidence_basis : EvidenceBasis or None
         What the probabilities of the sets rest on.
 
+    portraits : Portraits or None
+        What single records show apart from their backbones: harmonics, forces, spectra; None without records.
+
     See Also
     --------
     find_missing_effect : makes it.
@@ -412,3 +416,4 @@ class Study:
     force_curves: ForceCurves | None = None
     scatter: ScatterOfEffects | None = None
     evidence_basis: EvidenceBasis | None = None
+    portraits: Portraits | None = None

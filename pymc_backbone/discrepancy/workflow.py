@@ -32,6 +32,7 @@ from .force_curve import force_curves
 from .joint_fit import Fit
 from .locate import where_different
 from .plan import plan_tests
+from .portraits import portraits
 from .question import Question, ask
 from .search import Search
 from .study import Check, EvidenceBasis, Study
@@ -323,6 +324,7 @@ def _study(
         evidence_basis=EvidenceBasis(
             decision.corrected.reason, len(decision.corrected.sets), decision.corrected.cycles
         ),
+        portraits=portraits(batch, verification.before, verification.after, quick=bool(asked["quick"])),
     )
 
 

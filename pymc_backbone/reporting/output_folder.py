@@ -52,7 +52,8 @@ FIGURES = ("records", "backbones", "densities", "prior_posterior", "population",
 DIAGNOSIS_FIGURES = (
     *(f"{kind}_{observable}" for kind in ("backbones", "gap") for observable in OBSERVABLES),
     *("candidates", "held_out_levels", "held_out_specimens", "parameters", "detectable"),
-    *("force_conservative", "force_damping"),
+    *("force_conservative", "force_damping", "force_sections", "distortion"),
+    *("time_frequency_1", "time_frequency_2"),
 )
 
 RESULT_KEYS = {

@@ -15,6 +15,7 @@ from .html import Raw, bullets, details, escape, image, noted, number, page, par
 from .report_curves import force_curves
 from .report_gap import amplitudes, curves, held_out_gap, interval, where
 from .report_model import candidates, convergence, detectable, equations, mechanisms, parameters
+from .report_portraits import portraits
 from .words import (
     NAMED_MEANS,
     VERDICT_MEANS,
@@ -52,6 +53,7 @@ def report_html(study: Study, figures: Mapping[str, Figure], *, version: str, co
             _reasons(study),
             curves(study, figures),
             where(study),
+            portraits(study, figures),
             mechanisms(study),
             force_curves(study, figures),
             candidates(study, figures),

@@ -12,6 +12,7 @@ from .backbone_plots import plot_records
 from .candidate_plots import plot_candidates, plot_detectable, plot_parameters
 from .curve_plots import plot_force
 from .gap_plots import plot_before_after, plot_gap, plot_held_out
+from .portrait_plots import plot_distortion, plot_force_sections, plot_time_frequency
 from .posterior_plots import plot_rank, plot_trace
 
 
@@ -30,7 +31,8 @@ def study_figures(study: Study, records: Sequence[Any] = ()) -> dict[str, Figure
     dict
         Figures by name: ``backbones_<observable>`` and ``gap_<observable>`` for each observable,
         ``force_conservative``, ``force_damping``, ``candidates``,
-        ``held_out_levels``, ``held_out_specimens``, ``parameters``, ``detectable``, ``trace``, ``rank``, ``records``.
+        ``held_out_levels``, ``held_out_specimens``, ``parameters``, ``detectable``, ``trace``, ``rank``, ``records``;
+        ``time_frequency_<number>``, ``force_sections``, ``distortion`` where a record tells them.
 
     See Also
     --------
@@ -62,6 +64,23 @@ def study_figures(study: Study, records: Sequence[Any] = ()) -> dict[str, Figure
         units = (study.extended or study.base).units
         figures["trace"] = plot_trace(study.posterior, names, units=units)
         figures["rank"] = plot_rank(study.posterior, names, units=units)
+    figures |= _of_single_records(study)
     if len(records):
         figures["records"] = plot_records(records)
+    return figures
+
+
+def _of_single_records(study: Study) -> dict[str, Figure]:
+    """Draw what single records show beside their backbones."""
+    shown = study.portraits
+    figures: dict[str, Figure] = {}
+    if shown is None:
+        return figures
+    unit = str(study.backbones.attrs.get("amplitude_unit", "m"))
+    for number, spectrum in enumerate(shown.spectra, start=1):
+        figures[f"time_frequency_{number}"] = plot_time_frequency(spectrum)
+    if shown.has_forces:
+        figures["force_sections"] = plot_force_sections(shown, unit)
+    if shown.measured is not None:
+        figures["distortion"] = plot_distortion(shown, unit)
     return figures

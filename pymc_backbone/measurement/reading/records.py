@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +22,8 @@ from .columns import (
     find_time,
     find_values,
     is_no_signal,
-    names_force,
     reading_of,
     scaled,
-    unit_of_sensor,
     unit_of_time,
     unit_of_values,
 )
@@ -40,13 +38,12 @@ from .envelopes import (
 from .formats import list_recordings, read_recording
 from .formats.channel import Recording
 from .formats.sep005 import channels_of_sep005
+from .hammer import after_hits, force_of
 from .headers import ENVELOPE
-from .hits import decays_of, is_force
 from .measured_backbones import read_backbones
 from .record import MINIMUM_SAMPLES, Record
-from .sensitivity import FORCE
 from .tables import Column, Table, list_tables, read_table
-from .units import is_voltage, split_header
+from .units import split_header
 
 __all__ = ["read_backbones", "read_records"]
 
@@ -226,7 +223,7 @@ def _records_of_table(table: Table, reading: Reading) -> Iterator[Record]:
         (column, (falls_back_to(column, table.numbers(column), reading, table) if held == ENVELOPE else None) or held)
         for column, held in picked
     ]
-    force = _force_of(table, reading, [column for column, _ in picked])
+    force = force_of(table, reading, [column for column, _ in picked])
     of_motion = _frequency_of(table, reading, picked)
     units = [
         envelope_column(table, column, reading)
@@ -257,7 +254,7 @@ def _records_of_table(table: Table, reading: Reading) -> Iterator[Record]:
                 yield envelope_record(whole, time, values[rows], here, how, source, notes)
                 continue
             record = Record(whole, time, values[rows], quantity, how[0].si, source, notes + how[1])
-            yield from [record] if force is None else _after_hits(record, table.numbers(force.column)[rows], force)
+            yield from [record] if force is None else after_hits(record, table.numbers(force.column)[rows], force)
 
 
 def _without_repeats(
@@ -340,7 +337,7 @@ def _records_of_channels(recording: Recording, stem: str, reading: Reading) -> I
     """Yield the records of the channels of a file; one record is named by ``stem``, several by their channels too."""
     picked = find_values(recording, reading)
     columns = [column for column, _ in picked]
-    force = _force_of(recording, reading, columns)
+    force = force_of(recording, reading, columns)
     of_motion = _frequency_of(recording, reading, picked)
     beside = {column.index for column in (of_motion, None if force is None else force.column) if column is not None}
     chosen = _choice(recording, reading, columns, beside)
@@ -369,7 +366,7 @@ def _records_of_channels(recording: Recording, stem: str, reading: Reading) -> I
         if shown is None or force is None or not is_beside or not np.isfinite(shown.values).all():
             yield record
         else:
-            yield from _after_hits(record, shown.values, force)
+            yield from after_hits(record, shown.values, force)
 
 
 def _time_of_channel(recording: Recording, column: Column, reading: Reading) -> tuple[FloatArray, tuple[str, ...]]:
@@ -403,41 +400,6 @@ def _frequency_of(source: Source, reading: Reading, picked: Sequence[tuple[Colum
     return frequency_column(source, reading, {column.index for column, _ in picked})
 
 
-@dataclass(frozen=True)
-class _Force:
-    """The channel of a hammer's force, and what turns its samples into ``unit``."""
-
-    column: Column
-    factor: float
-    unit: str
-
-
-def _force_of(source: Source, reading: Reading, picked: Sequence[Column]) -> _Force | None:
-    """Return the one channel of force beside those that are read, or None."""
-    used = {column.index for column in picked}
-    others = [column for column in source.columns if column.index not in used]
-    named = [item for item in reading.sensitivities if item.quantity == FORCE]
-    forces = []
-    for column in others:
-        sensor = reading.sensitivity_of(source, column, is_force=True)
-        is_sensor = sensor is not None and (sensor.channel is not None or names_force(column))
-        if is_force(column) or is_sensor or (names_force(column) and is_voltage(column.unit)):
-            forces.append((column, sensor))
-    if named and not forces:
-        source.fail(
-            f"has no channel of force for the `sensitivity` of {printable(named[0].written)}, found {source.found}; "
-            f"name the channel as in 'NAME={printable(named[0].written)}', or drop it.",
-            source.header_line,
-        )
-    if len(forces) != 1:
-        return None
-    ((column, sensor),) = forces
-    if sensor is None:
-        return _Force(column, 1.0, column.unit or "")
-    unit, _ = unit_of_sensor(source, column, FORCE, sensor, None)
-    return _Force(column, unit.factor, unit.si)
-
-
 def _choice(source: Source, reading: Reading, picked: Sequence[Column], beside: set[int]) -> tuple[str, ...]:
     """Return a sentence that says which channels were taken, where there are others than those used ``beside`` them."""
     used = {column.index for column in picked} | beside
@@ -449,21 +411,6 @@ def _choice(source: Source, reading: Reading, picked: Sequence[Column], beside: 
     left += f" and {len(rest) - _MOST_NAMED} more" if len(rest) > _MOST_NAMED else ""
     many = "channels" if len(picked) > 1 else "channel"
     return (f"{many} {taken} {'were' if len(picked) > 1 else 'was'} taken, {left} not",)
-
-
-def _after_hits(record: Record, force: FloatArray, channel: _Force) -> Iterator[Record]:
-    """Yield the free decays after the hits of a hammer, or the whole record where its force shows none."""
-    label = shorten(channel.column.header)
-    name = printable(record.source)
-    for decay in decays_of(record.time, force * channel.factor, label, channel.unit, MINIMUM_SAMPLES, name):
-        yield replace(
-            record,
-            specimen=f"{record.specimen} hit {decay.number}" if decay.number else record.specimen,
-            time=record.time[decay.part].copy(),
-            values=record.values[decay.part].copy(),
-            notes=record.notes + decay.notes,
-            starts_free=decay.part.start > 0,
-        )
 
 
 def _check_finite(source: Source, column: Column, *arrays: FloatArray) -> None:

@@ -1,0 +1,145 @@
+"""What a decay shows apart from its backbone: its harmonics and its force, measured and of the models beside it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .._common.checks import FloatArray, InputError
+from ..measurement.harmonics import LEAST_PER_CYCLE, HarmonicDecay, harmonic_decay, peaks_of
+from ..measurement.time_frequency import TimeFrequency, time_frequency
+from ..simulation.decay import simulate_waveform
+from .batch import Batch
+from .descent import is_heavy
+from .joint_fit import Fit
+
+_PER_CYCLE = 64
+_MOST_CYCLES = 400  # of a simulated decay
+_AT_LEAST = 5  # points with an error that leaves something to see
+_SEEN = 0.3  # of the range of the force beyond the linear spring: the largest standard error that is drawn
+_SECOND = 0.02  # share of a second mode from which a record is in trouble
+
+
+@dataclass(frozen=True, eq=False)
+class Portraits:
+    """Pictures of single records, as numbers.
+
+    Attributes
+    ----------
+    spectra : tuple of TimeFrequency
+        Of the first record, and of one with a second mode.
+    specimen : str
+        Of which harmonics and forces are.
+    mass, stiffness : float
+        Mass [kg], and the stiffness [N/m] of the base at that specimen, which is taken from the forces.
+    measured, base, named : HarmonicDecay or None
+        Of the record; of the base and the named model, fitted to it. None where they are not told: fewer than 16
+        samples a cycle, a band that took the harmonics, or a model that takes too long.
+    has_forces : bool
+        Whether the noise leaves something to see of the force beyond the linear spring.
+    """
+
+    spectra: tuple[TimeFrequency, ...]
+    specimen: str
+    mass: float
+    stiffness: float
+    measured: HarmonicDecay | None
+    base: HarmonicDecay | None
+    named: HarmonicDecay | None
+    has_forces: bool
+
+
+def portraits(batch: Batch, base: Fit, named: Fit | None, *, quick: bool = False) -> Portraits | None:
+    """Return the portraits of the first record, and the spectrum of one with a second mode; None without records.
+
+    Parameters
+    ----------
+    batch : Batch
+        The data.
+    base, named : Fit
+        Models brought to the backbones; None where nothing is named.
+    quick : bool
+        Whether to leave out spectra that show one mode.
+    """
+    if not batch.has_records:
+        return None
+    share = [np.nan_to_num(record.second_mode_share) for record in batch.records]
+    worst = int(np.argmax(share))
+    shown = ([] if quick and batch.records[0].band is None else [0]) + ([worst] if share[worst] > _SECOND else [])
+    spectra = tuple(time_frequency(batch.records[k], batch.cycles[k]) for k in dict.fromkeys(shown))
+    record, cycles = batch.records[0], batch.cycles[0]
+    measured = None
+    if record.band is None:
+        measured = harmonic_decay(record.time, record.displacement, cycles.turning_times[cycles.turning_signs > 0.0])
+    of_base = of_named = None
+    if measured is not None:
+        of_base = _simulated(base, measured)
+        of_named = None if named is None else _simulated(named, measured)
+    stiffness = float(base.parameters(0)[0])
+    mass = base.layout.oscillator.mass
+    return Portraits(
+        spectra, record.specimen, mass, stiffness, measured, of_base, of_named,
+        measured is not None and _shows_forces(measured, mass, stiffness),
+    )  # fmt: skip
+
+
+def beyond_spring(decay: HarmonicDecay, mass: float, stiffness: float) -> tuple[FloatArray, FloatArray]:
+    """Return the force beyond a linear spring over displacement where the speed is zero, and over speed where that is.
+
+    Parameters
+    ----------
+    decay : HarmonicDecay
+        Measured or simulated.
+    mass, stiffness : float
+        Kilograms, newtons per metre.
+
+    Returns
+    -------
+    at_rest, in_passing : (2, 2 w) arrays
+        Displacement and force, by displacement; speed and force, by speed.
+    """
+    sections = []
+    for pairs, spring in ((decay.turning, stiffness), (decay.crossing, 0.0)):
+        place, acceleration = pairs[:, :, 0].ravel(), pairs[:, :, 1].ravel()
+        order = np.argsort(place)
+        sections.append(np.stack([place, -mass * acceleration - spring * place])[:, order])
+    return sections[0], sections[1]
+
+
+def _shows_forces(decay: HarmonicDecay, mass: float, stiffness: float) -> bool:
+    """Return whether enough points of either section stand above their error."""
+    error = mass * float(np.median(decay.acceleration_error))
+    ranges = [float(np.ptp(section[1])) for section in beyond_spring(decay, mass, stiffness)]
+    return decay.amplitude.size >= _AT_LEAST and error < _SEEN * max(ranges)
+
+
+def _simulated(found: Fit, measured: HarmonicDecay) -> HarmonicDecay | None:
+    """Return the harmonics of a model over the measured amplitudes; None where it cannot be simulated soon."""
+    if is_heavy(found.layout):
+        return None
+    parameters = found.parameters(0)
+    oscillator = found.layout.oscillator
+    omega = float(np.sqrt(parameters[0] / oscillator.mass))
+    top, bottom = 1.05 * float(np.abs(measured.turning[:, :, 0]).max()), float(measured.amplitude.min())
+    cycles = 40
+    while True:
+        step = float(2.0 * np.pi / omega / _PER_CYCLE)
+        time = np.arange(cycles * _PER_CYCLE, dtype=np.float64) * step
+        try:
+            values = simulate_waveform(oscillator, parameters, time, top).values
+        except InputError:
+            return None
+        usable = np.isfinite(values)
+        last = np.abs(values[usable][-2 * _PER_CYCLE :]).max(initial=0.0)
+        if last < bottom or cycles >= _MOST_CYCLES or not usable.all():
+            break
+        cycles = min(4 * cycles, _MOST_CYCLES)
+    time, values = time[usable], values[usable]
+    peaks = peaks_of(time, values)
+    height = np.interp(peaks, time, values)
+    peaks = peaks[height > 0.8 * bottom]
+    return harmonic_decay(time, values, peaks) if peaks.size else None
+
+
+__all__ = ["LEAST_PER_CYCLE", "Portraits", "beyond_spring", "portraits"]
