@@ -62,6 +62,13 @@ def test_errors_know_the_truth_and_no_line() -> None:
     assert part["within"] == pytest.approx(0.1 * nothing["within"])
 
 
+def test_friction_jumps_at_rest_and_is_not_drawn_through_it() -> None:
+    at = np.linspace(-2.0, 2.0, 41)
+    v = np.array([-1.5, -0.01, -1e-9, 1e-9, 0.01, 0.33])
+    found = sr.on_either_side(v, at, np.sign(at) * 3.0 + 0.5 * at)
+    np.testing.assert_allclose(found, np.sign(v) * 3.0 + 0.5 * v, rtol=1e-12)
+
+
 @pytest.mark.parametrize(
     "curve, law, family",
     [

@@ -109,7 +109,19 @@ def package_force(folder: Path, truth: dict[str, Any]) -> Force | None:
         return None
     bands = bands_of(batch, found, 1)
     spring, damper = bands.conservative, bands.damping
-    return lambda x, v: np.interp(x, spring.at, spring.force) + np.interp(v, damper.at, damper.force)
+    return lambda x, v: np.interp(x, spring.at, spring.force) + on_either_side(v, damper.at, damper.force)
+
+
+def on_either_side(v: np.ndarray, at: np.ndarray, force: np.ndarray) -> np.ndarray:
+    """Return a damping force between its points, straight on to rest from either side: friction jumps there."""
+    result = np.empty(v.size)
+    for side in (1.0, -1.0):
+        own, mine = side * at > 0.0, (v >= 0.0) == (side > 0.0)
+        order = np.argsort(np.abs(at[own]))
+        known, values = np.abs(at[own])[order], force[own][order]
+        first = values[0] - known[0] * (values[1] - values[0]) / (known[1] - known[0])
+        result[mine] = np.interp(np.abs(v[mine]), np.append(0.0, known), np.append(first, values))
+    return result
 
 
 def symbolic_force(points: list[Points], evaluations: int, seed: int) -> tuple[Force, str]:
