@@ -80,14 +80,66 @@ def test_rivals_that_miss_alike_fall_together():
 
 
 def test_what_is_possible_beside_the_contenders_counts():
-    """It goes with the likeliest: it stays where that is true, and falls with it where it is not."""
+    """What goes with the truth stays, however far the rivals fall; what goes with a rival falls with it."""
     noise = np.random.default_rng(0).standard_normal((100_000, 2))
-    shared = {"directions": [np.ones(3)], "noise": noise, "rest": 0.2}
-    # however far the rival falls, a sixth of the probability remains elsewhere
-    assert planning._share_resolved(np.array([3.0]), np.array([1e4]), is_likeliest=True, **shared) == 0.0
-    shown = planning._share_resolved(np.array([0.0]), np.array([8.0]), is_likeliest=False, **shared)
+    shared = {"directions": [np.ones(3)], "noise": noise}
+    # a sixth of the probability remains elsewhere
+    assert planning._share_resolved(np.array([3.0]), np.array([1e4]), against=0.2, **shared) == 0.0
+    assert planning._share_resolved(np.array([3.0]), np.array([1e4]), certainty=0.87, **shared) == 0.0
+    shown = planning._share_resolved(np.array([0.0]), np.array([8.0]), each=1.2, **shared)
     needed = np.log(1.2 * NAMED / (1.0 - NAMED))
     assert shown == pytest.approx(norm.sf((needed - 4.0) / np.sqrt(8.0)), abs=0.006)
+    # odds that scatter: named as often as they are small enough
+    odds = np.random.default_rng(1).exponential(0.1, len(noise))
+    shown = planning._share_resolved(np.array([3.0]), np.array([1e4]), against=odds, **shared)
+    assert shown == pytest.approx(1.0 - np.exp(-(1.0 / NAMED - 1.0) / 0.1), abs=0.006)
+
+
+def planner_of_nested(ahead, noise=PRESENT.noise):
+    """A model, and the same with a cubic spring that is not there, which is ahead by so much chi-square."""
+    smaller = dataclasses.replace(NOTHING, parameters=OWN, probability=0.5, chi_square=100.0 + ahead)
+    larger = Contender(("cubic_stiffness",), 0.5, {**OWN, "cubic_stiffness": 0.0}, {}, 100.0)
+    present = dataclasses.replace(PRESENT, noise=noise)
+    return planning._Planner(pb.Oscillator(MASS), (smaller, larger), present, {}, 0)
+
+
+@pytest.mark.parametrize(("records", "ahead"), [(2, 9.0), (6, 9.0), (18, 4.0)])
+def test_what_a_larger_set_owes_to_noise_is_weighed_with_new_noise(records, ahead):
+    """Against means of measurements: a value that is zero, measured as three errors, and then once more."""
+    planner = planner_of_nested(ahead)
+    before = planner._before(0, 1, 0)
+    new = imagine(planner.layouts[0], planner.truths[0][0], dataclasses.replace(PRESENT, records=records))
+    together = planner._together(planner.layouts[1], planner.contenders[1], before, new)
+    odds = planner._larger(0, 1, ahead, before[1].fit, together.fit)
+    rng = np.random.default_rng(4)
+    weights = np.array([PRESENT.records, records])
+    later = rng.standard_normal(200_000) / np.sqrt(weights[1])
+    measured = np.stack([np.full(later.size, np.sqrt(ahead / weights[0])), later])
+    z = np.abs(weights @ measured) / np.sqrt(weights.sum())
+    # evidence of a normal value with a prior three times as wide as it is found, or could be seen: of its logarithm
+    exact = np.exp(0.5 * (z**2 - ahead)) * max(np.sqrt(ahead), 3.0) / np.maximum(z, 3.0)
+    for share in (0.25, 0.5, 0.75):
+        assert np.quantile(odds, share) == pytest.approx(np.quantile(exact, share), rel=0.1)
+    assert np.median(odds) < 0.5  # it falls behind, although both predict the same
+
+
+def test_a_larger_set_that_is_ahead_by_noise_falls_behind_with_more_data():
+    planner = planner_of_nested(9.0)
+    shares = [planner.score(dataclasses.replace(PRESENT, records=n), 1).by_set[0] for n in (1, 20, 400)]
+    assert shares[0] < shares[1] < shares[2] and shares[2] > 0.2
+    unknown = planner_of_nested(float("nan"))
+    assert unknown.score(dataclasses.replace(PRESENT, records=400), 1).by_set[0] == 0.0
+
+
+def test_sets_that_no_contender_is_are_as_probable_as_in_a_search():
+    """Twelve effects that might be added, each with a normal estimate of zero: their odds as the evidence has them."""
+    planner = planner_of_nested(0.0)
+    nothing, odds = planner._unlisted(0), planner._unlisted(1)
+    assert 0.4 < np.median(nothing) < 0.8  # the base alone holds some 0.6 where nothing is missing
+    # what is named at last holds 0.9 to 0.96 where nothing else is near, in the benchmark
+    assert 0.02 < np.median(odds) < 0.12
+    assert 0.8 < np.mean(planner.held / (1.0 + odds) > NAMED) < 0.99
+    assert np.quantile(odds, 0.95) > 3.0 * np.median(odds)  # one of them fits the noise well now and then
 
 
 def test_a_plan_prefers_what_tells_the_springs_apart():

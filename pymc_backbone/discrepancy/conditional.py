@@ -111,7 +111,9 @@ class Conditional:
         covariance = symmetric(scaled) * np.outer(self.widths, self.widths)
         limits = 3.0 * np.sqrt(np.diag(covariance))
         step = np.clip(covariance @ gradient, -limits, limits)
-        middle = np.clip(found.state.eta + step, found.layout.low, found.layout.high)
+        stepped = np.clip(found.state.eta + step, found.layout.low, found.layout.high)
+        # a fit that did not come to rest is left behind; but along a bent valley a straight step leads away
+        middle = max((found.state.eta, stepped), key=lambda eta: self._log_density(eta)[0]) if q else stepped
         self.proposal = Proposal(middle, covariance)
 
     def _specimen(self, term: DataTerm, r: int, size: float, floor: float) -> tuple[_Specimen, FloatArray]:

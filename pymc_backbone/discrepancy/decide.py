@@ -196,10 +196,9 @@ def _weighed(search: Search, drifting: Mapping[Set, Drifting]) -> Decision:
         drift_probability = rival.probability
         if rival.log_posterior > evidences[best].log_posterior:
             left = evidence.lack_of_fit(search.batch, drifting[()].fit)  # what explains the records best may be no set
-    none = evidence.PRIOR_NONE * _WEIGHT_OF_NOISE / least_bayes_factor(left.p_value)
-    explained = (1.0 - evidence.PRIOR_NONE) / (1.0 - evidence.PRIOR_NONE + none)
+    explained = library_holds(left.p_value)
     probabilities = {
-        names: explained * _is_none_other(search, names) * evidences[names].probability for names in search.fits
+        names: explained * is_none_other(search, names) * evidences[names].probability for names in search.fits
     }
     return Decision(
         verdict=Verdict.AMBIGUOUS,
@@ -239,6 +238,12 @@ def least_bayes_factor(p_value: float) -> float:
     """Return the least Bayes factor for the null hypothesis that a p-value allows: ``-e p ln p``, 1 from 1/e on."""
     p = min(max(p_value, 1e-300), float(np.exp(-1.0)))
     return float(-np.exp(1.0) * p * np.log(p))
+
+
+def library_holds(p_value: float) -> float:
+    """Return the probability that the library holds what is missing, by the p-value of the best set's residuals."""
+    none = evidence.PRIOR_NONE * _WEIGHT_OF_NOISE / least_bayes_factor(p_value)
+    return (1.0 - evidence.PRIOR_NONE) / (1.0 - evidence.PRIOR_NONE + none)
 
 
 def _pruned(search: Search, weighed: Decision, tolerance: Mapping[str, float]) -> Decision:
@@ -352,7 +357,7 @@ def _by_mechanism(search: Search, decision: Decision) -> Decision:
     return replace(decision, mechanisms=missing_mechanisms(search, decision.probabilities, best, gaps, estimates))
 
 
-def _is_none_other(search: Search, names: Set) -> float:
+def is_none_other(search: Search, names: Set) -> float:
     """Return the probability that a set which leaves noise is not the imitation of something the library lacks.
 
     The more effects a set has, the less probable it is beforehand, and the more it can imitate; but what explains a gap

@@ -70,6 +70,10 @@ class Contender:
         As the study says.
     parameters, errors : mapping of str to float
         Value over the batch of all parameters of the extended model, base included, and standard errors.
+    chi_square : float or None
+        Of the records at hand; None where unknown. It says what of its probability a larger set owes to noise.
+    imitation : float
+        Probability that it imitates something the library lacks.
 
     See Also
     --------
@@ -80,6 +84,8 @@ class Contender:
     probability: float
     parameters: Mapping[str, float]
     errors: Mapping[str, float] = field(default_factory=dict)
+    chi_square: float | None = None
+    imitation: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -235,7 +241,7 @@ def present_design(batch: Batch) -> Design | None:
     )
 
 
-def contender(effects: tuple[str, ...], probability: float, found: Fit) -> Contender:
+def contender(effects: tuple[str, ...], probability: float, found: Fit, imitation: float = 0.0) -> Contender:
     """Return a set and its fit as plain values."""
     own = np.median(found.state.own[:, :2], axis=0)
     shared = estimates_of(found)
@@ -244,7 +250,8 @@ def contender(effects: tuple[str, ...], probability: float, found: Fit) -> Conte
     values = dict(zip(oscillator.parameter_names, found.layout.template.tolist(), strict=True))
     values |= {name: float(value) for name, value in zip(names, own, strict=True)}
     values |= {name: value for name, (value, _) in shared.items()}
-    return Contender(effects, float(probability), values, {name: error for name, (_, error) in shared.items()})
+    errors = {name: error for name, (_, error) in shared.items()}
+    return Contender(effects, float(probability), values, errors, found.cost, imitation)
 
 
 def contenders_from(entries: Sequence[Mapping[str, Any]]) -> tuple[Contender, ...]:
@@ -255,6 +262,8 @@ def contenders_from(entries: Sequence[Mapping[str, Any]]) -> tuple[Contender, ..
             float(item["probability"]),
             {str(name): float(value) for name, value in item["parameters"].items()},
             {str(name): float(value) for name, value in item["errors"].items()},
+            None if item.get("chi_square") is None else float(item["chi_square"]),
+            float(item.get("imitation", 0.0)),
         )
         for item in entries
     )

@@ -32,6 +32,8 @@ _REACHED = 4.0  # standard deviations of a draw within which a limit is near
 _FEWEST = 25  # weights of which a fifth is a tail that can be fitted
 _FREEDOM = 6.0  # degrees of freedom of the proposals: tails heavier than any of the integrands'
 _FAR, _WIDER = 0.4, 3.0  # share of the first draws that looks further, and how much: what is not seen has no weight
+_FALLS = 4.0  # logarithm of the integrand by which it ends, instead of the half that a Gaussian falls by
+_NARROWEST = 1e-3  # share of the standard deviation along an axis down to which it is looked where it ends
 _KERNELS = 16
 _DEFENSIVE = 0.2  # share of the first proposal in a mixture
 _EVEN = 1e-9  # spread of the logarithm of weights below which they are equal: the integrand is the proposal
@@ -118,9 +120,10 @@ def integrate(
     if q == 0:
         return Integral(float(log_densities(np.zeros((1, 0)))[0]), 0.0, float("nan"), 1)
     rng = np.random.default_rng(random_seed)
+    mirrors = _mirrors(middle, np.sqrt(np.diag(covariance)), low, high)
+    covariance = _probed(log_densities, middle, covariance, mirrors)
     factor = np.linalg.cholesky(covariance)
     first = _Kernels(np.array([1.0 - _FAR, _FAR]), np.array([middle, middle]), [factor, _WIDER * factor], draws)
-    mirrors = _mirrors(middle, np.sqrt(np.diag(covariance)), low, high)
     asked = [first]
     points = _reflected(_drawn(first, rng), mirrors)
     values = np.asarray(log_densities(points))
@@ -133,6 +136,34 @@ def integrate(
         points, values = np.concatenate([points, new]), np.concatenate([values, np.asarray(log_densities(new))])
         found = _estimate(_log_weights(points, values, asked, mirrors))
     return found
+
+
+def _probed(
+    log_densities: Callable[[FloatArray], FloatArray],
+    middle: FloatArray,
+    covariance: FloatArray,
+    mirrors: Sequence[_Mirror],
+) -> FloatArray:
+    """Return the covariance, less wide along the axes where the integrand ends sooner than the curvature says.
+
+    Two parameters that nearly stand for each other do so along a bent ridge: a straight line leaves it far within a
+    standard deviation. What is beyond is left to the mixtures, which follow the ridge.
+    """
+    spread = np.sqrt(np.diag(covariance))
+    values, vectors = np.linalg.eigh(covariance / np.outer(spread, spread))
+    axes = spread[:, None] * vectors * np.sqrt(np.maximum(values, 1e-12))
+    there = float(log_densities(middle[None])[0])
+    share = np.ones(middle.size)
+    for j in range(middle.size):
+        while share[j] > _NARROWEST:
+            step = share[j] * axes[:, j]
+            sides = _reflected(np.stack([middle + step, middle - step]), mirrors)
+            if not max(log_densities(sides)) < there - _FALLS:
+                break
+            share[j] *= 0.5
+    scaled = axes * share
+    narrowed: FloatArray = scaled @ scaled.T
+    return narrowed
 
 
 def _mirrors(
@@ -218,14 +249,16 @@ def _estimate(raw: FloatArray) -> Integral:
         return Integral(float(held[0]) + np.log(held.size / raw.size), 0.0, -np.inf, raw.size)
     from arviz_stats.base import array_stats
 
-    smoothed, k = array_stats.psislw(-held)  # takes what weights are divided by, returns them summing to one
+    with np.errstate(all="ignore"):  # a tail of weights that are next to nothing has no shape
+        smoothed, k = array_stats.psislw(-held)  # takes what weights are divided by, returns them summing to one
+    k = float(k) if np.isfinite(k) else np.inf
     # the least weight is not smoothed: it says what all were divided by
     least = int(np.argmin(held))
     log_sum = float(held[least] - smoothed[least])
     effective = float(np.exp(-logsumexp(2.0 * smoothed)))
     # draws without weight count in the variance, too
     error = np.sqrt(max(1.0 / effective - 1.0 / raw.size, 0.0))
-    return Integral(log_sum - np.log(raw.size), float(error), float(k), raw.size)
+    return Integral(log_sum - float(np.log(raw.size)), float(error), k, raw.size)
 
 
 def _adapted(points: FloatArray, log_weights: FloatArray, first: _Kernels) -> _Kernels:

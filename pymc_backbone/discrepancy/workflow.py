@@ -23,7 +23,7 @@ from .batch import Batch
 from .candidate_table import candidates_of
 from .curve_records import ForceCurves
 from .curves import simulate
-from .decide import Decision, decide, mind_second_mode
+from .decide import Decision, decide, is_none_other, mind_second_mode
 from .descent import is_heavy
 from .design import Contender, Plan, contender, present_design
 from .extend import Inference, infer
@@ -334,7 +334,7 @@ def _contenders(outcome: Outcome) -> tuple[Contender, ...]:
     if decision.verdict is not Verdict.AMBIGUOUS or not search.batch.has_records:
         return ()
     return tuple(
-        contender(names, decision.probabilities[names], search.fits[names])
+        contender(names, decision.probabilities[names], search.fits[names], 1.0 - is_none_other(search, names))
         for names in decision.listed
         if decision.probabilities[names] > 0.0
     )

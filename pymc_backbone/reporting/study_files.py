@@ -101,7 +101,8 @@ DIAGNOSIS_KEYS = {
     "present": "the test that these records are: release [m or rad], records, duration [s], sampling_rate [Hz], noise "
     "(standard deviation in the measured quantity), quantity, added_mass; null where only backbones were given",
     "contenders": "the sets that remain possible, for `pymc-backbone plan`: effects, probability, parameters and "
-    "errors by name, of the whole model; empty unless ambiguous",
+    "errors by name, of the whole model, chi_square (of these records), imitation (probability that it imitates what "
+    "the library lacks); empty unless ambiguous",
     "plan": "tests that would tell these apart, the most promising first: best and repeat (the same test again), each "
     "with design, probability, by_set, seconds; null where none was looked for",
     "files": "written by this run, relative to the folder",
@@ -273,6 +274,8 @@ def contender_entries(item: Contender) -> dict[str, Any]:
         "probability": item.probability,
         "parameters": dict(item.parameters),
         "errors": dict(item.errors),
+        "chi_square": item.chi_square,
+        "imitation": item.imitation,
     }
 
 
