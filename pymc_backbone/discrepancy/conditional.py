@@ -126,6 +126,8 @@ class Conditional:
         variance = float(known.residuals @ known.residuals) / size if np.isfinite(size) else 1.0
         jacobian = known.own[:, self.index]
         precision = jacobian.T @ jacobian / variance + np.diag(self.prior)
+        unseen = np.flatnonzero(np.diag(precision) <= 0.0)  # an offset behind a band-pass: it stays where it is
+        precision[unseen, unseen] = 1.0
         scale = 1.0 / np.sqrt(np.maximum(np.diag(precision), 1e-300))
         scaled = precision * np.outer(scale, scale) + 1e-12 * np.eye(scale.size)
         inverse = symmetric(np.linalg.inv(scaled)) * np.outer(scale, scale)
