@@ -82,6 +82,10 @@ def test_a_line_from_elsewhere_says_next_to_nothing():
     true = simulate_waveform(quadratic.oscillator, bent, TIME, AMPLITUDE).displacement
     held = Harmonics(SAMPLING, true + 1e-6 * rng.standard_normal(TIME.size), 0, AMPLITUDE)
     assert held.log_odds(quadratic, bent) > 5.0
+    other_side = np.where(np.arange(bent.size) == 2, -bent, bent)
+    assert held.log_odds(quadratic, other_side) < held.log_odds(quadratic, bent) - 4.0
+    either = [held.log_odds(quadratic, vector, has_side=False) for vector in (bent, other_side)]
+    assert either == pytest.approx([held.log_odds(quadratic, bent) - np.log(2.0)] * 2, abs=0.1)
     assert np.median(odds) < 1.0 and np.max(odds) < 4.0
 
 

@@ -12,7 +12,7 @@ from scipy.stats import f, kstest, multivariate_normal
 
 from pymc_backbone.discrepancy import evidence, rivals, starts, verify
 from pymc_backbone.discrepancy.curves import curve, on_levels, prediction_errors, simulate
-from pymc_backbone.discrepancy.decide import NAMED, _is_none_other, decide
+from pymc_backbone.discrepancy.decide import NAMED, is_none_other, decide
 from pymc_backbone.discrepancy.joint_fit import fit
 from pymc_backbone.discrepancy.locate import mean_gap, where_different
 from pymc_backbone.discrepancy.normal_equations import information, start_state
@@ -126,7 +126,7 @@ def test_what_the_turning_points_refute_is_not_fitted_to_the_samples(cubic):
 def test_larger_sets_imitate_more_and_small_gaps_most():
     def chance(size, gap):
         names = tuple("abc"[:size])
-        return _is_none_other(
+        return is_none_other(
             SimpleNamespace(fits={(): SimpleNamespace(cost=gap**2), names: SimpleNamespace(cost=0.0)}), names
         )
 

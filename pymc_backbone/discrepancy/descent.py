@@ -28,6 +28,7 @@ _NEAR_NOISE = 1.3  # of the turning points' reduced chi-square, from which the s
 PER_CYCLE = 40.0  # values that a cycle counts for at least: it is simulated however few samples are kept
 _HOPELESS = 4.0  # sum of squares over the turning points, over that of a model that explains the records
 _UNHEARD_OF = 10.0  # reduced chi-square of the turning points that no model leaves which explains the records
+_IN_REACH = 30.0  # reduced chi-square after one step over the samples from which these are fitted all the same
 _SAME_WAY = 0.005  # relative difference of two costs over all turning points that were reached on the same way
 _SAME_PLACE = 1e-4  # the same over the first of them
 _SAME_FAILURE = 0.05  # the same where the other start stayed above what can be rivalled
@@ -93,6 +94,10 @@ class Descent:
         return _UNHEARD_OF * self._turning_values
 
     @property
+    def _is_filtered(self) -> bool:
+        return any(record.band is not None for record in self.batch.records)
+
+    @property
     def _turning_values(self) -> float:
         return float(sum(term.size for term in self.batch.turning)) if self.batch.has_records else np.inf
 
@@ -108,18 +113,25 @@ class Descent:
 
         None where it cannot be simulated, or comes the same way as an earlier start: ``ways`` holds where these came
         by, and gets where this one does. One step over the samples is all where the sum of squares over the turning
-        points stays above ``limit``.
+        points stays above ``limit`` and that step does not come near the noise.
         """
-        batch = self.batch
-        iterations = _SHORT
+        batch, is_refuted = self.batch, False
         if batch.has_records:
             reached = self._over_turning_points(layout, state, [] if ways is None else ways, limit)
             if reached is None:
                 return None
             state, cost = reached
-            iterations = 1 if cost > limit else _SHORT
+            is_refuted = cost > limit
+        if is_refuted:
+            step = self.fit(layout, batch.deciding, state, iterations=1, nuisances=batch.nuisances)
+            if step is None or step.cost > _IN_REACH * sum(term.size for term in batch.deciding):
+                return step
+            # a band-pass takes the harmonics along, and turning points are not those of the motion that is simulated
+            state = step.state
+            if ways:
+                ways[-1] = (ways[-1][0], limit)
         return self.fit(
-            layout, batch.deciding, state, iterations=iterations, tolerance=0.03, rival=rival, nuisances=batch.nuisances
+            layout, batch.deciding, state, iterations=_SHORT, tolerance=0.03, rival=rival, nuisances=batch.nuisances
         )
 
     def _over_turning_points(
@@ -139,7 +151,7 @@ class Descent:
             iterations = _TURNING if is_last else _ON_THE_WAY
             goal = _NEAR_NOISE * sum(term.size for term in terms)
             found = self.fit(layout, terms, state, iterations=iterations, tolerance=_ENOUGH, goal=goal)
-            is_telling = is_last or window >= _TELLING
+            is_telling = is_last or (window >= _TELLING and not self._is_filtered)
             if found is not None and found.cost > limit and is_telling and not (is_last or found.is_converged):
                 found = self.fit(layout, terms, found.state, iterations=_TURNING, tolerance=_ENOUGH, goal=limit)
             if found is not None:

@@ -88,7 +88,7 @@ class Harmonics:
             return None
         return cls(period / step, measured.values[inside], measured.order, float(cycles.amplitude[0]))
 
-    def log_odds(self, layout: Layout, parameters: FloatArray) -> float:
+    def log_odds(self, layout: Layout, parameters: FloatArray, *, has_side: bool = True) -> float:
         """Return by how much likelier the record makes a law than one without harmonics, as a natural logarithm.
 
         What a law leaves of a harmonic would have to come from elsewhere: another mode, a sensor that bends. The size
@@ -100,14 +100,20 @@ class Harmonics:
             The model.
         parameters : (p,) array
             Of the specimen.
+        has_side : bool
+            Whether the parameters tell one side from the other; else the law may as well be its own mirror image.
         """
         told = np.isfinite(self.errors)
         shown = self._shown(layout, parameters) if told.any() else None
         if shown is None:
             return 0.0
         measured, shown, errors = self.ratios[told], shown[told], self.errors[told]
-        left = errors**2 + (_MODEL * np.abs(shown)) ** 2 + np.abs(measured - shown) ** 2
-        return float(np.log((errors**2 + np.abs(measured) ** 2) / left).sum())
+        mirrored = shown * (-1.0) ** (_HARMONICS[told] + 1)
+        odds = []
+        for image in (shown, mirrored):
+            left = errors**2 + (_MODEL * np.abs(image)) ** 2 + np.abs(measured - image) ** 2
+            odds.append(float(np.log((errors**2 + np.abs(measured) ** 2) / left).sum()))
+        return odds[0] if has_side else float(np.logaddexp(odds[0], odds[1]) - np.log(2.0))
 
     def _shown(self, layout: Layout, parameters: FloatArray) -> np.ndarray | None:
         """Return the harmonics (4,) of a simulated decay over its fundamental, measured alike; None where none is."""
@@ -130,7 +136,9 @@ def odds_behind_bands(batch: Batch, fits: Mapping[tuple[str, ...], Fit]) -> dict
     record = Harmonics.of_batch(batch, loudest)
     if record is None:
         return {}
-    return {names: record.log_odds(found.layout, found.parameters(loudest)) for names, found in fits.items()}
+    return {
+        names: record.log_odds(found.layout, found.parameters(loudest), has_side=False) for names, found in fits.items()
+    }
 
 
 def _width(cycles: float) -> float:

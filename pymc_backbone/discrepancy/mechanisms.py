@@ -162,8 +162,11 @@ def _harmonics(search: Search, departing: Mapping[Set, Departing], chosen: list[
     record = Harmonics.of_batch(search.batch, chosen[largest])
     if record is None:
         return dict.fromkeys(departing, 0.0)
+    has_side = all(item.offset_is_measured for item in search.batch.records)
     return {
-        names: record.log_odds(search.layout(names), parameters_of(search.layout(names), item.state, largest))
+        names: record.log_odds(
+            search.layout(names), parameters_of(search.layout(names), item.state, largest), has_side=has_side
+        )
         for names, item in departing.items()
     }
 

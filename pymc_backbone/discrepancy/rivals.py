@@ -92,10 +92,11 @@ def drift_fit(batch: Batch, base: Fit, limit: float = np.inf) -> Fit | None:
     if not batch.has_records:
         return None
     nuisances = (*batch.nuisances, *DRIFTS)
-    first = [term.first(_FIRST_TURNS) for term in batch.turning]
-    begun = fit(base.layout, first, base.state, iterations=20, nuisances=nuisances, tolerance=1.0, goal=limit)
-    if begun is not None and begun.cost > limit:
-        return None
+    if not any(record.band is not None for record in batch.records):
+        first = [term.first(_FIRST_TURNS) for term in batch.turning]
+        begun = fit(base.layout, first, base.state, iterations=20, nuisances=nuisances, tolerance=1.0, goal=limit)
+        if begun is not None and begun.cost > limit:
+            return None
     turning = fit(base.layout, batch.turning, base.state, iterations=20, nuisances=nuisances, tolerance=1.0)
     found = None
     if turning is not None and turning.cost > limit:
