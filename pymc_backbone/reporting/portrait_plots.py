@@ -213,5 +213,5 @@ def _smooth_line(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def _models(portraits: Portraits) -> list[tuple[str, str, str, HarmonicDecay]]:
     """Return name, colour, line and decay of the models there are."""
-    both = (("base model", QUIET, "--", portraits.base), ("extended model", SIMULATED, "-", portraits.named))
+    both = (("base model", SIMULATED, "--", portraits.base), ("extended model", TRUE, "-", portraits.named))
     return [(name, colour, style, decay) for name, colour, style, decay in both if decay is not None]
