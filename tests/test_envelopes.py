@@ -475,6 +475,37 @@ def test_diagnose_names_drag_and_looks_for_no_spring(folder):
         pb.find_missing_effect(pb.Oscillator(1e-12), records, candidates=["cubic_stiffness"], quick=True)
 
 
+def test_a_sampled_diagnosis_holds_the_stiffness(folder):
+    """Damping alone does not tell it: it is mass times angular frequency squared, in the draws and in the script."""
+    mass = 1e-12
+    study = pb.find_missing_effect(
+        pb.Oscillator(mass), read_records(folder, frequency=F), candidates=["quadratic_damping"], max_effects=1,
+        held_out=0, random_seed=1, draws=100, tune=100, chains=2,
+    )  # fmt: skip
+    stiffness = mass * (2.0 * np.pi * F) ** 2
+    assert study.settings["fixed"]["linear_stiffness"] == pytest.approx(stiffness, rel=2e-3)  # a part in a thousand
+    assert "linear_stiffness" not in study.posterior["posterior"]
+    drag = study.parameters["quadratic_damping"]["quadratic_damping"]
+    assert drag.mean == pytest.approx(DRAG / 1e-8 * 3.0 * np.pi * mass / (4.0 * 2.0 * np.pi * F), rel=0.03)
+
+
+def test_with_a_column_of_frequencies_springs_are_named(rng):
+    """Hardening and drag together, as a phase-locked loop shows them."""
+    amplitude = LAWS["drag"].amplitude(TIME)
+    records = []
+    for k in range(2):
+        motion = F * (1.0 + 0.001 * k + 2e-3 * amplitude**2)
+        motion = motion + 0.003 * rng.standard_normal(TIME.size) / np.maximum(amplitude, 1e-3)
+        values = 1e-8 * lock_in(amplitude, rng)
+        records.append(Record(f"fork {k}", TIME, values, "envelope", "m", frequency=motion))
+    study = pb.find_missing_effect(
+        pb.Oscillator(1e-12), records, candidates=["quadratic_damping", "coulomb_friction", "cubic_stiffness"],
+        max_effects=2, quick=True, held_out=0, random_seed=1,
+    )  # fmt: skip
+    assert study.missing_effects == ("cubic_stiffness", "quadratic_damping")
+    assert any("the mid-line was not" in note for note in study.notes) and study.portraits is None
+
+
 def test_springs_are_those_that_take_nothing_from_a_cycle():
     """By the force itself, against what the catalogue says the effects are."""
     found = {name for name, effect in LIBRARY.items() if is_spring(effect, (1.0, 0.01, 30.0))}

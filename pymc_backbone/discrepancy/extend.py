@@ -72,7 +72,11 @@ def mean_specimen(batch: Batch, found: Fit) -> tuple[xr.Dataset, FloatArray]:
             "covariance": (("specimen", "observable", "level", "level_other"), covariance),
         },
         coords={"specimen": ["mean specimen"], "observable": names, "level": levels, "level_other": levels},
-        attrs={"amplitude_unit": batch.backbones.attrs.get("amplitude_unit", "m"), "notes": []},
+        attrs={
+            "amplitude_unit": batch.backbones.attrs.get("amplitude_unit", "m"),
+            "notes": [],
+            **{key: batch.backbones.attrs[key] for key in (FREQUENCY,) if key in batch.backbones.attrs},
+        },
     )
     return dataset.isel(level=np.flatnonzero(keep), level_other=np.flatnonzero(keep)), mean
 

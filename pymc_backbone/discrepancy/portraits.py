@@ -16,7 +16,9 @@ from .joint_fit import Fit
 
 _PER_CYCLE = 64
 _MOST_CYCLES = 400  # of a simulated decay
-_AT_LEAST = 5  # points with an error that leaves something to see
+_HIGHER = 3.0  # cycles that a model is released before the first fit
+_LOWER = 0.5  # times the lowest measured amplitude down to which models are simulated
+_AT_LEAST = 3  # points with an error that leaves something to see
 _SEEN = 0.3  # of the range of the force beyond the linear spring: the largest standard error that is drawn
 _SECOND = 0.02  # share of a second mode from which a record is in trouble
 
@@ -74,8 +76,10 @@ def portraits(batch: Batch, base: Fit, named: Fit | None, *, quick: bool = False
         measured = harmonic_decay(record.time, record.displacement, cycles.turning_times[cycles.turning_signs > 0.0])
     of_base = of_named = None
     if measured is not None:
-        of_base = _simulated(base, measured)
-        of_named = None if named is None else _simulated(named, measured)
+        # a fit is of the cycles after a release: the models are released as much higher as they lose until then
+        top = 1.05 * float(np.abs(measured.turning[:, :, 0]).max()) * float(np.exp(_HIGHER * cycles.damping[:3].mean()))
+        of_base = _simulated(base, measured, top)
+        of_named = None if named is None else _simulated(named, measured, top)
     stiffness = float(base.parameters(0)[0])
     mass = base.layout.oscillator.mass
     return Portraits(
@@ -114,14 +118,14 @@ def _shows_forces(decay: HarmonicDecay, mass: float, stiffness: float) -> bool:
     return decay.amplitude.size >= _AT_LEAST and error < _SEEN * max(ranges)
 
 
-def _simulated(found: Fit, measured: HarmonicDecay) -> HarmonicDecay | None:
+def _simulated(found: Fit, measured: HarmonicDecay, top: float) -> HarmonicDecay | None:
     """Return the harmonics of a model over the measured amplitudes; None where it cannot be simulated soon."""
     if is_heavy(found.layout):
         return None
     parameters = found.parameters(0)
     oscillator = found.layout.oscillator
     omega = float(np.sqrt(parameters[0] / oscillator.mass))
-    top, bottom = 1.05 * float(np.abs(measured.turning[:, :, 0]).max()), float(measured.amplitude.min())
+    bottom = _LOWER * float(measured.amplitude.min())
     cycles = 40
     while True:
         step = float(2.0 * np.pi / omega / _PER_CYCLE)
@@ -138,7 +142,7 @@ def _simulated(found: Fit, measured: HarmonicDecay) -> HarmonicDecay | None:
     time, values = time[usable], values[usable]
     peaks = peaks_of(time, values)
     height = np.interp(peaks, time, values)
-    peaks = peaks[height > 0.8 * bottom]
+    peaks = peaks[height > bottom]
     return harmonic_decay(time, values, peaks) if peaks.size else None
 
 

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
+from scipy.interpolate import PchipInterpolator
 
-from .._common.checks import InputError
+from .._common.checks import FloatArray, InputError
 from ..discrepancy.portraits import Portraits, beyond_spring
 from ..measurement.harmonics import ORDERS, HarmonicDecay
 from ..measurement.time_frequency import TimeFrequency
 from .style import COLUMN, MEASURED, QUIET, SIMULATED, TRUE, drawable, engineering, layout, legend_below, parameter_axis
 
 _DEEPEST = -60.0  # dB
+_LINE = 120  # points
+_LINEAR = 8.0  # largest over smallest amplitude up to which the axis is linear
 
 
 def plot_time_frequency(spectrum: TimeFrequency) -> Figure:
@@ -106,10 +109,15 @@ def plot_force_sections(portraits: Portraits, amplitude_unit: str = "m") -> Figu
             at, of_model = beyond_spring(decay, portraits.mass, portraits.stiffness)[number]
             inside = np.abs(at) <= 1.02 * np.abs(place).max()
             for side in (at < 0.0, at >= 0.0):
+                x, y = _smooth_line(at[inside & side], of_model[inside & side])
                 axis.plot(
-                    at[inside & side] * scale, of_model[inside & side] * factor, color=colour, linestyle=style,
-                    linewidth=1.3, label=name if side[-1] else None,
-                )  # fmt: skip
+                    x * scale,
+                    y * factor,
+                    color=colour,
+                    linestyle=style,
+                    linewidth=1.3,
+                    label=name if side[-1] else None,
+                )
         axis.axhline(0.0, color="black", linewidth=0.6)
         axis.set_title(title, fontsize=9, loc="left")
         what = "Displacement" if number == 0 else "Speed"
@@ -151,6 +159,7 @@ def plot_distortion(portraits: Portraits, amplitude_unit: str = "m") -> Figure:
     figure = Figure(figsize=(COLUMN, 4.6), layout=layout())
     axes = figure.subplots(2, 2, sharex=True, sharey=True)
     scale, prefix = engineering(float(measured.amplitude.max()), amplitude_unit)
+    is_narrow = measured.amplitude.max() < _LINEAR * measured.amplitude.min()
     lowest = max(1e-7, 0.3 * float(np.median(measured.floor)))
     for number, axis in enumerate(axes.flat):
         x = measured.amplitude * scale
@@ -169,17 +178,24 @@ def plot_distortion(portraits: Portraits, amplitude_unit: str = "m") -> Figure:
                 decay.amplitude * scale, np.maximum(decay.ratios[:, number], lowest), color=colour, linestyle=style,
                 linewidth=1.3, label=name,
             )  # fmt: skip
-        axis.set_xscale("log")
         axis.set_yscale("log")
+        axis.yaxis.set_minor_locator(NullLocator())
+        if not is_narrow:
+            axis.set_xscale("log")
+            axis.xaxis.set_major_locator(LogLocator(numticks=8))
+            axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            axis.xaxis.set_minor_locator(NullLocator())
         axis.set_title(f"Harmonic {ORDERS[number]}", fontsize=9, loc="left")
         axis.spines[["top", "right"]].set_visible(False)
         axis.grid(alpha=0.25, linewidth=0.5)
         axis.tick_params(labelsize=8)
     axes[0, 0].set_ylim(lowest, None)
     axes[0, 0].set_xlim(0.95 * float(measured.amplitude.min()) * scale, 1.05 * float(measured.amplitude.max()) * scale)
-    figure.supxlabel(f"Amplitude [{prefix}{amplitude_unit}]", fontsize=10)
-    figure.supylabel("Over the fundamental [-]", fontsize=10)
-    legend_below(axes[0, 0], 4)
+    for axis in axes[1]:
+        axis.set_xlabel(f"Amplitude [{prefix}{amplitude_unit}]")
+    for axis in axes[:, 0]:
+        axis.set_ylabel("Over the fundamental [-]")
+    legend_below(axes[0, 0], 2)
     return figure
 
 
@@ -187,7 +203,15 @@ def _places(decay: HarmonicDecay, number: int) -> np.ndarray:
     return np.asarray((decay.turning, decay.crossing)[number][:, :, 0].ravel())
 
 
+def _smooth_line(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return a monotone line through points of a model, one a cycle, that shows no corners where it has none."""
+    if x.size < 4 or not (np.diff(x) > 0.0).all():
+        return x, y
+    fine = np.linspace(x[0], x[-1], _LINE)
+    return fine, np.asarray(PchipInterpolator(x, y)(fine))
+
+
 def _models(portraits: Portraits) -> list[tuple[str, str, str, HarmonicDecay]]:
     """Return name, colour, line and decay of the models there are."""
-    both = (("base model", QUIET, "--", portraits.base), ("named model", SIMULATED, "-", portraits.named))
+    both = (("base model", SIMULATED, "--", portraits.base), ("extended model", TRUE, "-", portraits.named))
     return [(name, colour, style, decay) for name, colour, style, decay in both if decay is not None]

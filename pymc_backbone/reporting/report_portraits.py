@@ -33,7 +33,7 @@ def portraits(study: Study, figures: Mapping[str, Figure]) -> str:
             figures.get(f"time_frequency_{number + 1}"),
             f"spectrum of {item.specimen} over time, with the frequency that was followed",
             caption="A single dark line with its multiples is one mode; another line that keeps its own frequency is a "
-            "second mode, to be kept out with a band. The coloured line must lie on the lowest dark one.",
+            "second mode, to be kept out with a band. The coloured line must lie on a dark one.",
         )
         for number, item in enumerate(shown.spectra)
     )
