@@ -24,7 +24,7 @@ ASKED = 5e-3
 SHARE_OF_EFFORT = 0.5
 """Of what the search may simulate."""
 _MOST_ASKED = 6
-_STEPS = 2.0  # simulations of a specimen for each draw, as a rule
+_STEPS = 3.0  # simulations of a specimen for each draw, as a rule
 _MOST_DRAWS, _FEWEST_DRAWS = 128, 64
 _HEAVY = 5.0  # what a cycle costs where the model has states with an equation of their own
 _SEED = 20240229  # the same for all sets, so that their differences are known better than each
