@@ -678,7 +678,7 @@ def test_the_base_begins_once_more_where_the_best_set_ended(gap, is_asked):
     search = SimpleNamespace(
         fits={(): fit_of(100.0 + gap, 0), ("a",): fit_of(100.0, 1)}, count=100, ranked=lambda: [("a",), ()],
         layout=lambda names: layouts[len(names)], _was_asked=lambda names, other: False,
-        _smaller=lambda layout, larger: larger.cost, descent=SimpleNamespace(from_near=from_near),
+        _smaller=lambda layout, larger: larger.cost, descent=SimpleNamespace(from_near=from_near), refuted=set(),
     )  # fmt: skip
     Search._look_back(search)
     assert asked == ([((), [100.0], 100.0 + gap)] if is_asked else [])
