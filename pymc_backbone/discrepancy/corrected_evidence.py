@@ -18,7 +18,7 @@ from .joint_fit import Fit
 
 SETTLED = 0.999
 """Probability by Laplace's method from which nothing is asked: rivals would have to gain 4.9 on it, as logarithms, to
-bring it below the 0.88 from which a set is named; no correction seen was as large."""
+bring it below the 0.88 from which a set is named; that is rare (`docs/naming.md`)."""
 ASKED = 5e-3
 """Probability by Laplace's method from which a set is asked."""
 SHARE_OF_EFFORT = 0.5
@@ -27,6 +27,7 @@ _MOST_ASKED = 6
 _STEPS = 3.0  # simulations of a specimen for each draw, as a rule
 _MOST_DRAWS, _FEWEST_DRAWS = 128, 64
 _HEAVY = 5.0  # what a cycle costs where the model has states with an equation of their own
+_KINKED = 2.5  # the same where a force has kinks, at which steps end
 _SEED = 20240229  # the same for all sets, so that their differences are known better than each
 
 
@@ -136,7 +137,9 @@ def corrections(
 
 
 def _weight(found: Fit) -> float:
-    return _HEAVY if is_heavy(found.layout) else 1.0
+    if is_heavy(found.layout):
+        return _HEAVY
+    return _KINKED if any(effect.regime is not None for effect in found.layout.oscillator.effects) else 1.0
 
 
 def _cost(found: Fit, batch: Batch) -> float:
