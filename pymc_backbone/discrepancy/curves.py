@@ -17,6 +17,7 @@ from .layout import Layout
 from .normal_equations import NUISANCES, State, linearise, start_state
 from .scatter import SCATTER
 
+_NEAR = 2.0  # reduced chi-square
 NO_NUISANCES = np.zeros(5)  # levels see none of them
 
 
@@ -34,11 +35,18 @@ def on_levels(batch: Batch, found: Fit, *, free_effects: bool = False) -> Fit:
 def fit_on_levels(batch: Batch, layout: Layout, begun: Sequence[tuple[FloatArray, FloatArray]]) -> Fit | None:
     """Return the best fit to the backbones from some starts: shared coordinates (q,), and stiffness and damping (r, 2).
 
-    None where none of them can be simulated.
+    The first that comes near the noise is taken. None where none of them can be simulated.
     """
-    starts = [start_state(layout, eta, np.column_stack([own, np.zeros((len(own), 3))])) for eta, own in begun]
-    fits = [fit(layout, batch.levels, start, iterations=20, nuisances=(0, 1), tolerance=0.1) for start in starts]
-    return min((item for item in fits if item is not None), key=lambda item: item.cost, default=None)
+    best: Fit | None = None
+    count = sum(term.size for term in batch.levels)
+    for eta, own in begun:
+        start = start_state(layout, eta, np.column_stack([own, np.zeros((len(own), 3))]))
+        found = fit(layout, batch.levels, start, iterations=20, nuisances=(0, 1), tolerance=0.1)
+        if found is not None and (best is None or found.cost < best.cost):
+            best = found
+        if best is not None and best.cost < _NEAR * count:
+            break
+    return best
 
 
 def one_on_levels(found: Fit, term: LevelTerm, state: State, specimen: int) -> FloatArray:

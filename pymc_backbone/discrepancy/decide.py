@@ -248,6 +248,8 @@ def library_holds(p_value: float) -> float:
 
 def _pruned(search: Search, weighed: Decision, tolerance: Mapping[str, float]) -> Decision:
     """Return the decision on the effects above the tolerance; ``adequate`` where there are none."""
+    if weighed.best in search.refuted:
+        return weighed  # out of phase: what its effects change is not known by it
     kept, below = prune(search, weighed.best, tolerance)
     if not kept and not is_unexplained(weighed.lack, tolerance):
         below = () if weighed.drift_probability > 0.5 else weighed.best
@@ -270,11 +272,11 @@ def _departing(search: Search, decision: Decision) -> Decision:
     if weighed is None:
         return replace(decision, verdict=Verdict.UNEXPLAINED, below=())
     ranked = weighed.ranked()
-    best = next((names for names in ranked if search.fit_set(names)), ())
+    best = next((names for names in ranked if _is_kept(search, weighed, names)), ())
     mechanisms = _told(search, weighed, best)
     certain = certain_sets(search, mechanisms, ranked)
     simpler = next((names for names in certain if weighed.gaps[names] <= 1.0 - MOST_OF_THE_GAP), None)
-    if simpler is not None and simpler != best and search.fit_set(simpler):
+    if simpler is not None and simpler != best and _is_kept(search, weighed, simpler):
         # what is only possible beside the certain takes nothing of what these explain alone
         best, mechanisms = simpler, _told(search, weighed, simpler)
     lack = evidence.lack_of_fit(search.batch, search.fits[best])
@@ -306,6 +308,13 @@ def _departing(search: Search, decision: Decision) -> Decision:
     # the base with a departure is no explanation, and not listed as one
     sets = {names: chance for names, chance in weighed.probabilities.items() if names and names in search.fits}
     return replace(known, verdict=Verdict.AMBIGUOUS, listed=_listed(sets, 1.0 - sum(sets.values())))
+
+
+def _is_kept(search: Search, weighed: Weighed, names: Set) -> bool:
+    """Return whether a set can be simulated over the records: fitted to these unless the likeliest were refuted."""
+    if names not in search.fits and search.best() in search.refuted:
+        return search.note_refuted(names, weighed.departing[names].state.eta) is not None
+    return search.fit_set(names) is not None
 
 
 def _on_backbones(search: Search, best: Set, weighed: Weighed) -> Fit | None:

@@ -9,6 +9,7 @@ from itertools import combinations
 
 import numpy as np
 
+from .._common.checks import FloatArray
 from ..effects import LIBRARY, Effect
 from ..oscillator import Oscillator
 from . import starts
@@ -149,6 +150,21 @@ class FittedSets:
             return None
         self.fits[names] = min(found, key=lambda item: item.cost)
         return self.fits[names]
+
+    def note_refuted(self, names: Set, eta: FloatArray) -> Fit | None:
+        """Return a set at these shared coordinates, its release that of the record, as one that is not fitted further.
+
+        For sets that are asked after the most probable ones were refuted: over so many cycles none keeps the phase.
+        """
+        proposal = self._proposal(names)
+        own = self.batch.own[:, :2] if proposal is None else proposal.starts[0][2]
+        layout = self.layout(names)
+        state = self.descent.released(layout, eta, own)
+        found = self.descent.fit(layout, self.batch.deciding, state, iterations=1, nuisances=self.batch.nuisances)
+        if found is not None:
+            self.fits[names] = found
+            self.refuted.add(names)
+        return found
 
     def _base_fits(self) -> list[Fit]:
         """Return fits of the model as it is; effects that it holds may turn out to be absent."""

@@ -257,7 +257,7 @@ def _checks(question: Question, outcome: Outcome, verification: Verification) ->
         ),
         outcome.second_mode,
         rivals.alike_check(batch, outcome.model),
-        rivals.data_terms_check(batch, verification.reduced, _AGREE),
+        rivals.data_terms_check(outcome.judged, verification.reduced, _AGREE),
     )
 
 
