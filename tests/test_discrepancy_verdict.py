@@ -190,7 +190,7 @@ def test_a_base_that_only_the_tolerance_saves_is_not_adequate_by_statistics(p_va
     )  # fmt: skip
     monkeypatch.setattr(decide, "prune", lambda search, best, tolerance: (best, ()))
     monkeypatch.setattr(decide, "_departing", lambda search, decision: replace(decision, verdict=Verdict.UNEXPLAINED))
-    decision = decide._judged(None, weighed, {"waveform": limit}, None)
+    decision = decide._judged(SimpleNamespace(refuted=set()), weighed, {"waveform": limit}, None)
     assert decision.adequate_by is by and (decision.verdict is Verdict.ADEQUATE) == (by is not None)
 
 
