@@ -184,6 +184,7 @@ ROWS = {
     "`.json` and": "test_sep005_dictionaries_are_as_its_own_check_wants_them test_sep005_dictionaries_that_are_not",
     "`.tdms .xlsx`": "test_beginnings_of_files_are_refused",
     "several channels": "test_several_quantities_need_a_choice test_several_columns_are_several_records",
+    "a column named envelope": "test_volts_decibels_and_powers_are_the_same test_a_waveform_called_amplitude_is_one",
     "no quantity": "test_quantity_follows_from_the_unit_and_conversion_is_exact",
     "no unit": "test_headers_name_quantity_and_unit",
     "times that repeat": "test_a_bad_line_is_named test_times_that_are_none",
