@@ -406,8 +406,7 @@ def test_words_of_each_verdict():
                 "is_approximate": True,
                 "mechanisms": (SPRING, CLEARANCE),
             },
-            "do not tell mechanisms apart: hardening or softening of the spring 70 %, clearance or contact 30 % "
-            "(cubic stiffness; freeplay).",
+            "do not tell mechanisms apart: hardening or softening of the spring 70 %, clearance or contact 30 %.",
         ),
         (
             "found",

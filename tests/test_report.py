@@ -25,7 +25,7 @@ from pymc_backbone.reporting.report import report_html
 from pymc_backbone.reporting.report_model import parameters
 from pymc_backbone.reporting.study_files import DIAGNOSIS_KEYS, write_study
 from pymc_backbone.reporting.study_plots import study_figures
-from pymc_backbone.reporting.words import percent, remaining
+from pymc_backbone.reporting.words import percent, remaining, remaining_by_mechanism
 from pymc_backbone.survey.structure import Structure, summary_of
 from pymc_backbone.survey.survey import effects_in_words
 
@@ -164,6 +164,35 @@ def test_what_remains_possible_adds_up_to_certainty(studies):
     assert remaining(studies[Verdict.FOUND]) == []
     shares = [float(line.split(": ")[1].split()[0]) for line in remaining(study)]
     assert sum(shares) == pytest.approx(100.0, abs=0.1)  # of three digits each
+
+
+def test_many_sets_that_remain_are_told_by_their_mechanisms(studies):
+    """Laws of one mechanism are a row that opens, with the sum of their probabilities; a set alone is told as it is."""
+    chances = {
+        ("coulomb_friction",): 0.3,
+        ("jenkins",): 0.1,
+        ("iwan",): 0.05,
+        ("bouc_wen",): 0.05,
+        ("cubic_stiffness", "quadratic_damping"): 0.15,
+        ("cubic_damping", "quintic_stiffness"): 0.1,
+        ("freeplay",): 0.05,
+    }
+    study = studies[Verdict.AMBIGUOUS]
+    rows = [Candidate(names, chance, 1.0, 1.0, 1.0, Status.POSSIBLE, "fits") for names, chance in chances.items()]
+    study = dataclasses.replace(study, ambiguous_sets=tuple(chances), candidates=tuple(rows))
+    assert [(title, len(sets)) for title, sets in remaining_by_mechanism(study)] == [
+        ("friction-like hysteresis: 50 %", 4),
+        ("damping that rises with speed + hardening or softening of the spring: 25 %", 2),
+        ("clearance or contact: 5 %", 1),
+    ]
+    text = Page(report_html(study, {}, version="0.0")).text.replace("\N{NO-BREAK SPACE}", " ")
+    for told in (
+        "friction-like hysteresis: 50 % (4 sets)",
+        "Iwan: 5 %",
+        "freeplay: 5 %",
+        "any other explanation: 20 %",
+    ):
+        assert told in text
 
 
 def test_the_probability_on_top_is_that_of_the_set_it_names(studies):

@@ -72,15 +72,11 @@ def _certain(decision: Decision) -> str:
     return f" Certain all the same: {', '.join(kinds)}."
 
 
-def _of_inexact(decision: Decision, told: Sequence[str]) -> str:
-    """Return the sentence where no set is exact and no mechanism can be named."""
-    sets = "; ".join(told[:_SPOKEN])
-    rest = f"; and {len(told) - _SPOKEN} more" if len(told) > _SPOKEN else ""
+def _of_inexact(decision: Decision, others: Sequence[str]) -> str:
+    """Return the sentence where no set is exact and no mechanism can be named; the sets stand in the list below it."""
     kinds = ", ".join(f"{MECHANISMS[item.mechanism]} {_chance(item.probability)}" for item in decision.mechanisms)
-    return (
-        "Something is missing, but no set is exact and these records do not tell mechanisms apart: "
-        f"{kinds} ({sets}{rest})."
-    )
+    beside = f" {' and '.join(others).capitalize()} may be there, too." if others else ""
+    return f"Something is missing, but no set is exact and these records do not tell mechanisms apart: {kinds}.{beside}"
 
 
 def sentence(decision: Decision) -> str:
@@ -111,7 +107,7 @@ def _of_ambiguous(decision: Decision) -> str:
     if decision.has_second_mode:
         told = [*told, "a second mode"]
     if decision.is_approximate and not decision.unfinished:
-        return _of_inexact(decision, told)
+        return _of_inexact(decision, told[len(listed) :])
     if len(told) == 1 and decision.best and not decision.unfinished:
         return (
             f"Something is missing; of the known effects {named(decision.best)} is the only explanation that remains, "

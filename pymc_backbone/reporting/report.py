@@ -24,8 +24,11 @@ from .words import (
     mechanism_name,
     percent,
     remaining,
+    remaining_by_mechanism,
     set_name,
 )
+
+_MOST_SETS = 6  # that are listed one by one
 
 
 def report_html(study: Study, figures: Mapping[str, Figure], *, version: str, command: str = "") -> str:
@@ -83,12 +86,24 @@ def _header(study: Study) -> str:
         paragraph(means, "soft"),
     ]
     if study.ambiguous_sets:
-        parts.append("<h3>What remains possible</h3>" + bullets(remaining(study)))
+        parts.append("<h3>What remains possible</h3>" + _remaining(study))
     if study.below_tolerance:
         names = ", ".join(map(in_words, study.below_tolerance))
         parts.append(paragraph(f"Detectable, but smaller than the tolerance: {names}."))
     parts.append(tiles(_key_figures(study)))
     return "\n".join(parts) + "\n</header>\n"
+
+
+def _remaining(study: Study) -> str:
+    """Return the sets that remain possible: many of them by their mechanisms, in rows that open."""
+    lines = remaining(study)
+    if len(study.ambiguous_sets) <= _MOST_SETS:
+        return bullets(lines)
+    rows = [
+        details(f"{title} ({len(sets)} sets)", bullets(sets)) if len(sets) > 1 else bullets(sets)
+        for title, sets in remaining_by_mechanism(study)
+    ]
+    return "".join([*rows, bullets(lines[len(study.ambiguous_sets) :])])
 
 
 def _key_figures(study: Study) -> list[tuple[object, object]]:

@@ -10,7 +10,7 @@ import numpy as np
 from .._common.text import in_words
 from ..discrepancy.evidence import MISSING
 from ..discrepancy.verdict import AdequateBy, NamedLevel, Status, Verdict
-from ..effects import MECHANISMS
+from ..effects import LIBRARY, MECHANISMS
 
 if TYPE_CHECKING:
     from ..discrepancy.study import Study
@@ -76,6 +76,28 @@ def remaining(study: Study) -> list[str]:
     lines = [f"{set_name(names)}: {percent(p)}" for names, p in zip(study.ambiguous_sets, known, strict=True)]
     rest = 1.0 - sum(known)
     return [*lines, f"any other explanation: {percent(rest)}"] if lines and rest > LEAST_TOLD else lines
+
+
+def remaining_by_mechanism(study: Study) -> list[tuple[str, list[str]]]:
+    """Return the sets that an ambiguous verdict leaves, those of the same mechanisms together, likeliest first.
+
+    Returns
+    -------
+    list of (str, list of str)
+        The mechanisms with their probability, and the sets with theirs, as `remaining` writes them.
+    """
+    chances = {candidate.effects: candidate.probability for candidate in study.candidates}
+    groups: dict[tuple[str, ...], list[tuple[str, ...]]] = {}
+    for names in study.ambiguous_sets:
+        found = sorted({(LIBRARY[name].mechanism if name in LIBRARY else None) or "other" for name in names})
+        groups.setdefault(tuple(found), []).append(names)
+    rows = []
+    for kinds, sets in groups.items():
+        total = sum(chances.get(names, 0.0) for names in sets)
+        lines = [f"{set_name(names)}: {percent(chances.get(names, float('nan')))}" for names in sets]
+        title = " + ".join(map(mechanism_name, kinds)) or "nothing more than the model holds"
+        rows.append((total, f"{title}: {percent(total)}", lines))
+    return [(title, lines) for _, title, lines in sorted(rows, key=lambda row: -row[0])]
 
 
 def mechanism_name(mechanism: str) -> str:
