@@ -190,7 +190,7 @@ def test_a_base_that_only_the_tolerance_saves_is_not_adequate_by_statistics(p_va
     )  # fmt: skip
     monkeypatch.setattr(decide, "prune", lambda search, best, tolerance: (best, ()))
     monkeypatch.setattr(decide, "_departing", lambda search, decision: replace(decision, verdict=Verdict.UNEXPLAINED))
-    decision = decide._judged(SimpleNamespace(refuted=set()), weighed, {"waveform": limit}, None)
+    decision = decide._judged(SimpleNamespace(is_refuted=lambda names: False), weighed, {"waveform": limit}, None)
     assert decision.adequate_by is by and (decision.verdict is Verdict.ADEQUATE) == (by is not None)
 
 
@@ -677,7 +677,8 @@ def test_the_base_begins_once_more_where_the_best_set_ended(gap, is_asked):
     search = SimpleNamespace(
         fits={(): fit_of(100.0 + gap, 0), ("a",): fit_of(100.0, 1)}, count=100, ranked=lambda: [("a",), ()],
         layout=lambda names: layouts[len(names)], _was_asked=lambda names, other: False,
-        _smaller=lambda layout, larger: larger.cost, descent=SimpleNamespace(from_near=from_near), refuted=set(),
+        _smaller=lambda layout, larger: larger.cost, descent=SimpleNamespace(from_near=from_near),
+        is_refuted=lambda names: False,
     )  # fmt: skip
     Search._look_back(search)
     assert asked == ([((), [100.0], 100.0 + gap)] if is_asked else [])

@@ -248,7 +248,7 @@ def library_holds(p_value: float) -> float:
 
 def _pruned(search: Search, weighed: Decision, tolerance: Mapping[str, float]) -> Decision:
     """Return the decision on the effects above the tolerance; ``adequate`` where there are none."""
-    if weighed.best in search.refuted:
+    if search.is_refuted(weighed.best):
         return weighed  # out of phase: what its effects change is not known by it
     kept, below = prune(search, weighed.best, tolerance)
     if not kept and not is_unexplained(weighed.lack, tolerance):
@@ -280,7 +280,7 @@ def _departing(search: Search, decision: Decision) -> Decision:
         # what is only possible beside the certain takes nothing of what these explain alone
         best, mechanisms = simpler, _told(search, weighed, simpler)
     lack = evidence.lack_of_fit(search.batch, search.fits[best])
-    if best in search.refuted:
+    if search.is_refuted(best):
         lack = replace(lack, share=float("nan"))  # of a motion out of phase
     known = replace(
         decision,
@@ -294,7 +294,7 @@ def _departing(search: Search, decision: Decision) -> Decision:
         remainder=remainder_of(weighed, best),
         is_approximate=True,
         is_single_valued=weighed.is_law,
-        on_backbones=_on_backbones(search, best, weighed) if best in search.refuted else None,
+        on_backbones=_on_backbones(search, best, weighed) if search.is_refuted(best) else None,
     )
     if not weighed.is_law or weighed.drift_probability > 0.5:
         return replace(known, verdict=Verdict.UNEXPLAINED)
@@ -312,7 +312,7 @@ def _departing(search: Search, decision: Decision) -> Decision:
 
 def _is_kept(search: Search, weighed: Weighed, names: Set) -> bool:
     """Return whether a set can be simulated over the records: fitted to these unless the likeliest were refuted."""
-    if names not in search.fits and search.best() in search.refuted:
+    if names not in search.fits and search.is_refuted(search.best()):
         return search.note_refuted(names, weighed.departing[names].state.eta) is not None
     return search.fit_set(names) is not None
 
@@ -410,6 +410,6 @@ def _complete(search: Search) -> None:
     best: Set | None = None
     while best != search.best():
         best = search.best()
-        for size in range(len(best) if best not in search.refuted else 0):
+        for size in range(0 if search.is_refuted(best) else len(best)):
             for rest in combinations(best, size):
                 search.fit_set(rest)

@@ -19,6 +19,8 @@ from .joint_fit import Fit, fit
 from .layout import Layout
 from .normal_equations import State, start_state
 
+IN_REACH = 30.0
+"""Reduced chi-square after one step over the samples from which these are fitted although turning points refute it."""
 GLANCE = 10
 """Iterations after which only the best of several starts goes on."""
 _RELEASE = (2, 3, 4)  # the specimen's own values that say how it was released and measured
@@ -28,7 +30,6 @@ _NEAR_NOISE = 1.3  # of the turning points' reduced chi-square, from which the s
 PER_CYCLE = 40.0  # values that a cycle counts for at least: it is simulated however few samples are kept
 _HOPELESS = 4.0  # sum of squares over the turning points, over that of a model that explains the records
 _UNHEARD_OF = 10.0  # reduced chi-square of the turning points that no model leaves which explains the records
-_IN_REACH = 30.0  # reduced chi-square after one step over the samples from which these are fitted all the same
 _SAME_WAY = 0.005  # relative difference of two costs over all turning points that were reached on the same way
 _SAME_PLACE = 1e-4  # the same over the first of them
 _SAME_FAILURE = 0.05  # the same where the other start stayed above what can be rivalled
@@ -124,7 +125,7 @@ class Descent:
             is_refuted = cost > limit
         if is_refuted:
             step = self.fit(layout, batch.deciding, state, iterations=1, nuisances=batch.nuisances)
-            if step is None or step.cost > _IN_REACH * sum(term.size for term in batch.deciding):
+            if step is None or step.cost > IN_REACH * sum(term.size for term in batch.deciding):
                 return step
             # a band-pass takes the harmonics along, and turning points are not those of the motion that is simulated
             state = step.state

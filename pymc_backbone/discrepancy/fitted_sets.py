@@ -15,7 +15,7 @@ from ..oscillator import Oscillator
 from . import starts
 from .batch import Batch
 from .curves import level_chi_square
-from .descent import Descent, Way
+from .descent import IN_REACH, Descent, Way
 from .joint_fit import Fit
 from .layout import Layout, make_layout
 from .normal_equations import State
@@ -150,6 +150,10 @@ class FittedSets:
             return None
         self.fits[names] = min(found, key=lambda item: item.cost)
         return self.fits[names]
+
+    def is_refuted(self, names: Set) -> bool:
+        """Return whether the turning points refuted a set and nothing brought its fit near the records since."""
+        return names in self.refuted and self.fits[names].cost > IN_REACH * self.count
 
     def note_refuted(self, names: Set, eta: FloatArray) -> Fit | None:
         """Return a set at these shared coordinates, its release that of the record, as one that is not fitted further.

@@ -55,7 +55,7 @@ class RevisitedSets(FittedSets):
         for names in self.ranked()[:_LOOKED_BACK]:
             larger = self.fits[names]
             is_behind = lowest < EXPLAINED * self.count and larger.cost > lowest + _REFUTED
-            if is_behind or names in self.refuted:
+            if is_behind or self.is_refuted(names):
                 continue
             for smaller in combinations(names, max(len(names) - 1, 0)):
                 known = self.fits.get(smaller)
@@ -111,7 +111,7 @@ class RevisitedSets(FittedSets):
         """Where nothing explains the records, carry the fits on that did not come to rest, the likeliest first."""
         if self._is_explained():
             return
-        open_sets = (names for names in self.ranked() if names not in self.refuted)
+        open_sets = (names for names in self.ranked() if not self.is_refuted(names))
         restless = [names for names in open_sets if not self.fits[names].is_converged]
         for names in restless[:_SETTLED]:
             if self._is_spent:

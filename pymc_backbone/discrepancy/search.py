@@ -53,7 +53,7 @@ class Search(RevisitedSets):
         else:
             self._follow_backbones(_MOST_FOLLOWED)
         self._look_back()
-        if self._is_answered() or (self.is_cut and self.best() in self.refuted):
+        if self._is_answered() or (self.is_cut and self.is_refuted(self.best())):
             return
         self._enlarge()
         self._vary()
@@ -247,7 +247,7 @@ class Search(RevisitedSets):
     def _replace(self) -> bool:
         """Try other effects in the place of each of the best set; return whether that found a better one."""
         best = self.best()
-        if len(best) < 2 or best in self.refuted:
+        if len(best) < 2 or self.is_refuted(best):
             return False
         for out in best:
             rest = tuple(name for name in best if name != out)
@@ -270,7 +270,7 @@ class Search(RevisitedSets):
         One is kept where it leaves less than the effect that it varies: else it explains nothing that this does not.
         """
         best = self.best()
-        for name in best if best not in self.refuted else ():
+        for name in best if not self.is_refuted(best) else ():
             for variant in self.variants:
                 names = tuple(sorted((*(other for other in best if other != name), variant)))
                 if LIBRARY[variant].variant_of != name or (self._is_costly(names) and not self._is_costly(best)):
