@@ -21,7 +21,7 @@ _DETECTED = 5.0  # standard deviations at which an effect is named nine times in
 _SEPARATED = 5.0  # logarithm of the odds that decides
 
 
-def reasons(batch: Batch, found: Fit, names: Set) -> tuple[str, ...]:
+def reasons(batch: Batch, found: Fit, names: Set, scatter: ScatterOfEffects | None = None) -> tuple[str, ...]:
     """Say for each effect how frequency and damping depart from the model without it, with the power of amplitude.
 
     What the library says an effect does is told where nothing stands out at single levels. Elsewhere it could
@@ -35,12 +35,14 @@ def reasons(batch: Batch, found: Fit, names: Set) -> tuple[str, ...]:
         unseen = "the waveforms show it" if batch.has_records else "all levels together show it"
         text = "; ".join(parts) if parts else f"too small to be seen at single levels; {unseen}"
         sentences.append(f"{capitalised(in_words(name))}: {text}.{_said_by_the_library(summaries[name], bool(parts))}")
-    scatter = scatter_of(found)
     return (*sentences, scatter_sentence(scatter, len(names))) if scatter is not None and names else tuple(sentences)
 
 
 def scatter_of(found: Fit) -> ScatterOfEffects | None:
-    """Return how much the effects differ between specimens; None where nothing is known of it."""
+    """Return how much the effects differ between specimens; None where nothing is known of it.
+
+    Where no law is exact the question has no answer: what the law cannot follow is taken for differences.
+    """
     value, low, high, _ = found.scatter
     return ScatterOfEffects(value, low, high) if np.isfinite(value) else None
 

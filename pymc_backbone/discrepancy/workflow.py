@@ -275,6 +275,7 @@ def _study(
     batch, search, decision, extended = question.batch, outcome.search, outcome.decision, outcome.extended
     checks = _checks(question, outcome, verification)
     before = simulate(batch, verification.before)
+    scatter = None if extended is None or decision.is_approximate else words.scatter_of(extended)
     is_ambiguous = decision.verdict is Verdict.AMBIGUOUS
     # what a run took is told as it was: fewer draws where the model is heavy
     drawn = {key: inference.convergence[key] for key in ("draws", "tune") if key in inference.convergence}
@@ -288,7 +289,7 @@ def _study(
         candidates=candidates_of(search, decision),
         ambiguous_sets=decision.listed if is_ambiguous else (),
         advice=_advice(question, outcome, plan) if is_ambiguous else (),
-        reasons=words.reasons(batch, extended, decision.best) if extended is not None else (),
+        reasons=words.reasons(batch, extended, decision.best, scatter) if extended is not None else (),
         below_tolerance=decision.below,
         where=where_different(batch, before),
         missing_p_value=decision.p_missing,
@@ -320,7 +321,7 @@ def _study(
         mechanisms=decision.mechanisms,
         named_level=decision.named_level,
         remainder=decision.remainder,
-        scatter=None if extended is None else words.scatter_of(extended),
+        scatter=scatter,
         evidence_basis=EvidenceBasis(
             decision.corrected.reason, len(decision.corrected.sets), decision.corrected.cycles
         ),
