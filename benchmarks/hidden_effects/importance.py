@@ -8,16 +8,12 @@ effort allowed for anything else). Only batches whose verdict lies between sets 
 
 from __future__ import annotations
 
-import argparse
-import json
 import time
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
 from batches import make_batch
-from plans import AMBIGUOUS_TIERS, drawn, records_of
+from plans import collected, records_of
 from threadpoolctl import threadpool_limits
 
 from pymc_backbone import InputError, Oscillator
@@ -122,22 +118,7 @@ def _spread(values: np.ndarray) -> str:
 
 def main() -> None:
     """Look at batches until so many were asked."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--batches", type=int, default=30)
-    parser.add_argument("--seed", type=int, required=True)
-    parser.add_argument("--tiers", nargs="+", default=list(AMBIGUOUS_TIERS))
-    parser.add_argument("--workers", type=int, default=2)
-    given = parser.parse_args()
-    rows: list[dict[str, Any]] = []
-    looked_at = 0
-    tasks = drawn(given.seed, given.tiers)
-    with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn")) as pool:
-        while len(rows) < given.batches:
-            for row in pool.map(judge, [next(tasks) for _ in range(2 * given.workers)]):
-                looked_at += 1
-                if row is not None:
-                    rows.append(row)
-                    print(json.dumps(row), flush=True)
+    rows, looked_at = collected(judge, __doc__, 30)
     print(f"\n{table(rows, looked_at)}")
 
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
@@ -135,10 +135,22 @@ def table(rows: list[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def main() -> None:
-    """Look at batches until so many were ambiguous."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--batches", type=int, default=20)
+def collected(
+    judge: Callable[[Any], dict[str, Any] | None], description: str | None, batches: int
+) -> tuple[list[dict[str, Any]], int]:
+    """Return what came of so many drawn batches as the command line asks, and how many were looked at for them.
+
+    Parameters
+    ----------
+    judge : callable
+        Of a module: returns the row of a task of `drawn`, or None where the batch is none of those that are wanted.
+    description : str, optional
+        Of the command.
+    batches : int
+        That are wanted where the command line does not say.
+    """
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--batches", type=int, default=batches)
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--tiers", nargs="+", default=list(AMBIGUOUS_TIERS))
     parser.add_argument("--workers", type=int, default=2)
@@ -153,6 +165,12 @@ def main() -> None:
                 if row is not None:
                     rows.append(row)
                     print(json.dumps(row), flush=True)
+    return rows, looked_at
+
+
+def main() -> None:
+    """Look at batches until so many were ambiguous."""
+    rows, looked_at = collected(judge, __doc__, 20)
     print(f"\n{looked_at} batches were looked at.\n")
     print(table(rows))
 

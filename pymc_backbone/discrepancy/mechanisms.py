@@ -180,17 +180,11 @@ def _log_size(search: Search, names: Set, item: Departing, departures: Departing
     if base is None or not names:
         return 0.0
     gap = float(np.sqrt((_mean_squares(base) / departures.per_force**2).sum()))
-    layout = search.layout(names)
-    vector, amplitude, omega = (
-        parameters_of(layout, item.state, 0),
-        search.batch.amplitude,
-        search.batch.angular_frequency,
-    )
+    layout, amplitude, omega = search.layout(names), search.batch.amplitude, search.batch.angular_frequency
+    vector = parameters_of(layout, item.state, 0)
     elastic = search.base.mass * omega**2 * amplitude
-    points = [(side * amplitude, 0.0) for side in (-1.0, 1.0)] + [
-        (0.0, side * amplitude * omega) for side in (-1.0, 1.0)
-    ]
-    lost = 0.0
+    speed, lost = amplitude * omega, 0.0
+    points = ((-amplitude, 0.0), (amplitude, 0.0), (0.0, -speed), (0.0, speed))
     for effect in layout.oscillator.effects:
         if effect.name in names:
             own = np.array([vector[layout.oscillator.index(parameter.name)] for parameter in effect.parameters])
