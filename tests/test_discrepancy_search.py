@@ -12,7 +12,8 @@ from scipy.stats import f, kstest, multivariate_normal
 
 from pymc_backbone.discrepancy import evidence, rivals, starts, verify
 from pymc_backbone.discrepancy.curves import curve, on_levels, prediction_errors, simulate
-from pymc_backbone.discrepancy.decide import NAMED, decide, is_none_other
+from pymc_backbone.discrepancy.decide import decide, is_none_other
+from pymc_backbone.discrepancy.decision import NAMED
 from pymc_backbone.discrepancy.joint_fit import fit
 from pymc_backbone.discrepancy.locate import mean_gap, where_different
 from pymc_backbone.discrepancy.normal_equations import information, start_state

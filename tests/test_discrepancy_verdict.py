@@ -16,7 +16,8 @@ from scipy.integrate import solve_ivp
 
 import pymc_backbone as pb
 from pymc_backbone._common.text import capitalised, in_words
-from pymc_backbone.discrepancy import candidate_table, decide, rivals, shares, verdict_words, words
+from pymc_backbone.discrepancy import candidate_table, decide, inexact, rivals, shares, verdict_words, words
+from pymc_backbone.discrepancy.decision import Decision
 from pymc_backbone.discrepancy.question import TOLERANCE
 from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.discrepancy.study import LawProbability, MissingMechanism
@@ -189,7 +190,7 @@ def test_a_base_that_only_the_tolerance_saves_is_not_adequate_by_statistics(p_va
         lack=SimpleNamespace(p_value=p_value, share=share),
     )  # fmt: skip
     monkeypatch.setattr(decide, "prune", lambda search, best, tolerance: (best, ()))
-    monkeypatch.setattr(decide, "_departing", lambda search, decision: replace(decision, verdict=Verdict.UNEXPLAINED))
+    monkeypatch.setattr(decide, "departing", lambda search, decision: replace(decision, verdict=Verdict.UNEXPLAINED))
     decision = decide._judged(SimpleNamespace(is_refuted=lambda names: False), weighed, {"waveform": limit}, None)
     assert decision.adequate_by is by and (decision.verdict is Verdict.ADEQUATE) == (by is not None)
 
@@ -379,10 +380,10 @@ CLEARANCE = mechanism_of("clearance", 0.3, 0.0, freeplay=0.3)
 HYSTERESIS = mechanism_of("hysteresis", 0.996, 0.93, iwan=0.46, jenkins=0.31, bouc_wen=0.2, coulomb_friction=0.001)
 
 
-def decision_of(verdict: str, **options) -> decide.Decision:
+def decision_of(verdict: str, **options) -> Decision:
     lack = SimpleNamespace(share=0.012, p_value=1e-9)
     fields = {"best": ("a",), "probability": 0.97, "p_missing": 0.3, "probabilities": {}, "evidences": {}, **options}
-    return decide.Decision(verdict=Verdict(verdict), lack=lack, **fields)
+    return Decision(verdict=Verdict(verdict), lack=lack, **fields)
 
 
 def test_words_of_each_verdict():
@@ -547,7 +548,7 @@ def test_verdicts_are_plain_text_in_files():
     ],
 )
 def test_mechanisms_are_named_where_certain_and_most_of_the_gap(found, is_named):
-    assert decide.is_told_apart(found) is is_named
+    assert inexact.is_told_apart(found) is is_named
 
 
 def test_sets_of_what_is_certain_hold_each_such_mechanism_and_no_other():
@@ -556,13 +557,13 @@ def test_sets_of_what_is_certain_hold_each_such_mechanism_and_no_other():
     sets = [("bouc_wen", "quadratic_stiffness"), ("bouc_wen",), (), ("cubic_damping", "iwan"), ("iwan",)]
     sets.append(("displacement_dependent_damping", "jenkins"))
     # a spring is possible only
-    assert decide.certain_sets(search, (HYSTERESIS, SPRING), sets) == [
+    assert inexact.certain_sets(search, (HYSTERESIS, SPRING), sets) == [
         ("bouc_wen",),
         ("iwan",),
     ]  # a spring is possible only
     both = [("cubic_damping", "iwan"), ("displacement_dependent_damping", "jenkins")]  # either of two kinds of damping
-    assert decide.certain_sets(search, (HYSTERESIS, rising), sets) == both
-    assert decide.certain_sets(search, (SPRING,), sets) == []
+    assert inexact.certain_sets(search, (HYSTERESIS, rising), sets) == both
+    assert inexact.certain_sets(search, (SPRING,), sets) == []
 
 
 def test_unfinished_are_sets_that_explain_the_backbones_and_were_weighed():
@@ -570,7 +571,7 @@ def test_unfinished_are_sets_that_explain_the_backbones_and_were_weighed():
     search = SimpleNamespace(is_open=lambda names: names in open_sets)
     weighed = SimpleNamespace(gaps={("iwan",): 0.05, ("jenkins",): 0.6, ("freeplay",): 0.0})
     ranked = [("bouc_wen", "freeplay"), ("jenkins",), ("freeplay",), ("iwan",)]  # the first was not weighed at all
-    assert decide._unfinished(search, weighed, ranked) == (("iwan",),)
+    assert inexact._unfinished(search, weighed, ranked) == (("iwan",),)
 
 
 def test_what_a_mechanism_explains_is_the_mean_over_the_orders():

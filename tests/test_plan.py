@@ -14,7 +14,7 @@ from scipy.stats import norm
 import pymc_backbone as pb
 from pymc_backbone.cli.main import main
 from pymc_backbone.discrepancy import plan as planning
-from pymc_backbone.discrepancy.decide import NAMED
+from pymc_backbone.discrepancy.decision import NAMED
 from pymc_backbone.discrepancy.design import Affordable, Contender, Design, Plan, PlannedTest
 from pymc_backbone.discrepancy.imagined import imagine, miss, vector_of
 from pymc_backbone.discrepancy.layout import make_layout

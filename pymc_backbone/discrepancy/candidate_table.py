@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from .._common.text import in_words
 from .curves import level_chi_square, on_levels
-from .decide import Decision
+from .decision import Decision
 from .estimates import estimates_of
 from .search import Search, Set
 from .study import Candidate

@@ -2,109 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 
-from ..effects import EITHER
 from . import evidence
 from .corrected_evidence import Corrected, corrections
-from .curves import fit_on_levels
+from .decision import DRIFT_POSSIBLE, NAMED, Decision, listed
 from .estimates import estimates_of
-from .evidence import DRIFT, UNEXPLAINED, Drifting, Evidence, LackOfFit, is_unexplained
+from .evidence import DRIFT, UNEXPLAINED, Drifting, Evidence, is_unexplained
 from .harmonic_odds import odds_behind_bands
+from .inexact import departing
 from .joint_fit import Fit
-from .mechanisms import Weighed, weigh
 from .search import Search, Set
-from .shares import estimates_with, missing_mechanisms, remainder_of
-from .study import MissingMechanism, Remainder
+from .shares import missing_mechanisms
 from .tolerance import prune
-from .verdict import MECHANISM_NAMED, AdequateBy, NamedLevel, Verdict
+from .verdict import AdequateBy, NamedLevel, Verdict
 
-NAMED = 0.88  # probability from which a set is named
-LISTED = 0.95  # probability that the sets listed as possible hold together
-DRIFT_POSSIBLE = 0.05  # probability of a drift with time from which nothing is named
-MOST_OF_THE_GAP = 0.85  # share of the gap that named mechanisms explain together: it shrinks at least sevenfold
-_MOST_LISTED = 16
 _IMITATES = (0.0, 0.03, 0.06, 0.15)  # how probable it is that a set of so many effects imitates what the library lacks
 _HARDLY = 200.0  # gap in standard deviations of the noise beyond which that is rarer, in proportion
 _WEIGHT_OF_NOISE = 0.1  # how much rarer residuals like noise are where the library lacks what is missing
-
-
-@dataclass(frozen=True)
-class Decision:
-    """What is said, and what it rests on.
-
-    Attributes
-    ----------
-    verdict : Verdict
-        What is said.
-    best : tuple of str
-        The set it is said of.
-    probability : float
-        Of that set, with those that differ from it by effects below the tolerance.
-    p_missing : float
-        Of the test of "nothing is missing".
-    lack : LackOfFit
-        What the most probable set leaves.
-    probabilities, evidences : mappings
-        Of every set that was fitted.
-    ranked : tuple of tuple of str
-        The sets, most probable first.
-    listed : tuple of tuple of str
-        The sets that remain possible, where several do.
-    below : tuple of str
-        Effects below the tolerance.
-    adequate_by : AdequateBy or None
-        Why nothing is missing.
-    drift_probability : float
-        Of the base with a drift in time.
-    drifts : tuple of tuple of str
-        Sets whose fit holds a drift in time beside their effects.
-    has_second_mode : bool
-        Whether a second mode beats in the records.
-    unfinished : tuple of tuple of str
-        Sets that could explain the backbones, but whose fit to the records did not come to rest.
-    is_approximate : bool
-        Whether no set is exact, and their probabilities are those with a departure.
-    mechanisms : tuple of MissingMechanism
-        What may be missing by mechanism, most probable first.
-    named_level : NamedLevel or None
-        What is named; None unless the verdict is ``found``.
-    remainder : tuple of Remainder
-        What the best set leaves, where none is exact.
-    is_single_valued : bool
-        Whether what no set explains goes with the amplitude, and not with the record.
-    on_backbones : Fit or None
-        The best set fitted to the backbones, where no fit of it keeps the phase of the records; then it is believed.
-    corrected : Corrected
-        By how much Laplace's method was off, for the sets between which the verdict lies.
-    """
-
-    verdict: Verdict
-    best: Set
-    probability: float
-    p_missing: float
-    lack: LackOfFit
-    probabilities: Mapping[Set, float]
-    evidences: Mapping[Set, Evidence]
-    ranked: tuple[Set, ...] = ()
-    listed: tuple[Set, ...] = ()
-    below: tuple[str, ...] = ()
-    adequate_by: AdequateBy | None = None
-    drift_probability: float = 0.0
-    drifts: tuple[Set, ...] = ()
-    has_second_mode: bool = False
-    unfinished: tuple[Set, ...] = ()
-    is_approximate: bool = False
-    mechanisms: tuple[MissingMechanism, ...] = ()
-    named_level: NamedLevel | None = None
-    remainder: tuple[Remainder, ...] = ()
-    is_single_valued: bool = True
-    on_backbones: Fit | None = None
-    corrected: Corrected = field(default_factory=Corrected)
 
 
 def decide(search: Search, drifting: Mapping[Set, Drifting], tolerance: Mapping[str, float]) -> Decision:
@@ -140,14 +59,14 @@ def _judged(search: Search, weighed: Decision, tolerance: Mapping[str, float], d
     if named.drift_probability > 0.5 and drifting is not None and _is_exact(search, drifting):
         return replace(named, verdict=Verdict.UNEXPLAINED, below=())
     if named.lack.p_value < UNEXPLAINED:
-        return _departing(search, named)
+        return departing(search, named)
     if named.drift_probability > 0.5:
         return replace(named, verdict=Verdict.UNEXPLAINED, below=())
     if named.probability >= NAMED and named.drift_probability < DRIFT_POSSIBLE:
         return replace(named, verdict=Verdict.FOUND, named_level=NamedLevel.LAW)
     chances = {names: named.evidences[names].probability for names in named.ranked}
     # what the sets do not hold of the probability is the drift's
-    return replace(named, listed=_listed(chances, 1.0 - sum(chances.values())))
+    return replace(named, listed=listed(chances, 1.0 - sum(chances.values())))
 
 
 def _is_exact(search: Search, found: Fit) -> bool:
@@ -262,102 +181,6 @@ def _pruned(search: Search, weighed: Decision, tolerance: Mapping[str, float]) -
     return replace(weighed, best=kept, probability=probability, below=below)
 
 
-def _departing(search: Search, decision: Decision) -> Decision:
-    """Return the decision where no set is exact: sets are weighed with a departure, and mechanisms named, no law.
-
-    What goes with the time since the release, or differs between releases at the same amplitude, is no law: then the
-    records are unexplained, and so where what is most probable leaves most of the gap.
-    """
-    weighed = weigh(search)
-    if weighed is None:
-        return replace(decision, verdict=Verdict.UNEXPLAINED, below=())
-    ranked = weighed.ranked()
-    best = next((names for names in ranked if _is_kept(search, weighed, names)), ())
-    mechanisms = _told(search, weighed, best)
-    certain = certain_sets(search, mechanisms, ranked)
-    simpler = next((names for names in certain if weighed.gaps[names] <= 1.0 - MOST_OF_THE_GAP), None)
-    if simpler is not None and simpler != best and _is_kept(search, weighed, simpler):
-        # what is only possible beside the certain takes nothing of what these explain alone
-        best, mechanisms = simpler, _told(search, weighed, simpler)
-    lack = evidence.lack_of_fit(search.batch, search.fits[best])
-    if search.is_refuted(best):
-        lack = replace(lack, share=float("nan"))  # of a motion out of phase
-    known = replace(
-        decision,
-        best=best,
-        probability=weighed.probabilities[best],
-        probabilities=weighed.probabilities,
-        lack=lack,
-        below=(),
-        drift_probability=weighed.drift_probability,
-        mechanisms=mechanisms,
-        remainder=remainder_of(weighed, best),
-        is_approximate=True,
-        is_single_valued=weighed.is_law,
-        on_backbones=_on_backbones(search, best, weighed) if search.is_refuted(best) else None,
-    )
-    if not weighed.is_law or weighed.drift_probability > 0.5:
-        return replace(known, verdict=Verdict.UNEXPLAINED)
-    if weighed.gaps[best] > 1.0 - MOST_OF_THE_GAP:
-        unfinished = _unfinished(search, weighed, decision.ranked)
-        if unfinished:  # what was not fitted to its end is not refuted
-            return replace(known, verdict=Verdict.AMBIGUOUS, listed=unfinished[:_MOST_LISTED], unfinished=unfinished)
-        return replace(known, verdict=Verdict.UNEXPLAINED)
-    if is_told_apart(mechanisms) and weighed.drift_probability < DRIFT_POSSIBLE:
-        return replace(known, verdict=Verdict.FOUND, named_level=NamedLevel.MECHANISM)
-    # the base with a departure is no explanation, and not listed as one
-    sets = {names: chance for names, chance in weighed.probabilities.items() if names and names in search.fits}
-    return replace(known, verdict=Verdict.AMBIGUOUS, listed=_listed(sets, 1.0 - sum(sets.values())))
-
-
-def _is_kept(search: Search, weighed: Weighed, names: Set) -> bool:
-    """Return whether a set can be simulated over the records: fitted to these unless the likeliest were refuted."""
-    if names not in search.fits and search.is_refuted(search.best()):
-        return search.note_refuted(names, weighed.departing[names].state.eta) is not None
-    return search.fit_set(names) is not None
-
-
-def _on_backbones(search: Search, best: Set, weighed: Weighed) -> Fit | None:
-    """Return a set fitted to the backbones of all specimens: from its proposals, and where it departs least."""
-    begun = [(weighed.departing[best].state.eta, search.fits[best].state.own[:, :2])]
-    if best in search.proposals:
-        begun += [(eta, own) for _, eta, own in search.proposals[best].starts]
-    return fit_on_levels(search.batch, search.layout(best), begun)
-
-
-def _told(search: Search, weighed: Weighed, best: Set) -> tuple[MissingMechanism, ...]:
-    """Return the mechanisms with what the laws of one set explain."""
-    estimates = estimates_with(search, best, weighed.departing[best])
-    return missing_mechanisms(search, weighed.probabilities, best, weighed.gaps, estimates)
-
-
-def certain_sets(search: Search, mechanisms: Sequence[MissingMechanism], ranked: Sequence[Set]) -> list[Set]:
-    """Return the sets that hold laws of every mechanism that is certain and of no other, most probable first."""
-    certain = [item.mechanism for item in mechanisms if item.probability >= MECHANISM_NAMED]
-    groups = [set(EITHER.get(kind, (kind,))) for kind in certain]
-    held = {names: {search.mechanism_of(name) for name in names} for names in ranked}
-    return [
-        names
-        for names, kinds in held.items()
-        if names and all(group & kinds for group in groups) and kinds <= set().union(*groups)
-    ]
-
-
-def _unfinished(search: Search, weighed: Weighed, ranked: Sequence[Set]) -> tuple[Set, ...]:
-    """Return the sets whose fit to the records did not come to rest although they explain the backbones.
-
-    Sets so improbable by their backbones that they were not weighed are none of these.
-    """
-    explaining = [names for names, gap in weighed.gaps.items() if gap <= 1.0 - MOST_OF_THE_GAP]
-    return tuple(names for names in ranked if names in explaining and search.is_open(names))
-
-
-def is_told_apart(mechanisms: Sequence[MissingMechanism]) -> bool:
-    """Return whether mechanisms can be named: some are certain, and what they explain is most of the gap."""
-    named = [item for item in mechanisms if item.is_certain]
-    return bool(named) and sum(item.share_of_gap for item in named) >= MOST_OF_THE_GAP
-
-
 def _by_mechanism(search: Search, decision: Decision) -> Decision:
     """Return the decision with the mechanisms of its sets, where these are exact."""
     best, count = decision.best, search.count
@@ -377,17 +200,6 @@ def is_none_other(search: Search, names: Set) -> float:
     imitates = _IMITATES[size] * min(1.0, _HARDLY / max(gap, 1.0))
     prior = evidence.PRIOR_OF_SIZE[size]
     return prior / (prior + evidence.PRIOR_NONE * imitates)
-
-
-def _listed(chances: Mapping[Set, float], total: float) -> tuple[Set, ...]:
-    """Return the most probable sets that together with ``total`` hold most of the probability."""
-    listed: list[Set] = []
-    for names in sorted(chances, key=lambda names: -chances[names]):
-        listed.append(names)
-        total += chances[names]
-        if total > LISTED or len(listed) >= _MOST_LISTED:
-            break
-    return tuple(listed)
 
 
 def mind_second_mode(decision: Decision) -> Decision:

@@ -12,7 +12,8 @@ from .._common.checks import FloatArray, InputError
 from .._common.threads import with_one_thread
 from ..effects import LIBRARY, Effect
 from ..oscillator import Oscillator
-from .decide import NAMED, library_holds
+from .decide import library_holds
+from .decision import NAMED
 from .design import Affordable, Contender, Design, Plan, PlannedTest
 from .evidence import UNSEEN, log_prior
 from .imagined import Imagined, Miss, imagine, miss, vector_of

@@ -8,7 +8,7 @@ import numpy as np
 
 from .._common.text import capitalised, in_words
 from ..effects import MECHANISMS
-from .decide import DRIFT_POSSIBLE, Decision
+from .decision import DRIFT_POSSIBLE, Decision
 from .evidence import MISSING
 from .search import Set
 from .study import Check, MissingMechanism

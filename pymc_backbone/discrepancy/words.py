@@ -9,7 +9,7 @@ from .._common.text import capitalised, in_a_sentence, in_words
 from . import starts
 from .batch import Batch
 from .curves import curve, measured, on_levels
-from .decide import Decision
+from .decision import Decision
 from .estimates import without
 from .joint_fit import Fit, parameters_of
 from .normal_equations import State

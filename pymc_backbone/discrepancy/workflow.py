@@ -23,7 +23,8 @@ from .batch import Batch
 from .candidate_table import candidates_of
 from .curve_records import ForceCurves
 from .curves import simulate
-from .decide import Decision, decide, is_none_other, mind_second_mode
+from .decide import decide, is_none_other, mind_second_mode
+from .decision import Decision
 from .descent import is_heavy
 from .design import Contender, Plan, contender, present_design
 from .extend import Inference, infer

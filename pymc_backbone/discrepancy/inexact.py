@@ -1,0 +1,116 @@
+"""The verdict where no set is exact: sets are weighed with a departure, and mechanisms named instead of laws."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from ..effects import EITHER
+from . import evidence
+from .curves import fit_on_levels
+from .decision import DRIFT_POSSIBLE, MOST_LISTED, Decision, listed
+from .joint_fit import Fit
+from .mechanisms import Weighed, weigh
+from .search import Search, Set
+from .shares import estimates_with, missing_mechanisms, remainder_of
+from .study import MissingMechanism
+from .verdict import MECHANISM_NAMED, NamedLevel, Verdict
+
+MOST_OF_THE_GAP = 0.85
+"""Share of the gap that named mechanisms explain together: it shrinks at least sevenfold."""
+
+
+def departing(search: Search, decision: Decision) -> Decision:
+    """Return the decision where no set is exact: sets are weighed with a departure, and mechanisms named, no law.
+
+    What goes with the time since the release, or differs between releases at the same amplitude, is no law: then the
+    records are unexplained, and so where what is most probable leaves most of the gap.
+    """
+    weighed = weigh(search)
+    if weighed is None:
+        return replace(decision, verdict=Verdict.UNEXPLAINED, below=())
+    ranked = weighed.ranked()
+    best = next((names for names in ranked if _is_kept(search, weighed, names)), ())
+    mechanisms = _told(search, weighed, best)
+    certain = certain_sets(search, mechanisms, ranked)
+    simpler = next((names for names in certain if weighed.gaps[names] <= 1.0 - MOST_OF_THE_GAP), None)
+    if simpler is not None and simpler != best and _is_kept(search, weighed, simpler):
+        # what is only possible beside the certain takes nothing of what these explain alone
+        best, mechanisms = simpler, _told(search, weighed, simpler)
+    lack = evidence.lack_of_fit(search.batch, search.fits[best])
+    if search.is_refuted(best):
+        lack = replace(lack, share=float("nan"))  # of a motion out of phase
+    known = replace(
+        decision,
+        best=best,
+        probability=weighed.probabilities[best],
+        probabilities=weighed.probabilities,
+        lack=lack,
+        below=(),
+        drift_probability=weighed.drift_probability,
+        mechanisms=mechanisms,
+        remainder=remainder_of(weighed, best),
+        is_approximate=True,
+        is_single_valued=weighed.is_law,
+        on_backbones=_on_backbones(search, best, weighed) if search.is_refuted(best) else None,
+    )
+    if not weighed.is_law or weighed.drift_probability > 0.5:
+        return replace(known, verdict=Verdict.UNEXPLAINED)
+    if weighed.gaps[best] > 1.0 - MOST_OF_THE_GAP:
+        unfinished = _unfinished(search, weighed, decision.ranked)
+        if unfinished:  # what was not fitted to its end is not refuted
+            return replace(known, verdict=Verdict.AMBIGUOUS, listed=unfinished[:MOST_LISTED], unfinished=unfinished)
+        return replace(known, verdict=Verdict.UNEXPLAINED)
+    if is_told_apart(mechanisms) and weighed.drift_probability < DRIFT_POSSIBLE:
+        return replace(known, verdict=Verdict.FOUND, named_level=NamedLevel.MECHANISM)
+    # the base with a departure is no explanation, and not listed as one
+    sets = {names: chance for names, chance in weighed.probabilities.items() if names and names in search.fits}
+    return replace(known, verdict=Verdict.AMBIGUOUS, listed=listed(sets, 1.0 - sum(sets.values())))
+
+
+def _is_kept(search: Search, weighed: Weighed, names: Set) -> bool:
+    """Return whether a set can be simulated over the records: fitted to these unless the likeliest were refuted."""
+    if names not in search.fits and search.is_refuted(search.best()):
+        return search.note_refuted(names, weighed.departing[names].state.eta) is not None
+    return search.fit_set(names) is not None
+
+
+def _on_backbones(search: Search, best: Set, weighed: Weighed) -> Fit | None:
+    """Return a set fitted to the backbones of all specimens: from its proposals, and where it departs least."""
+    begun = [(weighed.departing[best].state.eta, search.fits[best].state.own[:, :2])]
+    if best in search.proposals:
+        begun += [(eta, own) for _, eta, own in search.proposals[best].starts]
+    return fit_on_levels(search.batch, search.layout(best), begun)
+
+
+def _told(search: Search, weighed: Weighed, best: Set) -> tuple[MissingMechanism, ...]:
+    """Return the mechanisms with what the laws of one set explain."""
+    estimates = estimates_with(search, best, weighed.departing[best])
+    return missing_mechanisms(search, weighed.probabilities, best, weighed.gaps, estimates)
+
+
+def certain_sets(search: Search, mechanisms: Sequence[MissingMechanism], ranked: Sequence[Set]) -> list[Set]:
+    """Return the sets that hold laws of every mechanism that is certain and of no other, most probable first."""
+    certain = [item.mechanism for item in mechanisms if item.probability >= MECHANISM_NAMED]
+    groups = [set(EITHER.get(kind, (kind,))) for kind in certain]
+    held = {names: {search.mechanism_of(name) for name in names} for names in ranked}
+    return [
+        names
+        for names, kinds in held.items()
+        if names and all(group & kinds for group in groups) and kinds <= set().union(*groups)
+    ]
+
+
+def _unfinished(search: Search, weighed: Weighed, ranked: Sequence[Set]) -> tuple[Set, ...]:
+    """Return the sets whose fit to the records did not come to rest although they explain the backbones.
+
+    Sets so improbable by their backbones that they were not weighed are none of these.
+    """
+    explaining = [names for names, gap in weighed.gaps.items() if gap <= 1.0 - MOST_OF_THE_GAP]
+    return tuple(names for names in ranked if names in explaining and search.is_open(names))
+
+
+def is_told_apart(mechanisms: Sequence[MissingMechanism]) -> bool:
+    """Return whether mechanisms can be named: some are certain, and what they explain is most of the gap."""
+    named = [item for item in mechanisms if item.is_certain]
+    return bool(named) and sum(item.share_of_gap for item in named) >= MOST_OF_THE_GAP
