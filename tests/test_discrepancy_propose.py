@@ -10,7 +10,7 @@ from pymc_backbone.discrepancy import looks
 from pymc_backbone.discrepancy.batch import Batch, batch_of_backbones
 from pymc_backbone.discrepancy.layout import make_layout
 from pymc_backbone.discrepancy.looks import STIFFNESS, atoms_of, level_data
-from pymc_backbone.discrepancy.propose import Proposal, propose
+from pymc_backbone.discrepancy.propose import Proposal, _Proposer, propose
 from pymc_backbone.discrepancy.question import looked_for
 from pymc_backbone.discrepancy.refine_kernels import observe
 from pymc_backbone.effects import BASE_EFFECTS, LIBRARY
@@ -23,8 +23,15 @@ EVERY = tuple(name for name in LIBRARY if name not in BASE_EFFECTS)
 IN_METRES = looked_for("m")
 
 
-def _batch(truth: Oscillator, effects: dict[str, float], *, specimens: int = 5, amplitude: float = AMPLITUDE) -> Batch:
-    """Return backbones of specimens that scatter by 2 % with errors of 1e-4 of frequency and 0.5 % of damping."""
+def _batch(
+    truth: Oscillator,
+    effects: dict[str, float],
+    *,
+    specimens: int = 5,
+    amplitude: float = AMPLITUDE,
+    scatter: float = 0.02,
+) -> Batch:
+    """Return backbones of specimens whose effects ``scatter``, with errors of 1e-4 of frequency and 0.5 % of damping."""
     rng = np.random.default_rng(17)
     rows = []
     for _ in range(specimens):
@@ -32,7 +39,7 @@ def _batch(truth: Oscillator, effects: dict[str, float], *, specimens: int = 5, 
                   "viscous_damping": DAMPER * (1.0 + 0.05 * rng.standard_normal())}  # fmt: skip
         for name, value in effects.items():
             is_shape = name.endswith("exponent")
-            values[name] = value if is_shape else value * (1.0 + 0.02 * rng.standard_normal())
+            values[name] = value if is_shape else value * (1.0 + scatter * rng.standard_normal())
         rows.append([values.get(name, 0.0) for name in truth.parameter_names])
     levels = np.geomspace(0.12, 0.9, 10) * amplitude
     data = simulate_population(truth, np.array(rows), levels, OBSERVABLES).drop_vars("covariance")
@@ -174,3 +181,23 @@ def test_hard_cases_are_among_the_first_ten(case):
             Oscillator(MASS, ["coulomb_friction", "freeplay"]), batch.amplitude, batch.angular_frequency
         )
         assert abs(true.eta[layout.names.index("friction_force")]) < 3e-4 * SPRING * AMPLITUDE
+
+
+def test_specimens_that_differ_much_are_looked_at_with_a_wider_scatter():
+    """With a narrow one no set explains them, and then mechanisms alone would be asked."""
+    slip = 0.3 * AMPLITUDE
+    effects = {"bouc_wen_stiffness": 0.3 * SPRING, "bouc_wen_amplitude": 1.0, "bouc_wen_beta": 0.7 / slip,
+               "bouc_wen_gamma": 0.3 / slip, "bouc_wen_exponent": 1.0}  # fmt: skip
+    for scatter, is_wide in ((0.2, True), (0.02, False)):  # of each value: what slips and where differ by more
+        batch = _batch(Oscillator(MASS, ["bouc_wen"]), effects, scatter=scatter)
+        values = sum(term.size for term in batch.levels)
+        narrow = _Proposer(batch, Oscillator(MASS), IN_METRES, 2, {}).run()
+        found = propose(batch, Oscillator(MASS), IN_METRES, 2)
+        before, after = (items[_rank(items, ("bouc_wen",))] for items in (narrow, found))
+        assert _rank(found, ("bouc_wen",)) < 10
+        if is_wide:
+            assert after.log_evidence > before.log_evidence + 10.0
+            assert before.chi_square > 2.5 * values
+            assert after.chi_square < 2.2 * values
+        else:
+            assert after.log_evidence == before.log_evidence

@@ -22,9 +22,14 @@ from ..oscillator import Oscillator
 from .batch import Batch
 from .look_kernels import N_LOOK
 from .looks import regression
+from .scatter import SCATTER
 from .set_fits import Point, Set, SetFits
 from .set_kernels import best_atoms
 
+WIDE_SCATTER = 0.33
+"""Scatter of the effects that is tried where that of most batches leaves the level values unexplained."""
+WORTH_A_SECOND_LOOK = 1.5
+"""Reduced chi-square of the level values from which it is."""
 _STARTS = 3
 _MOST_COMBINATIONS = 1500
 _FLOOR = (5e-5, 0.01, 5e-4)  # model error: of frequency and damping relative, of the mid-line over the amplitude
@@ -96,16 +101,30 @@ def propose(
     -------
     list of Proposal
     """
-    return _Proposer(batch, base, tuple(candidates), int(max_effects), dict(own_effects or {})).run()
+    arguments = batch, base, tuple(candidates), int(max_effects), dict(own_effects or {})
+    found = _Proposer(*arguments).run()
+    values = sum(term.size for term in batch.levels)
+    lowest = min((item.chi_square for item in found if item.is_exact), default=np.inf)
+    if len(batch.levels) > 1 and WORTH_A_SECOND_LOOK * values < lowest < np.inf:
+        wider = _Proposer(*arguments, WIDE_SCATTER).run()
+        if wider[0].log_evidence > found[0].log_evidence:
+            return wider
+    return found
 
 
 class _Proposer:
     """The work of one call of `propose`."""
 
     def __init__(
-        self, batch: Batch, base: Oscillator, candidates: tuple[str, ...], max_effects: int, own: dict[str, Effect]
+        self,
+        batch: Batch,
+        base: Oscillator,
+        candidates: tuple[str, ...],
+        max_effects: int,
+        own: dict[str, Effect],
+        scatter: float = SCATTER,
     ) -> None:
-        self.fits = SetFits(batch, base, candidates, own)
+        self.fits = SetFits(batch, base, candidates, own, scatter)
         self.batch, self.candidates, self.data = batch, candidates, self.fits.data
         self.sets: list[Set] = [
             tuple(sorted(names)) for size in range(max_effects + 1) for names in combinations(candidates, size)

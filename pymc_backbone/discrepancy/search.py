@@ -28,6 +28,7 @@ _COSTLY_SETTLED, _COSTLY_REACH = 2, 3.0  # costly sets that are asked although w
 _POSSIBLE_BACKBONE = 3.0  # reduced chi-square up to which a set could explain the backbones
 _NEEDED = 5.0  # chi-square by which a less simple set of the same mechanisms must be better to be extended
 _SURELY = 0.5  # share of the tolerance within which further effects would not change the answer
+_NEAR = 1.5  # reduced chi-square of a fit to the samples from which its backbones were judged wrongly
 _NOISE = 0.01  # p-value of the residuals from which they are taken for noise
 
 
@@ -47,9 +48,11 @@ class Search(RevisitedSets):
             self._look_again()
         elif self._is_beyond():
             self._follow_backbones(_FEW_FOLLOWED)
-            self._look_back()
-            self._vary()
-            return
+            if min(item.cost for item in self.fits.values()) > _NEAR * self.count:
+                self._look_back()
+                self._vary()
+                return
+            self._follow_backbones(_MOST_FOLLOWED)
         else:
             self._follow_backbones(_MOST_FOLLOWED)
         self._look_back()

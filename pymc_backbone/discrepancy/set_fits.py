@@ -79,15 +79,22 @@ class SetFits:
         Effects that may be missing.
     own_effects : mapping of str to Effect
         Candidates that the library does not hold, by name.
+    scatter : float
+        How much the parameters of effects differ between specimens, relative to their value.
     """
 
     def __init__(
-        self, batch: Batch, base: Oscillator, candidates: tuple[str, ...], own_effects: Mapping[str, Effect]
+        self,
+        batch: Batch,
+        base: Oscillator,
+        candidates: tuple[str, ...],
+        own_effects: Mapping[str, Effect],
+        scatter: float = SCATTER,
     ) -> None:
         self.batch, self.base, self.candidates, self.own_effects = batch, base, candidates, own_effects
         self.data: LevelData = level_data(batch.levels, base.mass)
         self.base_names = [effect.name for effect in base.effects if effect.name not in BASE_EFFECTS]
-        self.scatter = SCATTER if self.data.count.size > 1 else 0.0
+        self.scatter = scatter if self.data.count.size > 1 else 0.0
         self.layouts: dict[Set, Layout] = {}
         self.views: dict[Set, _View] = {}
         self.effects: list[str] = [*self.base_names, *candidates]
