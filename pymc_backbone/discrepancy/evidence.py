@@ -15,6 +15,7 @@ from .batch import Batch
 from .data_term import DataTerm, WaveformTerm
 from .joint_fit import Fit
 from .normal_equations import NUISANCES, information
+from .whitening import EDGE
 
 PRIOR_OF_SIZE = (0.5, 0.445, 0.05, 0.005)
 """Prior probability that so many effects are missing, shared evenly among the sets of that size."""
@@ -228,11 +229,17 @@ def is_unexplained(lack: LackOfFit, tolerance: Mapping[str, float]) -> bool:
 
 def residuals_scale(term: WaveformTerm) -> float:
     """Return the standard deviation that one standardised residual stands for [m or rad]."""
-    probe = np.random.default_rng(0).standard_normal((term.time.size, 1))
+    probe = np.random.default_rng(0).standard_normal((_compared(term).size, 1))
     return 1.0 / max(float(term.whiten(probe).std()), 1e-300)
 
 
 def _size_of_motion(term: WaveformTerm) -> float:
     """Return the norm of the motion in units of the standardised residuals."""
-    motion = term.whiten((term.values - term.values.mean())[:, None])
+    motion = term.whiten(_compared(term)[:, None])
     return max(float(np.linalg.norm(motion)), 1e-300)
+
+
+def _compared(term: WaveformTerm) -> FloatArray:
+    """Return the motion (n,) at those instants that are compared with a simulation."""
+    values = term.values[EDGE:-EDGE] if term.together > 1 else term.values
+    return values - values.mean()

@@ -12,7 +12,7 @@ from ..measurement.conditioning.filters import BandPass
 from ..measurement.cycles import Cycles
 from .data_term import TurningTerm, WaveformTerm
 from .passed import passed_values
-from .whitening import EDGE, means, of_means, whitener
+from .whitening import EDGE, means, of_means, whitener, with_slow_noise
 
 _DENSE = 24  # samples per cycle that hold all there is to know; more are averaged
 _PASSED_WINDOW = 8.0  # cycles; a band holds little more than the slowly varying motion itself
@@ -92,12 +92,14 @@ def waveform_term(record: ConditionedRecord, cycles: Cycles) -> WaveformTerm:
     shown = means(time[:, None], together)[:, 0]
     if together > 1:
         autocovariance = of_means(autocovariance, together)
+    inner = shown[EDGE:-EDGE] if together > 1 and order == 0 else shown
     white = whitener(autocovariance)
+    if measured.wander is not None:
+        white = with_slow_noise(white, measured.wander.modes(inner, float(autocovariance[0])))
     if together > 1 and order == 0:
         # smooth enough to be simulated at the middle of each mean only
         count = shown.size
         values = values[: count * together].reshape(count, together).mean(axis=1)
-        inner = shown[EDGE:-EDGE]
         subspace = _subspace(_phase(inner, cycles), per_cycle)
         return WaveformTerm(shown, values, white, inner.size, subspace, signal, together)
     subspace = _subspace(_phase(shown, cycles), per_cycle)

@@ -82,6 +82,20 @@ def whitener(autocovariance: FloatArray) -> Callable[[FloatArray], FloatArray]:
     return whiten
 
 
+def with_slow_noise(whiten: Callable[[FloatArray], FloatArray], modes: FloatArray) -> Callable[[FloatArray], FloatArray]:
+    """Return the filter that makes noise white which also holds independent normal amounts of slow ``modes`` (n, k)."""
+    if not modes.shape[1]:
+        return whiten
+    directions, sizes, _ = np.linalg.svd(whiten(modes), full_matrices=False)
+    less = 1.0 - 1.0 / np.sqrt(1.0 + sizes**2)
+
+    def both(columns: FloatArray) -> FloatArray:
+        white = whiten(columns)
+        return white - directions @ (less[:, None] * (directions.T @ white))
+
+    return both
+
+
 def _filtered(taps: FloatArray, columns: FloatArray) -> FloatArray:
     """Return each column after a filter of finite length."""
     result: FloatArray = np.asarray(lfilter(taps, [1.0], columns, axis=0))

@@ -127,7 +127,7 @@ def extract_cycles(record: Any, *, noise: float | ArrayLike | None = None) -> Cy
         noise = getattr(record, "noise_autocovariance", None)
     if noise is None:
         noise = getattr(record, "noise", None)
-    return extract_cycles_from_arrays(
+    cycles = extract_cycles_from_arrays(
         record.time,
         record.displacement,
         noise=noise,
@@ -135,6 +135,11 @@ def extract_cycles(record: Any, *, noise: float | ArrayLike | None = None) -> Cy
         notes=tuple(getattr(record, "notes", ())),
         zero_error=float(getattr(record, "baseline_error", 0.0)),
     )
+    measured = getattr(record, "measured", None)
+    if measured is None or measured.wander is None or measured.order:
+        return cycles
+    modes = measured.wander.modes(measured.time, float(measured.autocovariance[0]))
+    return _with_zero_errors(cycles, np.array([np.interp(cycles.time, measured.time, mode) for mode in modes.T]).T)
 
 
 @with_one_thread
@@ -194,17 +199,16 @@ def extract_cycles_from_arrays(
     if autocovariance is not None:
         guess_noise = max(guess_noise, float(np.sqrt(autocovariance[0])))
     cycles = _extract(t, x, step, autocovariance, guess_noise, specimen, list(notes))
-    return cycles if zero_error == 0.0 else _with_doubtful_zero(cycles, zero_error)
+    return cycles if zero_error == 0.0 else _with_zero_errors(cycles, np.full((len(cycles), 1), zero_error))
 
 
-def _with_doubtful_zero(cycles: Cycles, zero_error: float) -> Cycles:
-    """Return the cycles with the error of the zero in their offsets."""
-    shared = np.zeros((*cycles.shared.shape[:2], cycles.shared.shape[2] + 1))
-    shared[:, :, :-1] = cycles.shared
-    shared[QUANTITIES.index("offset"), :, -1] = -zero_error / cycles.smoothed_amplitude
-    return replace(
-        cycles, shared=shared, offset_error=np.hypot(cycles.offset_error, zero_error / cycles.smoothed_amplitude)
-    )
+def _with_zero_errors(cycles: Cycles, modes: FloatArray) -> Cycles:
+    """Return the cycles with errors of the zero in their offsets: columns (n, k), each of one independent error."""
+    errors = -modes / cycles.smoothed_amplitude[:, None]
+    row = QUANTITIES.index("offset")
+    shared = np.concatenate([cycles.shared, np.zeros((*cycles.shared.shape[:2], errors.shape[1]))], axis=2)
+    shared[row, :, cycles.shared.shape[2] :] = errors
+    return replace(cycles, shared=shared, offset_error=np.sqrt(cycles.offset_error**2 + (errors**2).sum(axis=1)))
 
 
 def _autocovariance(noise: float | ArrayLike | None) -> FloatArray | None:

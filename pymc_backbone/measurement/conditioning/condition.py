@@ -20,6 +20,7 @@ from .release import end_of_drive, end_of_motion, envelope, regrowth
 from .second_mode import SecondMode, find_second_mode
 from .second_release import later_motion
 from .tracking import Track, track
+from .wander import Wander, find_wander
 
 __all__ = ["ConditionedRecord", "condition"]
 
@@ -135,6 +136,7 @@ class _Conditioning:
         check_decays(displacement_amplitude(path, self.integrations), self.name, path.amplitude[-1] > 3.0 * floor)
         baseline = self._baseline(measured, path, end, spectrum, band_pass)
         second = self._second_mode(measured, path)
+        wander = None if band_pass is not None else self._wander(measured, path, spectrum)
         end = self._above_floor(path, end)
         first, last = self._range(path, is_cut and band_pass is None, end, measured.size)
         before = round((self.begin - self.free.begin) * self.rate)
@@ -173,7 +175,7 @@ class _Conditioning:
             second_mode_frequency=second.frequency if second else np.nan,
             second_mode_share=second.share if second else np.nan,
             source=self.record.source,
-            measured=self._measured(before, is_cut, (first, last), path, spectrum, band_pass),
+            measured=self._measured(before, is_cut, (first, last), path, spectrum, band_pass, wander),
             notes=tuple(self.notes),
         )
 
@@ -263,6 +265,18 @@ class _Conditioning:
             )
         return baseline
 
+    def _wander(self, values: FloatArray, path: Track, spectrum: NoiseSpectrum) -> Wander | None:
+        """Return the noise that is slower than the motion, with a note of its size."""
+        wander = find_wander(values, self.rate, path, spectrum)
+        if wander is not None:
+            whole = np.arange(int(float(path.time[-1]) * self.rate)) / self.rate
+            size = float(np.sqrt((wander.modes(whole, spectrum.total**2) ** 2).sum(axis=1).mean()))
+            self.notes.append(
+                f"the sensor's zero wanders slower than the motion, by some {size:.2g} {self.record.unit} over the record: "
+                "that is counted as noise, not as the structure's mid-line"
+            )
+        return wander
+
     def _second_mode(self, values: FloatArray, path: Track) -> SecondMode | None:
         """Return a second mode, with a warning that names it."""
         second = find_second_mode(values, self.rate, path)
@@ -319,6 +333,7 @@ class _Conditioning:
         path: Track,
         spectrum: NoiseSpectrum,
         band_pass: BandPass | None,
+        wander: Wander | None,
     ) -> MeasuredSamples:
         """Return the samples as they were; ``before`` of them precede those that were passed."""
         first, last = kept
@@ -338,6 +353,7 @@ class _Conditioning:
             autocovariance=_frozen(noise.autocovariance),
             order=self.integrations,
             band_pass=band_pass,
+            wander=wander,
         )
 
     def _displacement(self, values: FloatArray, path: Track) -> FloatArray:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from ..._common.checks import FloatArray
 from .filters import BandPass
+from .wander import Wander
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +26,8 @@ class MeasuredSamples:
         How often the displacement has been differentiated: 1 for velocity, 2 for acceleration.
     band_pass : BandPass or None
         The filter to compare through, where another mode has to be kept out. Half of its length is lost at either end.
+    wander : Wander or None
+        Noise slower than the motion, which ``autocovariance`` does not hold.
     """
 
     time: FloatArray
@@ -32,6 +35,7 @@ class MeasuredSamples:
     autocovariance: FloatArray
     order: int
     band_pass: BandPass | None
+    wander: Wander | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,151 @@
+"""A sensor's zero that wanders: noise slower than the motion, told from the mid-line that a structure itself has."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.fft import dct
+from scipy.interpolate import make_interp_spline
+from scipy.signal import fftconvolve
+from scipy.special import logsumexp
+
+from ..._common.checks import FloatArray
+from .noise import NoiseSpectrum
+from .tracking import Track
+
+TOP = 0.6
+"""Order (frequency over that of the motion) up to which noise is slow; above, it shows between the harmonics."""
+_CLEAR = 0.4  # order up to which the motion's own line does not reach
+_POWERS = (0.5, 1.0, 1.5, 2.0)
+_RATIOS = np.geomspace(1e-3, 1e7, 61)  # of slow noise to the other at the lowest frequency
+_LEVERAGE = 0.5  # share of a frequency that shapes of the mid-line take, beyond which it says nothing
+_FEWEST = 5
+_POSSIBLE = 0.2  # probability below which it is left out
+_MOST_MODES = 200
+_SEEN = 0.1  # share of the other noise from which slow noise counts
+
+
+@dataclass(frozen=True)
+class Wander:
+    """Power spectral density of the slow noise, beyond the one that the spectrum between the harmonics tells.
+
+    ``sum_j level_j (f^-power_j - top^-power_j)`` below ``top``.
+
+    Attributes
+    ----------
+    levels, powers : (j,) arrays
+        Mixture of power laws, each weighed by its probability [unit^2/Hz at 1 Hz; -].
+    top : float
+        Frequency above which there is none [Hz].
+    """
+
+    levels: FloatArray
+    powers: FloatArray
+    top: float
+
+    def at(self, frequency: FloatArray) -> FloatArray:
+        """Return the one-sided density [unit^2/Hz] at positive frequencies [Hz]."""
+        clipped = np.minimum(frequency, self.top)[..., None]
+        return np.asarray(np.sum(self.levels * (clipped**-self.powers - self.top**-self.powers), axis=-1))
+
+    def modes(self, time: FloatArray, noise: float) -> FloatArray:
+        """Return the slow noise as columns (n, k): a record of it is these times independent standard normal numbers.
+
+        Parameters
+        ----------
+        time : (n,) array
+            Instants [s], uniform, rising.
+        noise : float
+            Variance of the other noise of a sample at these instants [unit^2]; what is far below it is left out.
+        """
+        step = float(time[-1] - time[0]) / (time.size - 1)
+        k = np.arange(1, min(_MOST_MODES, time.size // 2) + 1)
+        variance = 0.5 * self.at(k / (2.0 * step * time.size)) / step
+        k, variance = k[variance > _SEEN * noise], variance[variance > _SEEN * noise]
+        phase = np.pi * (np.arange(time.size) + 0.5) / time.size
+        return np.cos(np.outer(phase, k)) * np.sqrt(2.0 / time.size * variance)
+
+
+def find_wander(values: FloatArray, sampling_rate: float, path: Track, spectrum: NoiseSpectrum) -> Wander | None:
+    """Return the slow noise of a record, or None where its mid-line is steady or that of a structure.
+
+    Parameters
+    ----------
+    values : (n,) array
+        What was measured; time counts from its first sample.
+    sampling_rate : float
+        Samples per second.
+    path : Track
+        Its track up to the end of motion.
+    spectrum : NoiseSpectrum
+        Noise between the harmonics.
+
+    Notes
+    -----
+    The mid-line of an autonomous structure is a function of its amplitude, and what shifts it makes a second
+    harmonic that changes alike. What remains of the tracked mid-line beside constant, A, A^2, A^3 and that
+    harmonic is taken to cosines, whose squares are exponential about the density of the noise (Whittle's likelihood):
+    the known one alone, or with a power law of the frequency added, whose power (0.5 to 2: from drifting electronics
+    to a random walk) and size are averaged over what the record supports.
+    """
+    middle, shapes = _mid_line(values, sampling_rate, path)
+    n, per_cycle = middle.size, path.per_cycle
+    if n < 3 * per_cycle:
+        return None
+    basis = np.linalg.qr(shapes / np.maximum(np.abs(shapes).max(axis=0), 1e-300))[0]
+    left = middle - basis @ (basis.T @ middle)
+    k = np.arange(1, int(2.0 * _CLEAR * n / per_cycle) + 1)
+    leverage = (dct(basis, axis=0, norm="ortho") ** 2).sum(axis=1)[k]
+    order = 0.5 * k * per_cycle / n
+    # two running means over a cycle, and the density of samples at a uniform rate
+    passed = np.sinc(order) ** 4
+    density = 2.0 * dct(left, norm="ortho")[k] ** 2 * path.frequency**-1 / per_cycle
+    used = leverage < _LEVERAGE
+    if used.sum() < _FEWEST:
+        return None
+    density = (density / passed / (1.0 - leverage))[used]
+    frequency = order[used] * path.frequency
+    known = np.maximum(spectrum.at(frequency), 1e-300)
+    top = TOP * path.frequency
+    lowest = 0.5 * path.frequency * per_cycle / n
+    scale = float(spectrum.at(np.array([lowest]))[0])
+    levels, powers, logs = [], [], []
+    for power in _POWERS:
+        shape = frequency**-power - top**-power
+        for ratio in _RATIOS:
+            level = ratio * scale / (lowest**-power - top**-power)
+            levels.append(level)
+            powers.append(power)
+            logs.append(_log_likelihood(density, known + level * shape))
+    weight = np.array(logs) - np.log(len(logs))
+    with_it, without = float(logsumexp(weight)), _log_likelihood(density, known)
+    probability = 1.0 / (1.0 + np.exp(min(without - with_it, 700.0)))
+    if probability < _POSSIBLE:
+        return None
+    share = probability * np.exp(weight - with_it)
+    level_by_power = [float(np.sum((share * levels)[np.array(powers) == power])) for power in _POWERS]
+    return Wander(np.array(level_by_power), np.array(_POWERS), top)
+
+
+def _log_likelihood(density: FloatArray, expected: FloatArray) -> float:
+    """Return Whittle's log-likelihood of squares of single normal numbers."""
+    return -0.5 * float(np.sum(density / expected + np.log(expected)))
+
+
+def _mid_line(values: FloatArray, sampling_rate: float, path: Track) -> tuple[FloatArray, FloatArray]:
+    """Return the mid-line (n,) on a grid of uniform phase, and what a structure's own is made of (n, s)."""
+    per_cycle = path.per_cycle
+    stamps = np.arange(values.size) / sampling_rate
+    step = 2.0 * np.pi / per_cycle
+    end = min(float(stamps[-1]), float(path.time[-1]) + 1.0 / path.frequency)
+    bounds = path.phase_at(np.array([0.0, end]))
+    grid = step * np.arange(np.ceil(bounds[0] / step), np.floor(bounds[1] / step) + 1.0)
+    samples = make_interp_spline(stamps, values, k=3)(np.clip(path.time_at(grid), 0.0, stamps[-1]))
+    box = np.ones(per_cycle) / per_cycle
+    kernel = np.convolve(box, box)
+    middle = fftconvolve(samples, kernel, mode="valid")
+    second = 2.0 * fftconvolve(samples * np.exp(-2j * grid), kernel, mode="valid")
+    inner = grid[per_cycle - 1 : per_cycle - 1 + middle.size]
+    amplitude = path.amplitude_at(path.time_at(inner)) / float(path.amplitude.max())
+    return middle, np.column_stack([*(amplitude**power for power in range(4)), second.real])
