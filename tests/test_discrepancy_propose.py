@@ -31,7 +31,7 @@ def _batch(
     amplitude: float = AMPLITUDE,
     scatter: float = 0.02,
 ) -> Batch:
-    """Return backbones of specimens whose effects scatter so much, with errors of 1e-4 of frequency, 0.5 % of damping."""
+    """Return backbones of specimens whose effects scatter, with errors of 1e-4 of frequency and 0.5 % of damping."""
     rng = np.random.default_rng(17)
     rows = []
     for _ in range(specimens):

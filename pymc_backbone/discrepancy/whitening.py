@@ -82,7 +82,9 @@ def whitener(autocovariance: FloatArray) -> Callable[[FloatArray], FloatArray]:
     return whiten
 
 
-def with_slow_noise(whiten: Callable[[FloatArray], FloatArray], modes: FloatArray) -> Callable[[FloatArray], FloatArray]:
+def with_slow_noise(
+    whiten: Callable[[FloatArray], FloatArray], modes: FloatArray
+) -> Callable[[FloatArray], FloatArray]:
     """Return the filter that makes noise white which also holds independent normal amounts of slow ``modes`` (n, k)."""
     if not modes.shape[1]:
         return whiten

@@ -139,7 +139,9 @@ def extract_cycles(record: Any, *, noise: float | ArrayLike | None = None) -> Cy
     if measured is None or measured.wander is None or measured.order:
         return cycles
     modes = measured.wander.modes(measured.time, float(measured.autocovariance[0]))
-    return _with_zero_errors(cycles, np.array([np.interp(cycles.time, measured.time, mode) for mode in modes.T]).T)
+    here = np.array([np.interp(cycles.time, measured.time, mode) for mode in modes.T]).reshape(-1, len(cycles)).T
+    size = float(np.sqrt((modes**2).sum(axis=1).mean()))  # the zero was taken from where it happened to be
+    return _with_zero_errors(cycles, np.column_stack([here, np.full(len(cycles), size)]))
 
 
 @with_one_thread

@@ -136,7 +136,9 @@ class _Conditioning:
         check_decays(displacement_amplitude(path, self.integrations), self.name, path.amplitude[-1] > 3.0 * floor)
         baseline = self._baseline(measured, path, end, spectrum, band_pass)
         second = self._second_mode(measured, path)
-        wander = None if band_pass is not None else self._wander(measured, path, spectrum)
+        wander = None if band_pass is not None else find_wander(measured, self.rate, path, spectrum)
+        if wander is not None and wander.is_sure:
+            self.notes.append(wander.note(path, self.rate, spectrum, self.record.unit))
         end = self._above_floor(path, end)
         first, last = self._range(path, is_cut and band_pass is None, end, measured.size)
         before = round((self.begin - self.free.begin) * self.rate)
@@ -149,7 +151,8 @@ class _Conditioning:
             mid_line = self._mid_line(self.free.values, path.shifted(-lag), second, is_filtered=band_pass is not None)
         if mid_line is not None:
             displacement += mid_line.at(amplitude.amplitude_at(time))
-        self._note_band_pass(band_pass, path)
+        if band_pass is not None:
+            self.notes.append(band_pass.note(path))
         noise = noise_of(spectrum, self._response(band_pass, path.frequency), path.frequency, self.rate)
         is_absolute = not (self.integrations or band_pass)
         largest = float(amplitude.amplitude_at(time[:1])[0])
@@ -264,18 +267,6 @@ class _Conditioning:
                 "the sensor's zero drifts): the mid-line was taken as zero"
             )
         return baseline
-
-    def _wander(self, values: FloatArray, path: Track, spectrum: NoiseSpectrum) -> Wander | None:
-        """Return the noise that is slower than the motion, with a note of its size."""
-        wander = find_wander(values, self.rate, path, spectrum)
-        if wander is not None:
-            whole = np.arange(int(float(path.time[-1]) * self.rate)) / self.rate
-            size = float(np.sqrt((wander.modes(whole, spectrum.total**2) ** 2).sum(axis=1).mean()))
-            self.notes.append(
-                f"the sensor's zero wanders slower than the motion, by some {size:.2g} {self.record.unit} over the record: "
-                "that is counted as noise, not as the structure's mid-line"
-            )
-        return wander
 
     def _second_mode(self, values: FloatArray, path: Track) -> SecondMode | None:
         """Return a second mode, with a warning that names it."""
@@ -394,19 +385,6 @@ class _Conditioning:
                 "unfiltered"
             )
         return found
-
-    def _note_band_pass(self, band_pass: BandPass | None, path: Track) -> None:
-        """Say what the band-pass did."""
-        if band_pass is None:
-            return
-        lost = band_pass.half * path.frequency / self.rate
-        amplitude_bias, damping_bias = band_pass.bias(path)
-        self.notes.append(
-            f"band-passed {band_pass.low:g} to {band_pass.high:g} Hz without phase shift: {lost:.1f} cycles "
-            f"were lost at "
-            f"each end, amplitude is biased by {amplitude_bias:+.0e} and damping by {damping_bias:+.0e} of themselves; "
-            "harmonics outside the band are gone"
-        )
 
     def _response(self, band_pass: BandPass | None, frequency: float) -> Callable[[FloatArray], FloatArray]:
         """Return the amplitude response from the measured quantity to the displacement."""

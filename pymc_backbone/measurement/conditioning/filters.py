@@ -74,6 +74,16 @@ class BandPass:
         fall = float(np.log(path.amplitude[0] / path.amplitude[-1]))
         return max(gains, key=lambda gain: abs(gain - 1.0)) - 1.0, float(np.log(gains[0] / gains[1])) / fall
 
+    def note(self, path: Track) -> str:
+        """Return a sentence that says what the filter did."""
+        lost = self.half * path.frequency / self.sampling_rate
+        amplitude_bias, damping_bias = self.bias(path)
+        return (
+            f"band-passed {self.low:g} to {self.high:g} Hz without phase shift: {lost:.1f} cycles were lost at each "
+            f"end, amplitude is biased by {amplitude_bias:+.0e} and damping by {damping_bias:+.0e} of themselves; "
+            "harmonics outside the band are gone"
+        )
+
 
 def check_band(band: Any, sampling_rate: float, name: str) -> tuple[float, float]:
     """Return a band as two increasing frequencies below half the sampling rate, or raise `InputError`."""

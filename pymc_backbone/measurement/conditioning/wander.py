@@ -18,10 +18,11 @@ TOP = 0.6
 """Order (frequency over that of the motion) up to which noise is slow; above, it shows between the harmonics."""
 _CLEAR = 0.4  # order up to which the motion's own line does not reach
 _POWERS = (0.5, 1.0, 1.5, 2.0)
-_RATIOS = np.geomspace(1e-3, 1e7, 61)  # of slow noise to the other at the lowest frequency
+_RATIOS = np.geomspace(1.0, 1e7, 43)  # of slow noise to the other at the lowest frequency
 _LEVERAGE = 0.5  # share of a frequency that shapes of the mid-line take, beyond which it says nothing
 _FEWEST = 5
 _POSSIBLE = 0.2  # probability below which it is left out
+_SURE = 0.95
 _MOST_MODES = 200
 _SEEN = 0.1  # share of the other noise from which slow noise counts
 
@@ -38,16 +39,33 @@ class Wander:
         Mixture of power laws, each weighed by its probability [unit^2/Hz at 1 Hz; -].
     top : float
         Frequency above which there is none [Hz].
+    probability : float
+        That there is slow noise at all.
     """
 
     levels: FloatArray
     powers: FloatArray
     top: float
+    probability: float
 
     def at(self, frequency: FloatArray) -> FloatArray:
         """Return the one-sided density [unit^2/Hz] at positive frequencies [Hz]."""
         clipped = np.minimum(frequency, self.top)[..., None]
         return np.asarray(np.sum(self.levels * (clipped**-self.powers - self.top**-self.powers), axis=-1))
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether there is no doubt that the zero wanders."""
+        return self.probability > _SURE
+
+    def note(self, path: Track, sampling_rate: float, spectrum: NoiseSpectrum, unit: str) -> str:
+        """Return a sentence that says by how much."""
+        time = np.arange(int(float(path.time[-1]) * sampling_rate)) / sampling_rate
+        size = float(np.sqrt((self.modes(time, spectrum.total**2) ** 2).sum(axis=1).mean()))
+        return (
+            f"the sensor's zero wanders slower than the motion, by some {size:.2g} {unit}: that is counted as "
+            "noise, not as the structure's mid-line"
+        )
 
     def modes(self, time: FloatArray, noise: float) -> FloatArray:
         """Return the slow noise as columns (n, k): a record of it is these times independent standard normal numbers.
@@ -125,7 +143,7 @@ def find_wander(values: FloatArray, sampling_rate: float, path: Track, spectrum:
         return None
     share = probability * np.exp(weight - with_it)
     level_by_power = [float(np.sum((share * levels)[np.array(powers) == power])) for power in _POWERS]
-    return Wander(np.array(level_by_power), np.array(_POWERS), top)
+    return Wander(np.array(level_by_power), np.array(_POWERS), top, probability)
 
 
 def _log_likelihood(density: FloatArray, expected: FloatArray) -> float:

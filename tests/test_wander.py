@@ -1,0 +1,135 @@
+"""A sensor's zero that wanders: its spectrum against the one drawn from, and what it must not be taken for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from pymc_backbone.discrepancy import evidence
+from pymc_backbone.discrepancy.batch import Batch
+from pymc_backbone.discrepancy.joint_fit import Fit, fit
+from pymc_backbone.discrepancy.layout import make_layout
+from pymc_backbone.discrepancy.normal_equations import start_state
+from pymc_backbone.discrepancy.whitening import whitener, with_slow_noise
+from pymc_backbone.measurement.conditioning.condition import condition
+from pymc_backbone.measurement.conditioning.wander import Wander
+from pymc_backbone.measurement.reading.record import Record
+from pymc_backbone.oscillator import Oscillator
+from tests.discrepancy_cases import MASS, batch_of
+
+FREQUENCY, RATE, RATIO, CYCLES = 5.0, 150.0, 0.006, 60
+TIME = np.arange(int(CYCLES / FREQUENCY * RATE)) / RATE
+OMEGA = 2.0 * np.pi * FREQUENCY
+NOISE = 10.0 ** (-50.0 / 20.0) / np.sqrt(2.0)
+WALK = 0.2 * NOISE  # standard deviation of a step from one sample to the next
+
+
+def motion(amplitude: float = 1.0) -> np.ndarray:
+    """A linear decay from rest, in closed form."""
+    damped = OMEGA * np.sqrt(1.0 - RATIO**2)
+    angle = damped * TIME
+    return amplitude * np.exp(-RATIO * OMEGA * TIME) * (np.cos(angle) + RATIO * OMEGA / damped * np.sin(angle))
+
+
+def record(rng: np.random.Generator, walk: float, amplitude: float = 1.0, name: str = "one") -> Record:
+    """The decay with white noise, and with a random walk whose steps have this standard deviation."""
+    added = NOISE * rng.standard_normal(TIME.size) + np.cumsum(walk * rng.standard_normal(TIME.size))
+    return Record(name, TIME, motion(amplitude) + added, "displacement", "m", "made in a test", ())
+
+
+def test_density_is_that_of_the_random_walk_that_was_added():
+    """Sampled at the rate r, a walk of steps s has the one-sided density 2 s^2 / r / (2 sin(pi f / r))^2."""
+    at = FREQUENCY * np.array([0.02, 0.05, 0.1, 0.2])
+    truth = 2.0 * WALK**2 / RATE / (2.0 * np.sin(np.pi * at / RATE)) ** 2
+    found = [condition(record(np.random.default_rng(seed), WALK)).measured.wander for seed in range(25)]
+    assert all(one is not None and one.probability > 0.95 for one in found)
+    ratio = np.array([one.at(at) / truth for one in found if one is not None])
+    # up to 48 squares of normal numbers tell a level to some 20 to 60 %, the lowest frequencies least; a part is in the
+    # noise that the spectrum between the harmonics tells already
+    assert np.all(np.exp(np.mean(np.log(ratio), axis=0)) > 0.5)
+    assert np.all(np.exp(np.mean(np.log(ratio), axis=0)) < 1.3)
+    assert np.std(np.log(ratio), axis=0).max() < 0.8
+
+
+def test_white_noise_is_not_taken_for_a_wandering_zero():
+    found = [condition(record(np.random.default_rng(100 + seed), 0.0)).measured.wander for seed in range(40)]
+    sure = sum(one is not None and one.probability > 0.95 for one in found)
+    assert sure <= 2
+    assert sum(one is not None for one in found) <= 12
+    assert not any("wanders" in note for note in condition(record(np.random.default_rng(100), 0.0)).notes)
+
+
+@pytest.mark.parametrize("power", [2, 1])
+def test_mid_line_of_a_structure_is_not_taken_for_a_wandering_zero(power):
+    """SciPy's decay from a spring with a quadratic force, and from one that is harder on one side."""
+
+    def rate(t: float, y: np.ndarray) -> list[float]:
+        pull = y[0] + 0.2 * (y[0] ** 2 if power == 2 else max(y[0], 0.0))
+        return [y[1], -(OMEGA**2) * pull - 2.0 * RATIO * OMEGA * y[1]]
+
+    exact = solve_ivp(rate, (0.0, TIME[-1]), [1.0, 0.0], "DOP853", TIME, rtol=1e-10, atol=1e-12).y[0]
+    assert abs(exact[: int(4 * RATE / FREQUENCY)].mean()) > 0.02  # the mid-line is far off
+    for seed in range(5):
+        noisy = exact + 0.1 * NOISE * np.random.default_rng(seed).standard_normal(TIME.size)
+        measured = condition(Record("one", TIME, noisy, "displacement", "m", "made in a test", ())).measured
+        if measured.wander is not None:
+            size = np.sqrt((measured.wander.modes(TIME, 0.0) ** 2).sum(axis=1).mean())
+            assert size < 0.1 * NOISE
+
+
+def test_whitening_makes_slow_noise_white():
+    """The covariance of the noise, given in closed form, becomes the unit matrix."""
+    wander = Wander(np.array([3e-6, 2e-7]), np.array([1.0, 2.0]), 3.0, 1.0)
+    time = np.arange(200) / 40.0
+    autocovariance = np.array([1e-5, 4e-6, 1e-6])
+    modes = wander.modes(time, 1e-9)
+    k = np.arange(1, modes.shape[1] + 1)
+    density = sum(
+        level * ((k / 10.0) ** -power - 3.0**-power) for level, power in zip((3e-6, 2e-7), (1, 2), strict=True)
+    )
+    # a cosine of length n at the rate r takes half the one-sided density times r
+    assert (modes**2).sum(axis=0) == pytest.approx(20.0 * density, rel=1e-12)
+    lag = np.abs(np.subtract.outer(np.arange(200), np.arange(200)))
+    covariance = np.where(lag < 3, autocovariance[np.minimum(lag, 2)], 0.0) + modes @ modes.T
+    white = with_slow_noise(whitener(autocovariance), modes)(np.eye(200))
+    assert white @ covariance @ white.T == pytest.approx(np.eye(200), abs=0.05)
+    plain = whitener(autocovariance)(np.eye(200))
+    assert np.linalg.eigvalsh(plain @ covariance @ plain.T).max() > 40.0
+
+
+def _linear_fit(batch: Batch) -> Fit:
+    layout = make_layout(Oscillator(MASS), batch.amplitude, batch.angular_frequency)
+    found = fit(layout, batch.deciding, start_state(layout, np.zeros(0), batch.own), nuisances=batch.nuisances)
+    assert found is not None
+    return found
+
+
+def test_a_wandering_zero_is_not_taken_for_physics():
+    p_values, ratios = [], []
+    for seed in range(6):
+        rng = np.random.default_rng(200 + seed)
+        batch = batch_of([record(rng, WALK, 1.0 - 0.2 * r, f"specimen {r}") for r in range(3)])
+        found = _linear_fit(batch)
+        p_values.append(evidence.lack_of_fit(batch, found).p_value)
+        ratios.append(found.cost / sum(term.size for term in batch.deciding))
+    assert min(p_values) > 1e-3
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.05)
+
+
+def test_without_slow_noise_in_the_whitening_it_would_be(monkeypatch):
+    """The negative control of the test above."""
+    monkeypatch.setattr("pymc_backbone.measurement.conditioning.condition.find_wander", lambda *_: None)
+    batch = batch_of([record(np.random.default_rng(200), WALK, 1.0 - 0.2 * r, f"specimen {r}") for r in range(3)])
+    assert evidence.lack_of_fit(batch, _linear_fit(batch)).p_value < 1e-10
+
+
+def test_offsets_at_levels_hold_the_wandering_zero():
+    """Over many records the mid-line, in its standard errors, has the variance of standard normal numbers."""
+    z = []
+    for seed in range(12):
+        batch = batch_of([record(np.random.default_rng(300 + seed), WALK)])
+        term = batch.levels[0]
+        rows = term.rows[:, 0] == 2
+        z.append(float(np.mean((term.whitening[np.ix_(rows, rows)] @ term.values[rows]) ** 2)))
+    assert 0.3 < np.mean(z) < 2.0  # fifty without
