@@ -13,7 +13,7 @@ from pymc_backbone.discrepancy.layout import make_layout
 from pymc_backbone.discrepancy.normal_equations import start_state
 from pymc_backbone.discrepancy.whitening import whitener, with_slow_noise
 from pymc_backbone.measurement.conditioning.condition import condition
-from pymc_backbone.measurement.conditioning.wander import Wander
+from pymc_backbone.measurement.conditioning.wander import Wander, of_one_sensor
 from pymc_backbone.measurement.reading.record import Record
 from pymc_backbone.oscillator import Oscillator
 from tests.discrepancy_cases import MASS, batch_of
@@ -56,7 +56,7 @@ def test_white_noise_is_not_taken_for_a_wandering_zero():
     found = [condition(record(np.random.default_rng(100 + seed), 0.0)).measured.wander for seed in range(40)]
     sure = sum(one is not None and one.probability > 0.95 for one in found)
     assert sure <= 2
-    assert sum(one is not None for one in found) <= 12
+    assert sum(one is not None and one.is_possible for one in found) <= 12
     assert not any("wanders" in note for note in condition(record(np.random.default_rng(100), 0.0)).notes)
 
 
@@ -73,14 +73,30 @@ def test_mid_line_of_a_structure_is_not_taken_for_a_wandering_zero(power):
     for seed in range(5):
         noisy = exact + 0.1 * NOISE * np.random.default_rng(seed).standard_normal(TIME.size)
         measured = condition(Record("one", TIME, noisy, "displacement", "m", "made in a test", ())).measured
-        if measured.wander is not None:
-            size = np.sqrt((measured.wander.modes(TIME, 0.0) ** 2).sum(axis=1).mean())
+        if measured.slow_noise is not None:
+            size = np.sqrt((measured.slow_noise.modes(TIME, 0.0) ** 2).sum(axis=1).mean())
             assert size < 0.1 * NOISE
+
+
+def test_records_of_one_sensor_are_judged_together():
+    """A record of few cycles in which slow noise hides is not taken for quiet where that of the others does not."""
+    found = [condition(record(np.random.default_rng(seed), 0.1 * WALK)).measured.wander for seed in range(30)]
+    alone = [one for one in found if one is not None]
+    doubtful = [k for k, one in enumerate(alone) if not one.is_sure]
+    together = of_one_sensor(alone)
+    assert len(doubtful) >= 5, "the walk is too plain for this test"
+    assert sum(one is None or not one.is_sure for one in together) <= len(doubtful) - 3
+    assert all(one is not None and one.is_possible for one in together)
+    quiet = [condition(record(np.random.default_rng(400 + seed), 0.0)).measured.wander for seed in range(10)]
+    assert not any(one is not None and one.is_sure for one in of_one_sensor(quiet))
+    # one that is loud among quiet ones stays so
+    mixed = of_one_sensor([*quiet, condition(record(np.random.default_rng(1), WALK)).measured.wander])
+    assert mixed[-1] is not None and mixed[-1].is_sure
 
 
 def test_whitening_makes_slow_noise_white():
     """The covariance of the noise, given in closed form, becomes the unit matrix."""
-    wander = Wander(np.array([3e-6, 2e-7]), np.array([1.0, 2.0]), 3.0, 1.0)
+    wander = Wander(np.array([3e-6, 2e-7]), np.array([1.0, 2.0]), 3.0, 1.0, np.zeros(0), np.zeros((0, 2)))
     time = np.arange(200) / 40.0
     autocovariance = np.array([1e-5, 4e-6, 1e-6])
     modes = wander.modes(time, 1e-9)

@@ -94,8 +94,8 @@ def waveform_term(record: ConditionedRecord, cycles: Cycles) -> WaveformTerm:
         autocovariance = of_means(autocovariance, together)
     inner = shown[EDGE:-EDGE] if together > 1 and order == 0 else shown
     white = whitener(autocovariance)
-    if measured.wander is not None:
-        white = with_slow_noise(white, measured.wander.modes(inner, float(autocovariance[0])))
+    if measured.slow_noise is not None:
+        white = with_slow_noise(white, measured.slow_noise.modes(inner, float(autocovariance[0])))
     if together > 1 and order == 0:
         # smooth enough to be simulated at the middle of each mean only
         count = shown.size

@@ -136,9 +136,9 @@ def extract_cycles(record: Any, *, noise: float | ArrayLike | None = None) -> Cy
         zero_error=float(getattr(record, "baseline_error", 0.0)),
     )
     measured = getattr(record, "measured", None)
-    if measured is None or measured.wander is None or measured.order:
+    if measured is None or measured.slow_noise is None or measured.order:
         return cycles
-    modes = measured.wander.modes(measured.time, float(measured.autocovariance[0]))
+    modes = measured.slow_noise.modes(measured.time, float(measured.autocovariance[0]))
     here = np.array([np.interp(cycles.time, measured.time, mode) for mode in modes.T]).reshape(-1, len(cycles)).T
     size = float(np.sqrt((modes**2).sum(axis=1).mean()))  # the zero was taken from where it happened to be
     return _with_zero_errors(cycles, np.column_stack([here, np.full(len(cycles), size)]))

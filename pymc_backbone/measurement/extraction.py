@@ -7,7 +7,7 @@ be used is left out with its reason, as long as half of the records remain.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
@@ -17,6 +17,7 @@ from .._common.backbone_dataset import FREQUENCY
 from .._common.checks import OBSERVABLES, FloatArray, InputError, check_levels
 from .conditioning.condition import condition
 from .conditioning.conditioned import ConditionedRecord
+from .conditioning.wander import of_one_sensor
 from .cycles import Cycles, extract_cycles
 from .envelope import envelope_cycles
 from .levels import DEFAULT_LEVELS, backbones_at_levels, default_levels
@@ -238,32 +239,33 @@ def extract_all(
         )
     if envelopes and band is not None:
         raise InputError("`band` is for waveforms, and these records are envelopes; drop it.")
-    conditioned: list[ConditionedRecord] = []
-    units: list[str] = []
-    cycles: list[Cycles] = []
     given, left_out = len(records) + len(refused), list(refused)
-    for done, item in enumerate(records):
+    one_must_do = strict or given == 1
+
+    def stage(done: float) -> None:
         if progress is not None:
-            progress("extracting cycles", done / len(records))
-        try:
-            if envelopes and isinstance(item, Record):
-                cycles.append(envelope_cycles(item, start=start, stop=stop, floor=floor))
-                units.append(item.unit)
-                continue
-            record = (
-                condition(item, band=band, start=start, stop=stop, floor=floor) if isinstance(item, Record) else item
-            )
-            if progress is not None:
-                progress("extracting cycles", (done + 0.5) / len(records))
-            extracted = extract_cycles(record)
-        except InputError as error:
-            if strict or given == 1:
-                raise
-            left_out.append(str(error))
-            continue
-        conditioned.append(record)
-        units.append(record.unit)
-        cycles.append(extracted)
+            progress("extracting cycles", done)
+
+    def conditioned_record(item: Record | ConditionedRecord) -> ConditionedRecord:
+        if not isinstance(item, Record):
+            return item
+        return condition(item, band=band, start=start, stop=stop, floor=floor)
+
+    def cycles_of_envelope(item: Record | ConditionedRecord) -> Cycles:
+        assert isinstance(item, Record)
+        return envelope_cycles(item, start=start, stop=stop, floor=floor)
+
+    conditioned: list[ConditionedRecord] = []
+    if envelopes:
+        pairs = _usable(records, cycles_of_envelope, one_must_do, left_out, stage)
+        units = [item.unit for item, _ in pairs]
+        cycles = [extracted for _, extracted in pairs]
+    else:
+        ready = _usable(records, conditioned_record, one_must_do, left_out, lambda done: stage(0.5 * done))
+        together = _of_one_sensor([record for _, record in ready])
+        both = _usable(together, extract_cycles, one_must_do, left_out, lambda done: stage(0.5 + 0.5 * done))
+        conditioned, cycles = [record for record, _ in both], [extracted for _, extracted in both]
+        units = [record.unit for record in conditioned]
     if len(cycles) < LEAST_SHARE * given:
         raise InputError(
             f"{len(left_out)} of {given} records cannot be used, more than half of them; the first: {left_out[0]}"
@@ -273,6 +275,35 @@ def extract_all(
         what = "in one unit" if envelopes else "displacements or all be angles"
         raise InputError(f"the records must all be {what}, got both {' and '.join(different)}.")
     return Extraction(tuple(conditioned), tuple(cycles), units[0], tuple(left_out))
+
+
+def _usable[T, R](
+    items: Sequence[T],
+    work: Callable[[T], R],
+    one_must_do: bool,
+    left_out: list[str],
+    progress: Callable[[float], None],
+) -> list[tuple[T, R]]:
+    """Return what became of those that can be used; why the others cannot goes into ``left_out``, or is raised."""
+    done: list[tuple[T, R]] = []
+    for k, item in enumerate(items):
+        progress(k / len(items))
+        try:
+            done.append((item, work(item)))
+        except InputError as error:
+            if one_must_do:
+                raise
+            left_out.append(str(error))
+    return done
+
+
+def _of_one_sensor(records: Sequence[ConditionedRecord]) -> list[ConditionedRecord]:
+    """Return the records, the slow noise of each judged with that of the others."""
+    together = of_one_sensor([record.measured.wander for record in records])
+    return [
+        replace(record, measured=replace(record.measured, wander=wander))
+        for record, wander in zip(records, together, strict=True)
+    ]
 
 
 def levels_for(

@@ -27,7 +27,7 @@ class MeasuredSamples:
     band_pass : BandPass or None
         The filter to compare through, where another mode has to be kept out. Half of its length is lost at either end.
     wander : Wander or None
-        Noise slower than the motion, which ``autocovariance`` does not hold.
+        Noise slower than the motion, which ``autocovariance`` does not hold; None where it was not looked for.
     """
 
     time: FloatArray
@@ -36,6 +36,11 @@ class MeasuredSamples:
     order: int
     band_pass: BandPass | None
     wander: Wander | None = None
+
+    @property
+    def slow_noise(self) -> Wander | None:
+        """The wandering zero where it is worth being counted."""
+        return self.wander if self.wander is not None and self.wander.is_possible else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +21,8 @@ _CLEAR = 0.4  # order up to which the motion's own line does not reach
 _POWERS = (0.5, 1.0, 1.5, 2.0)
 _RATIOS = np.geomspace(1.0, 1e7, 43)  # of slow noise to the other at the lowest frequency
 _LEVERAGE = 0.5  # share of a frequency that shapes of the mid-line take, beyond which it says nothing
-_FEWEST = 5
+_FEWEST = 2
+_MANY = 12.0  # cycles
 _POSSIBLE = 0.2  # probability below which it is left out
 _SURE = 0.95
 _MOST_MODES = 200
@@ -41,17 +43,28 @@ class Wander:
         Frequency above which there is none [Hz].
     probability : float
         That there is slow noise at all.
+    likelihood : (1 + g,) array
+        Logarithm of the likelihood of none, and of each power law that was asked.
+    asked : (g, 2) array
+        Level and power of these.
     """
 
     levels: FloatArray
     powers: FloatArray
     top: float
     probability: float
+    likelihood: FloatArray
+    asked: FloatArray
 
     def at(self, frequency: FloatArray) -> FloatArray:
         """Return the one-sided density [unit^2/Hz] at positive frequencies [Hz]."""
         clipped = np.minimum(frequency, self.top)[..., None]
         return np.asarray(np.sum(self.levels * (clipped**-self.powers - self.top**-self.powers), axis=-1))
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether it is worth being counted."""
+        return self.probability > _POSSIBLE
 
     @property
     def is_sure(self) -> bool:
@@ -86,7 +99,7 @@ class Wander:
 
 
 def find_wander(values: FloatArray, sampling_rate: float, path: Track, spectrum: NoiseSpectrum) -> Wander | None:
-    """Return the slow noise of a record, or None where its mid-line is steady or that of a structure.
+    """Return the slow noise of a record, or None where it is too short to tell.
 
     Parameters
     ----------
@@ -102,10 +115,10 @@ def find_wander(values: FloatArray, sampling_rate: float, path: Track, spectrum:
     Notes
     -----
     The mid-line of an autonomous structure is a function of its amplitude, and what shifts it makes a second
-    harmonic that changes alike. What remains of the tracked mid-line beside constant, A, A^2, A^3 and that
-    harmonic is taken to cosines, whose squares are exponential about the density of the noise (Whittle's likelihood):
-    the known one alone, or with a power law of the frequency added, whose power (0.5 to 2: from drifting electronics
-    to a random walk) and size are averaged over what the record supports.
+    harmonic that changes alike. What remains of the tracked mid-line beside constant, A, A^2, A^3 (A^2 alone in few
+    cycles) and that harmonic is taken to cosines, whose squares follow the density of the noise (Whittle's
+    likelihood): the known one alone, or with a power law of the frequency added, whose power (0.5 to 2: from drifting
+    electronics to a random walk) and size are averaged over what the record supports.
     """
     middle, shapes = _mid_line(values, sampling_rate, path)
     n, per_cycle = middle.size, path.per_cycle
@@ -128,22 +141,51 @@ def find_wander(values: FloatArray, sampling_rate: float, path: Track, spectrum:
     top = TOP * path.frequency
     lowest = 0.5 * path.frequency * per_cycle / n
     scale = float(spectrum.at(np.array([lowest]))[0])
-    levels, powers, logs = [], [], []
+    asked, logs = [], [_log_likelihood(density, known)]
     for power in _POWERS:
         shape = frequency**-power - top**-power
         for ratio in _RATIOS:
             level = ratio * scale / (lowest**-power - top**-power)
-            levels.append(level)
-            powers.append(power)
+            asked.append((level, power))
             logs.append(_log_likelihood(density, known + level * shape))
-    weight = np.array(logs) - np.log(len(logs))
-    with_it, without = float(logsumexp(weight)), _log_likelihood(density, known)
-    probability = 1.0 / (1.0 + np.exp(min(without - with_it, 700.0)))
-    if probability < _POSSIBLE:
-        return None
-    share = probability * np.exp(weight - with_it)
-    level_by_power = [float(np.sum((share * levels)[np.array(powers) == power])) for power in _POWERS]
-    return Wander(np.array(level_by_power), np.array(_POWERS), top, probability)
+    return _averaged(np.array(logs), np.array(asked), top, _alone(len(asked)))
+
+
+def of_one_sensor(wanders: Sequence[Wander | None]) -> list[Wander | None]:
+    """Return the slow noise of records of one batch, each judged with half an eye on the others.
+
+    Records of one batch mostly come from one sensor: what the others say is half of what is known of each beforehand.
+    A record in whose few cycles slow noise does not stand out is not taken for quiet where that of the others does.
+    """
+    found = [item for item in wanders if item is not None]
+    if len(found) < 2:
+        return list(wanders)
+    alone = _alone(len(found[0].asked))
+    each = np.array([item.likelihood + alone for item in found])
+    each -= logsumexp(each, axis=1, keepdims=True)
+    result: list[Wander | None] = []
+    for item in wanders:
+        if item is None:
+            result.append(None)
+            continue
+        # a mixture, for the loudness may differ from record to record
+        others = logsumexp(each[[other is not item for other in found]], axis=0) - np.log(len(found) - 1)
+        beforehand = np.logaddexp(alone, others) - np.log(2.0)
+        result.append(_averaged(item.likelihood, item.asked, item.top, beforehand))
+    return result
+
+
+def _alone(count: int) -> FloatArray:
+    """Return the logarithm of the prior of none and of so many power laws: even, and even among these."""
+    return np.append(np.log(0.5), np.full(count, np.log(0.5 / count)))
+
+
+def _averaged(likelihood: FloatArray, asked: FloatArray, top: float, beforehand: FloatArray) -> Wander:
+    """Return the mean of the power laws over their posterior."""
+    posterior = likelihood + beforehand
+    weight = np.exp(posterior - logsumexp(posterior))
+    levels = [float(weight[1:][asked[:, 1] == power] @ asked[asked[:, 1] == power, 0]) for power in _POWERS]
+    return Wander(np.array(levels), np.array(_POWERS), top, float(1.0 - weight[0]), likelihood, asked)
 
 
 def _log_likelihood(density: FloatArray, expected: FloatArray) -> float:
@@ -166,4 +208,6 @@ def _mid_line(values: FloatArray, sampling_rate: float, path: Track) -> tuple[Fl
     second = 2.0 * fftconvolve(samples * np.exp(-2j * grid), kernel, mode="valid")
     inner = grid[per_cycle - 1 : per_cycle - 1 + middle.size]
     amplitude = path.amplitude_at(path.time_at(inner)) / float(path.amplitude.max())
-    return middle, np.column_stack([*(amplitude**power for power in range(4)), second.real])
+    # few cycles hold few frequencies: not all are given away to shapes
+    powers = (0, 1, 2, 3) if middle.size > _MANY * per_cycle else (0, 2)
+    return middle, np.column_stack([*(amplitude**power for power in powers), second.real])
