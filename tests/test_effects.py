@@ -377,22 +377,27 @@ def test_redundant_parameters_are_held_at_what_the_record_scales():
 def test_a_variant_is_one_of_an_effect_that_is_looked_for_by_itself(original):
     library = dict(LIBRARY)
     effects_package._check_variants(library)
-    library["mine"] = mine(number("one"), variant_of=original)
+    library["mine"] = mine(number("one"), variant_of=("coulomb_friction", original))
     with pytest.raises(InputError, match=rf"effects/mine.py: `variant_of` must name.*got '{original}'"):
         effects_package._check_variants(library)
-    library["mine"] = mine(number("one"), variant_of="coulomb_friction")
+    library["mine"] = mine(number("one"), variant_of=("coulomb_friction", "quadratic_damping"))
     effects_package._check_variants(library)
 
 
 def test_a_variant_is_not_looked_for_when_named_only():
     with pytest.raises(InputError, match="leave out `variant_of` or `only_if_named`"):
-        mine(number("one"), variant_of="coulomb_friction", only_if_named=True)
+        mine(number("one"), variant_of=("coulomb_friction",), only_if_named=True)
 
 
-def test_a_variant_does_what_its_original_does():
+def test_a_variant_is_given_as_names():
+    with pytest.raises(InputError, match="must be a tuple of names, got 'coulomb_friction'"):
+        mine(number("one"), variant_of="coulomb_friction")
+
+
+def test_a_variant_does_what_its_first_original_does():
     for effect in LIBRARY.values():
-        if effect.variant_of is not None:
-            original = LIBRARY[effect.variant_of]
+        if effect.variant_of:
+            original = LIBRARY[effect.variant_of[0]]
             assert effect.mechanism == original.mechanism or {effect.mechanism, original.mechanism} == {
                 "clearance", "asymmetry"
             }  # fmt: skip

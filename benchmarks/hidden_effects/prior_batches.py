@@ -51,8 +51,9 @@ def sets_and_weights() -> dict[tuple[str, ...], float]:
     """Return every set that the search may name in a motion measured in metres, with its prior probability."""
     families: dict[str, list[tuple[str, float]]] = {name: [(name, 1.0)] for name in looked_for("m")}
     for name, effect in LIBRARY.items():
-        if effect.variant_of in families:
-            families[effect.variant_of].append((name, VARIANT))
+        for original in effect.variant_of[:1]:  # in a set it stands once, in the place of whichever
+            if original in families:
+                families[original].append((name, VARIANT))
     weights: dict[tuple[str, ...], float] = {}
     for size, share in enumerate(PRIOR_OF_SIZE):
         each = share / math.comb(len(families), size)

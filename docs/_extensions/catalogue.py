@@ -71,11 +71,11 @@ def page(effect: Effect) -> str:
     lines += ["Damping", f": {signature.damping}", ""]
     lines += ["Mid-line", f": {signature.offset}", ""]
     lines += ["Found in", f": {signature.found_in}.", ""]
-    if effect.variant_of is not None:
-        original = f"[{title(LIBRARY[effect.variant_of])}]({effect.variant_of}.md)"
+    if effect.variant_of:
+        original = ", ".join(f"[{title(LIBRARY[name])}]({name}.md)" for name in effect.variant_of)
         lines += [
             "Variant of",
-            f": {original}; `diagnose` looks for it in the place of that one, and by itself when it is named",
+            f": {original}; `diagnose` looks for it in the place of these, and by itself when it is named",
             "",
         ]
     if effect.only_if_named:

@@ -251,9 +251,9 @@ def _effect_text(effect: Any) -> str:
     units = max(len(parameter.unit) for parameter in effect.parameters) + 2
     for parameter in effect.parameters:
         lines.append(f"    {parameter.name:<{width}}  {f'[{parameter.unit}]':<{units}}  {parameter.summary}")
-    if effect.variant_of is not None:
-        where = "`diagnose` looks for it in the place of that one, and by itself when it is named"
-        lines += ["", f"  variant of {effect.variant_of}: {where}"]
+    if effect.variant_of:
+        where = "`diagnose` looks for it in the place of these, and by itself when it is named"
+        lines += ["", f"  variant of {', '.join(effect.variant_of)}: {where}"]
     if effect.only_if_named:
         lines += ["", "  `diagnose` looks for it only when it is named: records do not tell it from other effects"]
     if effect.references:

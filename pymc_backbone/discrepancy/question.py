@@ -197,7 +197,7 @@ def looked_for(unit: str) -> tuple[str, ...]:
         name
         for name, effect in LIBRARY.items()
         if name not in BASE_EFFECTS
-        and effect.variant_of is None
+        and not effect.variant_of
         and not effect.only_if_named
         and (unit == "rad" or not effect.needs_rotation)
     )
@@ -206,7 +206,9 @@ def looked_for(unit: str) -> tuple[str, ...]:
 def variants_of(candidates: Sequence[str], oscillator: Oscillator) -> tuple[str, ...]:
     """Return the effects of the library that are variants of candidates, and not in the model already."""
     held = {effect.name for effect in oscillator.effects}
-    return tuple(name for name, effect in LIBRARY.items() if effect.variant_of in candidates and name not in held)
+    return tuple(
+        name for name, effect in LIBRARY.items() if set(effect.variant_of) & set(candidates) and name not in held
+    )
 
 
 def possible_effects(

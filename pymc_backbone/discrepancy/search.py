@@ -276,7 +276,7 @@ class Search(RevisitedSets):
         for name in best if not self.is_refuted(best) else ():
             for variant in self.variants:
                 names = tuple(sorted((*(other for other in best if other != name), variant)))
-                if LIBRARY[variant].variant_of != name or (self._is_costly(names) and not self._is_costly(best)):
+                if name not in LIBRARY[variant].variant_of or (self._is_costly(names) and not self._is_costly(best)):
                     continue
                 self.progress("variants of effects", 0.5)
                 looks = propose(self.batch, self.base, names, len(names), self.own)

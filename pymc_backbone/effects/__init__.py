@@ -41,14 +41,13 @@ def _load_library() -> Mapping[str, Effect]:
 def _check_variants(library: Mapping[str, Effect]) -> None:
     """Raise where an effect is a variant of what the search does not look for by itself."""
     for effect in library.values():
-        if effect.variant_of is None:
-            continue
-        original = library.get(effect.variant_of)
-        if original is None or original.variant_of or original.only_if_named or original.name in BASE_EFFECTS:
-            raise InputError(
-                f"effects/{effect.name}.py: `variant_of` must name another effect of the library that the search "
-                f"looks for by itself, got {effect.variant_of!r}."
-            )
+        for name in effect.variant_of:
+            original = library.get(name)
+            if original is None or original.variant_of or original.only_if_named or name in BASE_EFFECTS:
+                raise InputError(
+                    f"effects/{effect.name}.py: `variant_of` must name other effects of the library that the search "
+                    f"looks for by themselves, got {name!r}."
+                )
 
 
 LIBRARY: Mapping[str, Effect] = _load_library()

@@ -201,9 +201,9 @@ class Effect:
     mechanism : {"spring", "asymmetry", "clearance", "hysteresis", "drag", "displacement_damping"}, optional
         What the effect does, whatever its law: where records do not tell one law from another, that is named. Effects
         without one count together as another mechanism.
-    variant_of : str, optional
-        Name of the effect of the library that this is a variant of: the search for a missing effect looks for it in
-        the place of that one, where a set that holds that one comes near the records, and not by itself. Named as a
+    variant_of : tuple of str
+        Names of the effects of the library that this is a variant of: the search for a missing effect looks for it in
+        the place of each of them, where a set that holds that one comes near the records, and not by itself. Named as a
         candidate, it is looked for as any other.
     only_if_named : bool
         Whether the effect is looked for only when it is named as a candidate: because the free decay of one mode does
@@ -234,7 +234,7 @@ class Effect:
     signature: Signature | None = None
     needs_rotation: bool = False
     mechanism: Mechanism | None = None
-    variant_of: str | None = None
+    variant_of: tuple[str, ...] = ()
     only_if_named: bool = False
 
     def __post_init__(self) -> None:
@@ -261,10 +261,12 @@ class Effect:
         for name in (*(name for name, _ in self.redundant), *(name for pair in self.opposed for name in pair)):
             if name not in names:
                 raise InputError(f"effect {self.name!r} has no parameter {name!r} to call redundant or opposed.")
-        if self.variant_of is not None and self.only_if_named:
+        if not isinstance(self.variant_of, tuple):
+            raise InputError(f"`variant_of` of effect {self.name!r} must be a tuple of names, got {self.variant_of!r}.")
+        if self.variant_of and self.only_if_named:
             raise InputError(
-                f"effect {self.name!r} is a variant of {self.variant_of!r}, which the search looks for in its place: "
-                "leave out `variant_of` or `only_if_named`."
+                f"effect {self.name!r} is a variant of {' and '.join(self.variant_of)}, in whose place the search "
+                "looks for it: leave out `variant_of` or `only_if_named`."
             )
         self._settle_roles()
 

@@ -106,7 +106,7 @@ EFFECT = Effect(
         "Journal of Sound and Vibration 319(1-2), 515-530. doi:10.1016/j.jsv.2008.06.011",
     ),
     mechanism="spring",
-    variant_of="cubic_stiffness",
+    variant_of=("cubic_stiffness", "quintic_stiffness"),
     signature=Signature(
         frequency="Rises with the square of the amplitude at first, then ever faster; falls where magnets attract.",
         damping="Falls where the frequency rises: the viscous damper has less time in a shorter cycle.",

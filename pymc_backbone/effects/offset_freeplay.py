@@ -81,7 +81,7 @@ EFFECT = Effect(
         "identification in structural dynamics. Mechanical Systems and Signal Processing 20(3), 505-592",
     ),
     mechanism="clearance",
-    variant_of="freeplay",
+    variant_of=("freeplay",),
     signature=Signature(
         frequency="Rises once the amplitude has reached the nearer stop, and again at the farther one.",
         damping="Falls where the frequency rises; constant below the gap.",

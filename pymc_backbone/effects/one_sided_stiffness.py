@@ -74,7 +74,7 @@ EFFECT = Effect(
         "Journal of Sound and Vibration 90(1), 129-155",
     ),
     mechanism="clearance",
-    variant_of="bilinear_stiffness",
+    variant_of=("bilinear_stiffness", "freeplay"),
     signature=Signature(
         frequency="Rises once the amplitude has closed the gap; constant below. Falls with the amplitude where a "
         "preloaded contact opens.",

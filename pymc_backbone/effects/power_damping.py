@@ -83,7 +83,7 @@ EFFECT = Effect(
         "Philosophical Transactions of the Royal Society A 373, 20140402. doi:10.1098/rsta.2014.0402",
     ),
     mechanism="drag",
-    variant_of="quadratic_damping",
+    variant_of=("quadratic_damping", "cubic_damping", "coulomb_friction"),
     signature=Signature(
         frequency="Constant.",
         damping="Rises with the amplitude to the power of the exponent less one; falls where the exponent is below 1.",

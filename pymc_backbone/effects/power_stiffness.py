@@ -93,7 +93,7 @@ EFFECT = Effect(
         "Kovacic I., Brennan M. J. (2011) The Duffing Equation. Wiley. doi:10.1002/9780470977859",
     ),
     mechanism="spring",
-    variant_of="cubic_stiffness",
+    variant_of=("cubic_stiffness", "quintic_stiffness"),
     signature=Signature(
         frequency="Rises with the amplitude to the power of the exponent less one; falls where the force is negative.",
         damping="Falls a little where the frequency rises: the viscous damper has less time in a shorter cycle.",

@@ -84,7 +84,7 @@ EFFECT = Effect(
         "doi:10.1016/0005-1098(94)90209-7",
     ),
     mechanism="hysteresis",
-    variant_of="coulomb_friction",
+    variant_of=("coulomb_friction",),
     signature=Signature(
         frequency="Constant.",
         damping="Falls faster than one over the amplitude where the motion is slow enough for the excess, and as one "
