@@ -255,7 +255,7 @@ ORACLES: dict[str, Callable[[], Spring]] = {
     "iwan": SliderBed,
     "bouc_wen": BoucWen,
     "stribeck_friction": lambda: Spring(lambda x, v, d, p: d * (p[0] + p[0] * p[1] / np.exp(d * v / p[2]))),
-    "power_damping": lambda: Spring(lambda x, v, d, p: p[0] * v / p[2] * np.hypot(v / p[2], 0.01) ** (p[1] - 1.0)),
+    "power_damping": lambda: Spring(lambda x, v, d, p: p[0] * v / p[2] * np.hypot(v / p[2], 1e-3) ** (p[1] - 1.0)),
     "power_stiffness": lambda: Spring(lambda x, v, d, p, side: p[0] * side * _power(side * x, p), lambda p: (0.0,)),
     "offset_freeplay": lambda: Spring(_offset_freeplay, lambda p: (p[1] * (p[2] - 1.0), p[1] * (p[2] + 1.0))),
     "one_sided_stiffness": lambda: Spring(_one_sided, lambda p: (p[1],)),

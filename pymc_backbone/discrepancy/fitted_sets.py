@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
@@ -12,7 +12,7 @@ import numpy as np
 from .._common.checks import FloatArray
 from ..effects import LIBRARY, Effect
 from ..oscillator import Oscillator
-from . import starts
+from . import evidence, starts
 from .batch import Batch
 from .curves import level_chi_square
 from .descent import IN_REACH, Descent, Way
@@ -28,6 +28,9 @@ BUDGET = 3e7
 """Simulated values after which the search ends; only what nothing explains takes as many."""
 EXPLAINED = 1.1
 """Reduced chi-square up to which a set may be complete."""
+POSSIBLE_BACKBONE = 3.0
+"""Reduced chi-square of the level values up to which a set could explain the backbones."""
+_LARGEST_VARIED = 2  # effects of the sets with variants in the place of others that are looked at
 _POOR = 1.5  # reduced chi-square above which a fit may have lost its way
 _NOT_FAR = 2.0  # reduced chi-square of a smaller set up to which the records say where a further effect begins
 _LOST = 6.0  # reduced chi-square of the backbones, over what was promised, from which a fit ended elsewhere
@@ -85,10 +88,26 @@ class FittedSets:
 
     @cached_property
     def proposals(self) -> dict[Set, Proposal]:
-        """How every set looks in the backbones, the likeliest first."""
+        """How every set looks in the backbones, the likeliest first; with variants where no other explains."""
         self.progress("all sets, by their backbones", 0.0)
         found = propose(self.batch, self.base, self.candidates, self.max_effects, self.own)
+        if self.variants and not self._is_any_possible(found):
+            every = (*self.candidates, *self.variants)
+            wider = propose(self.batch, self.base, every, min(self.max_effects, _LARGEST_VARIED), self.own)
+            rare = np.log(evidence.VARIANT)
+            found += [
+                replace(item, log_evidence=item.log_evidence + rare * len(set(item.names) & set(self.variants)))
+                for item in wider
+                if set(item.names) & set(self.variants)
+            ]
+            found.sort(key=lambda item: -item.log_evidence)
         return {item.names: item for item in found}
+
+    def _is_any_possible(self, proposals: Iterable[Proposal]) -> bool:
+        """Return whether a set explains the backbones, or none was simulated exactly."""
+        values = sum(term.size for term in self.batch.levels)
+        known = [item.chi_square for item in proposals if item.is_exact]
+        return not known or min(known) <= POSSIBLE_BACKBONE * values
 
     @property
     def has_proposals(self) -> bool:

@@ -11,7 +11,7 @@ from ..effects import LIBRARY
 from . import evidence
 from .curves import relative_change
 from .descent import is_heavy
-from .fitted_sets import EXPLAINED
+from .fitted_sets import EXPLAINED, POSSIBLE_BACKBONE
 from .joint_fit import Fit
 from .propose import Proposal, propose
 from .revisited_sets import CLOSE, RevisitedSets
@@ -25,7 +25,6 @@ _FLOOR = 1.1  # ratio of costs within which sets leave the same
 _MOST_EXTENDED = 4
 _REACH = 12.0  # difference of the logarithm of evidence by the backbones within which the waveforms are asked, too
 _COSTLY_SETTLED, _COSTLY_REACH = 2, 3.0  # costly sets that are asked although what is simple leaves noise, their reach
-_POSSIBLE_BACKBONE = 3.0  # reduced chi-square up to which a set could explain the backbones
 _NEEDED = 5.0  # chi-square by which a less simple set of the same mechanisms must be better to be extended
 _SURELY = 0.5  # share of the tolerance within which further effects would not change the answer
 _NEAR = 1.5  # reduced chi-square of a fit to the samples from which its backbones were judged wrongly
@@ -116,9 +115,7 @@ class Search(RevisitedSets):
 
     def _is_beyond(self) -> bool:
         """Return whether no set explains the backbones; then none explains the records, and mechanisms are asked."""
-        values = sum(term.size for term in self.batch.levels)
-        known = [item.chi_square for item in self.proposals.values() if item.is_exact]
-        return bool(known) and min(known) > _POSSIBLE_BACKBONE * values
+        return not self._is_any_possible(self.proposals.values())
 
     def _follow_backbones(self, most: int) -> None:
         """Fit the sets in the order of their backbones until one explains the records and no rival is within reach.
@@ -193,7 +190,7 @@ class Search(RevisitedSets):
             return False
         proposal = self.proposals.get(names)
         values = sum(term.size for term in self.batch.levels)
-        return proposal is None or proposal.chi_square < _POSSIBLE_BACKBONE * values
+        return proposal is None or proposal.chi_square < POSSIBLE_BACKBONE * values
 
     def reduced(self, found: Fit) -> float:
         """Return the reduced chi-square of a fit."""
@@ -275,8 +272,9 @@ class Search(RevisitedSets):
         best = self.best()
         for name in best if not self.is_refuted(best) else ():
             for variant in self.variants:
-                names = tuple(sorted((*(other for other in best if other != name), variant)))
-                if name not in LIBRARY[variant].variant_of or (self._is_costly(names) and not self._is_costly(best)):
+                names = tuple(sorted({*(other for other in best if other != name), variant}))
+                is_asked = name in LIBRARY[variant].variant_of and len(names) == len(best) and names not in self.fits
+                if not is_asked or self._is_spent or (self._is_costly(names) and not self._is_costly(best)):
                     continue
                 self.progress("variants of effects", 0.5)
                 looks = propose(self.batch, self.base, names, len(names), self.own)

@@ -1,7 +1,7 @@
 """Damping with any power of the speed.
 
 The force is given at a reference speed, so that its size does not change by orders of magnitude with the exponent. At a
-reference speed of 1 m/s it is the coefficient c of c |v|^p. Below a few hundredths of that speed the law is rounded:
+reference speed of 1 m/s it is the coefficient c of c |v|^p. Below a few thousandths of that speed the law is rounded:
 with an exponent below 1 it would have a vertical tangent at every turning point.
 """
 
@@ -14,7 +14,7 @@ import numba
 from .._common.checks import FloatArray
 from ._base import Effect, Parameter, Signature
 
-_ROUND = 0.01  # of the reference speed: the tangent at rest is finite, the loss of a cycle the same within 3e-4
+_ROUND = 1e-3  # of the reference speed: the tangent at rest is finite, the loss of a cycle the same within 1e-5
 
 
 @numba.njit
@@ -44,8 +44,8 @@ def gradient(x: float, v: float, direction: float, z: FloatArray, p: FloatArray,
 EFFECT = Effect(
     name="power_damping",
     summary="Damping with a power of the speed: damping goes with the amplitude to that power less one.",
-    text="power_damping u (u^2 + 0.01^2)^((power_damping_exponent - 1)/2); u = x'/power_damping_speed",
-    latex=r"F_d u \left(u^2 + 0.01^2\right)^{(p_d - 1)/2}; u = \dot{x} / v_d",
+    text="power_damping u (u^2 + 0.001^2)^((power_damping_exponent - 1)/2); u = x'/power_damping_speed",
+    latex=r"F_d u \left(u^2 + 0.001^2\right)^{(p_d - 1)/2}; u = \dot{x} / v_d",
     parameters=(
         Parameter(
             name="power_damping",
