@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from weakref import WeakKeyDictionary
 
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 DPI = 170
@@ -14,10 +15,20 @@ _drawn: WeakKeyDictionary[Figure, bytes] = WeakKeyDictionary()
 def png(figure: Figure) -> bytes:
     """Return a finished figure as PNG; the layout of its text takes longest, so it is drawn the first time only."""
     if figure not in _drawn:
-        buffer = io.BytesIO()
-        figure.savefig(buffer, format="png", dpi=DPI)
-        _drawn[figure] = buffer.getvalue()
+        _drawn[figure] = _at_once(figure)
     return _drawn[figure]
+
+
+def _at_once(figure: Figure) -> bytes:
+    """Return what ``figure.savefig`` writes, which goes through all of a figure twice: for its layout, and to draw."""
+    buffer, canvas, dpi = io.BytesIO(), figure.canvas, figure.dpi
+    try:
+        figure.dpi = DPI
+        FigureCanvasAgg(figure).print_png(buffer)  # type: ignore[no-untyped-call]
+    finally:
+        figure.dpi = dpi
+        figure.set_canvas(canvas)
+    return buffer.getvalue()
 
 
 __all__ = ["png"]
