@@ -9,6 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 DPI = 170
+_COMPRESSION = 3  # a tenth larger than with 6, in two thirds of the time
 _drawn: WeakKeyDictionary[Figure, bytes] = WeakKeyDictionary()
 
 
@@ -24,7 +25,7 @@ def _at_once(figure: Figure) -> bytes:
     buffer, canvas, dpi = io.BytesIO(), figure.canvas, figure.dpi
     try:
         figure.dpi = DPI
-        FigureCanvasAgg(figure).print_png(buffer)  # type: ignore[no-untyped-call]
+        FigureCanvasAgg(figure).print_png(buffer, pil_kwargs={"compress_level": _COMPRESSION})  # type: ignore[no-untyped-call]
     finally:
         figure.dpi = dpi
         figure.set_canvas(canvas)
