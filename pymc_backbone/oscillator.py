@@ -9,6 +9,7 @@ import re
 import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -102,12 +103,12 @@ class Oscillator:
     def __reduce__(self) -> tuple[Any, ...]:
         return _restore, (self.mass, tuple(_reference(effect) for effect in self.effects))
 
-    @property
+    @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """All parameters, effect by effect."""
         return tuple(parameter for effect in self.effects for parameter in effect.parameters)
 
-    @property
+    @cached_property
     def parameter_names(self) -> tuple[str, ...]:
         """Names of all parameters: the layout of a parameter vector."""
         return tuple(parameter.name for parameter in self.parameters)

@@ -157,6 +157,19 @@ def test_command_line_starts_without_the_heavy_packages():
     assert done.stdout.strip() == "[]"
 
 
+def test_a_search_in_records_does_without_what_takes_long_to_import():
+    """PyMC and what SciPy has for signals and distributions take seconds, which a quick diagnosis does not have."""
+    heavy = ("pymc", "pytensor", "arviz", "scipy.signal", "scipy.stats")
+    code = (
+        "import pymc_backbone.discrepancy.workflow, pymc_backbone.reporting.study_files\n"
+        "import pymc_backbone.measurement.extraction, pymc_backbone.workflows.diagnose, sys\n"
+        f"print([m for m in {heavy!r} if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "[]"
+
+
 def test_public_names_are_documented_and_there():
     import pymc_backbone
 

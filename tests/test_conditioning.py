@@ -14,6 +14,7 @@ from scipy.interpolate import make_interp_spline
 
 from pymc_backbone._common.checks import InputError
 from pymc_backbone.measurement.conditioning.condition import ConditionedRecord, condition
+from pymc_backbone.measurement.conditioning.convolution import convolve_inside
 from pymc_backbone.measurement.cycles import extract_cycles
 from pymc_backbone.measurement.reading.record import Record
 from pymc_backbone.measurement.reading.records import read_records
@@ -772,3 +773,20 @@ def test_jointed_beam_falls_on_one_backbone_after_the_band_pass(shared_data: Pat
         dampings.append(np.log(cycles["amplitude"][near][0] / cycles["amplitude"][near][-1]) / (near.sum() - 1))
     assert np.ptp(frequencies) < 0.05 and 122.2 < np.mean(frequencies) < 122.45
     assert np.ptp(dampings) < 0.15 * np.mean(dampings) and 0.0004 < np.mean(dampings) / (2 * np.pi) < 0.0010
+
+
+@pytest.mark.parametrize("turned", [(False, False), (True, False), (False, True)], ids=str)
+@pytest.mark.parametrize("size", [7, 64, 1001])
+def test_convolution_by_transform_is_the_sum_of_products(turned, size, rng):
+    values, kernel = (
+        rng.standard_normal(count) + 1j * is_complex * rng.standard_normal(count)
+        for count, is_complex in zip((1001, size), turned, strict=True)
+    )
+    if not turned[0]:
+        values = values.real
+    if not turned[1]:
+        kernel = kernel.real
+    found = convolve_inside(values, kernel)
+    assert np.iscomplexobj(found) == any(turned) and found.size == 1001 - size + 1
+    # rounding of sums of up to a thousand products
+    np.testing.assert_allclose(found, np.convolve(values, kernel, mode="valid"), atol=1e-11)

@@ -375,6 +375,19 @@ def test_whitening_makes_coloured_noise_white_from_the_first_sample_on(kind, ord
     assert np.mean(white[5] * white[0]) == pytest.approx(0.0, abs=0.2)
 
 
+def test_whitening_is_a_filter_behind_its_first_samples(rng):
+    """By an independent filter: SciPy's, with the taps that an impulse far from the beginning shows."""
+    whiten = whitening.whitener(2.0 * 0.6 ** np.arange(40))
+    impulse = np.zeros((200, 1))
+    impulse[100] = 1.0
+    taps = whiten(impulse)[100:, 0]
+    columns = rng.standard_normal((200, 3))
+    expected = lfilter(taps, [1.0], columns, axis=0)
+    # beyond the order of the filter, which is below the number of lags used; rounding
+    np.testing.assert_allclose(whiten(columns)[32:], expected[32:], rtol=1e-12, atol=1e-13)
+    assert np.abs(whiten(columns)[0] - expected[0]).max() > 0.05  # whose past is not known
+
+
 def test_white_noise_is_only_scaled(rng):
     columns = rng.standard_normal((50, 2))
     np.testing.assert_array_equal(whitening.whitener(np.array([4.0, 0.0]))(columns), columns * 0.5)
@@ -492,6 +505,51 @@ def test_normal_equations_equal_those_of_the_whole_matrix(cubic_batch):
     # squaring the matrix squares its condition number, scaled about 1e4
     np.testing.assert_allclose(step, expected[:1], rtol=1e-6)
     np.testing.assert_allclose(own_step.ravel(), expected[1:], rtol=1e-5, atol=1e-9 * np.abs(expected[1:]).max())
+
+
+@pytest.mark.parametrize("places", [(), ((1, 1),), ((0, 1), (2, 8))], ids=["all alike", "one", "two"])
+def test_elimination_with_values_held_in_some_specimens_is_that_of_the_whole_matrix(places, rng):
+    q, count = 2, 3
+    size = NUISANCES + q
+    active = np.ones(size, dtype=bool)
+    active[[5, 6]] = False
+    held = np.zeros((count, size), dtype=bool)
+    for place in places:
+        held[place] = True
+    slopes = rng.standard_normal((count, 60, q + size))
+    residuals = rng.standard_normal((count, 60))
+    grams = np.einsum("rni,rnj->rij", slopes, slopes)
+    pulls = np.einsum("rni,rn->ri", slopes, residuals)
+    system = normal_equations.System(
+        (residuals**2).sum(axis=1), 0.0, pulls[:, :q].sum(axis=0), grams[:, :q, :q].sum(axis=0), grams[:, :q, q:],
+        grams[:, q:, q:], pulls[:, q:],
+    )  # fmt: skip
+    shared, gradient, solved = normal_equations.eliminate(system, active, 0.0, held)
+    free = [np.flatnonzero(active & ~held[r]) for r in range(count)]
+    ends = np.cumsum([q, *(index.size for index in free)])
+    matrix, right = np.zeros((count * 60, ends[-1])), residuals.ravel()
+    for r, index in enumerate(free):
+        rows = slice(60 * r, 60 * (r + 1))
+        matrix[rows, :q] = slopes[r, :, :q]
+        matrix[rows, ends[r] : ends[r + 1]] = slopes[r][:, q + index]
+    expected = np.linalg.lstsq(matrix, right, rcond=None)[0]
+    step = np.linalg.solve(shared, gradient)
+    np.testing.assert_allclose(step, expected[:q], rtol=1e-9)  # 1e-12 on the diagonal, times the condition number
+    for r, (index, scale, reduced, log_determinant) in enumerate(solved):
+        np.testing.assert_array_equal(index, free[r])
+        own = scale * (reduced[:, -1] - reduced[:, :-1] @ step)
+        np.testing.assert_allclose(own, expected[ends[r] : ends[r + 1]], rtol=1e-8, atol=1e-9)
+        block = grams[r][np.ix_(q + index, q + index)]
+        assert log_determinant == pytest.approx(np.linalg.slogdet(block)[1], rel=1e-9)
+
+
+def test_elimination_is_refused_where_the_information_of_a_specimen_is_none():
+    own = np.stack([np.eye(NUISANCES), -np.eye(NUISANCES)])
+    system = normal_equations.System(
+        np.ones(2), 0.0, np.zeros(0), np.zeros((0, 0)), np.zeros((2, 0, NUISANCES)), own, np.ones((2, NUISANCES))
+    )
+    active, held = np.ones(NUISANCES, dtype=bool), np.zeros((2, NUISANCES), dtype=bool)
+    assert normal_equations.eliminate(system, active, 0.0, held) is None
 
 
 def test_limits_hold_and_a_refused_start_says_nothing(cubic_batch):

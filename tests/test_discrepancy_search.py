@@ -70,6 +70,26 @@ def test_probabilities_sum_to_one_and_the_right_set_leads(cubic):
     assert cubic.best(0) == ()
 
 
+def test_ranking_again_simulates_nothing_and_says_the_same(cubic, monkeypatch):
+    def ranked(fits):
+        return evidence.probabilities(fits, cubic.batch, len(CANDIDATES))
+
+    first = ranked(cubic.fits)
+    anew = {names: replace(found) for names, found in cubic.fits.items()}  # of which nothing is remembered
+    with monkeypatch.context() as patched:
+        patched.setattr(evidence, "residuals_of", None)
+        patched.setattr(evidence, "information", None)
+        assert ranked(cubic.fits) == first
+        with pytest.raises(TypeError):
+            ranked(anew)
+    assert ranked(anew) == first
+    scale = evidence.noise_scale(cubic.fits, cubic.batch)
+    found = cubic.fits[("cubic_stiffness",)]
+    known = [information(found.layout, found.system, found.state, found.active, k * scale.noise)[0] for k in (1.0, 4.0)]
+    gain = evidence.laplace(found, scale._replace(noise=4.0 * scale.noise)) - evidence.laplace(found, scale)
+    assert gain == pytest.approx(0.5 * (known[0] - known[1]), rel=1e-9) and gain > 1.0  # of another noise, anew
+
+
 def test_a_set_that_lost_its_way_begins_again_beside_one_that_explains(cubic):
     names = ("quintic_stiffness",)
     search = Search(cubic.batch, Oscillator(MASS, ()), (*CANDIDATES, *names), 1)

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from io import BytesIO
 
 import numpy as np
 import pytest
 import xarray as xr
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.image import imread
 from matplotlib.text import Text
 
 from pymc_backbone import plots
 from pymc_backbone._common.checks import InputError
 from pymc_backbone.likelihood.density_fit import fit_density
 from pymc_backbone.reporting import style as _figures
+from pymc_backbone.reporting.pictures import DPI, png
 from pymc_backbone.reporting.posterior_plots import MOST_PARAMETERS
 
 LEVELS = np.linspace(0.002, 0.018, 9)
@@ -92,6 +95,18 @@ def undrawn(figure: Figure) -> set[int]:
                 if id(tick) not in drawn:
                     found |= {id(tick.label1), id(tick.label2)}
     return found
+
+
+def test_a_picture_is_that_of_savefig_and_leaves_the_figure_as_it_was(measured):
+    figure, again = plots.plot_backbones(measured), plots.plot_backbones(measured)
+    canvas, dpi, engine = figure.canvas, figure.dpi, figure.get_layout_engine()
+    drawn, buffer = png(figure), BytesIO()
+    assert (figure.canvas, figure.dpi, figure.get_layout_engine()) == (canvas, dpi, engine)
+    again.savefig(buffer, format="png", dpi=DPI)
+    buffer.seek(0)
+    picture, expected = imread(BytesIO(drawn)), imread(buffer)
+    assert picture.shape == expected.shape and picture.std() > 0.01
+    np.testing.assert_array_equal(picture, expected)
 
 
 @pytest.mark.parametrize(("count", "panels"), [(1, 1), (5, 5), (40, 24)])

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -285,12 +286,12 @@ class WaveformTerm:
         )  # fmt: skip
         return (values, slopes) if np.isfinite(values[-1]) else None
 
-    @property
+    @cached_property
     def most_turns(self) -> int:
         """Turning points after which a simulation is given up."""
         return max(200, int(self.cycles * 5.0) + _MARGIN)
 
-    @property
+    @cached_property
     def cycles(self) -> float:
         """Rough number of cycles in the record."""
         return float(np.count_nonzero(np.diff(np.signbit(self.values - self.values.mean()))) / 2 + 1)
@@ -299,13 +300,13 @@ class WaveformTerm:
         self, simulator: Simulator, parameters: FloatArray, nuisances: FloatArray
     ) -> tuple[FloatArray, FloatArray] | None:
         """Return residuals (m,) and derivatives (m, p + 5)."""
-        release, release_time, offset, drift, loss = nuisances
+        release, release_time, offset, drift, _ = nuisances
         course = self._course(nuisances)
-        simulated = self.simulate(simulator, parameters, release, release_time, self.time + drift * course.later)
+        simulated = self.simulate(simulator, parameters, release, release_time, self._at(drift, course))
         if simulated is None:
             return None
         values, slopes = simulated
-        if loss != 0.0 or (self.order and drift != 0.0):
+        if course.factor is not None:
             values, slopes = values * course.factor, slopes * course.factor[:, None]
         n, p = self.time.size, parameters.size
         columns = np.empty((n, p + 6))
@@ -313,7 +314,9 @@ class WaveformTerm:
         columns[:, p] = slopes[:, 0]
         columns[:, p + 1] = -slopes[:, -1]
         columns[:, p + 2] = self.offset_scale
-        columns[:, p + 3] = slopes[:, -1] * course.later + values * course.hastened
+        columns[:, p + 3] = slopes[:, -1] * course.later
+        if course.hastened is not None:
+            columns[:, p + 3] += values * course.hastened
         columns[:, p + 4] = -course.share * values
         columns[:, p + 5] = offset * self.offset_scale + values
         if self.together > 1:
@@ -326,15 +329,15 @@ class WaveformTerm:
 
     def residuals(self, simulator: Simulator, parameters: FloatArray, nuisances: FloatArray) -> FloatArray | None:
         """Return residuals (m,)."""
-        release, release_time, offset, drift, loss = nuisances
+        release, release_time, offset, drift, _ = nuisances
         course = self._course(nuisances)
         simulated = self.simulate(
-            simulator, parameters, release, release_time, self.time + drift * course.later, sensitivities=False
+            simulator, parameters, release, release_time, self._at(drift, course), sensitivities=False
         )
         if simulated is None:
             return None
         values = simulated[0]
-        if loss != 0.0 or (self.order and drift != 0.0):
+        if course.factor is not None:
             values = values * course.factor
         column = (offset * self.offset_scale + values)[:, None]
         if self.together > 1:
@@ -343,16 +346,25 @@ class WaveformTerm:
             left = self.values[:, None] - column
         return self.whiten(left)[:, 0]
 
+    def _at(self, drift: float, course: _Course) -> FloatArray:
+        """Return the instants at which the motion without a drift is looked at."""
+        return self.time if drift == 0.0 else self.time + drift * course.later
+
     def _course(self, nuisances: FloatArray) -> _Course:
         """Return how the drifts change the motion over the record."""
         _, release_time, _, drift, loss = nuisances
         length = float(self.time[-1] - self.time[0])
         elapsed = np.maximum(self.time - release_time, 0.0)
         share = 0.5 * (elapsed / length) ** 2
-        # y(s(t)) exp(-loss share) is the displacement: its rates have the pace ds/dt in them
-        pace = 1.0 + drift * DRIFT * elapsed / length
-        factor = np.exp(-loss * share) * pace**self.order
-        return _Course(0.5 * DRIFT * elapsed**2 / length, share, factor, self.order * DRIFT * elapsed / length / pace)
+        factor = hastened = None
+        if loss != 0.0 or self.order:
+            # y(s(t)) exp(-loss share) is the displacement: its rates have the pace ds/dt in them
+            pace = 1.0 + drift * DRIFT * elapsed / length
+            if loss != 0.0 or drift != 0.0:
+                factor = np.exp(-loss * share) * pace**self.order
+            if self.order:
+                hastened = self.order * DRIFT * elapsed / length / pace
+        return _Course(0.5 * DRIFT * elapsed**2 / length, share, factor, hastened)
 
 
 class _Course(NamedTuple):
@@ -364,13 +376,13 @@ class _Course(NamedTuple):
         By how much one unit of the drift of frequency puts the motion forward [s].
     share : (n,) array
         By how much one unit of the drift of damping lowers the logarithm of the amplitude.
-    factor : (n,) array
-        By which both change the measured quantity.
-    hastened : (n,) array
-        Derivative of the logarithm of that with respect to the drift of frequency.
+    factor : (n,) array or None
+        By which both change the measured quantity; None where they are zero or change when it is reached, not its size.
+    hastened : (n,) array or None
+        Derivative of the logarithm of that with respect to the drift of frequency; None for a displacement.
     """
 
     later: FloatArray
     share: FloatArray
-    factor: FloatArray
-    hastened: FloatArray
+    factor: FloatArray | None
+    hastened: FloatArray | None

@@ -6,9 +6,10 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from math import comb
 from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
-from scipy.special import logsumexp
+from scipy.special import chdtrc, fdtrc, logsumexp, ndtr, ndtri
 
 from .._common.checks import FloatArray
 from .batch import Batch
@@ -33,6 +34,10 @@ DRIFT = ("drift with time",)
 UNEXPLAINED = 1e-4
 """p-value of a set's residuals below which it does not explain the records."""
 _INDEPENDENT = 8.0  # the effects of the library count as so many independent attempts
+
+# Sets are ranked again after each fit, and most fits are those of the last time.
+_determinants: WeakKeyDictionary[Fit, dict[float, float]] = WeakKeyDictionary()
+_sizes: WeakKeyDictionary[Fit, WeakKeyDictionary[DataTerm, dict[int, float]]] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True)
@@ -123,8 +128,16 @@ def noise_scale(fits: Mapping[tuple[str, ...], Fit], batch: Batch) -> NoiseScale
     floor = np.maximum(best.chi_square, 1e-12)
     if not batch.has_records:
         return NoiseScale(np.full(floor.size, np.inf), floor, 1.0)
-    sizes = np.array([effective_size(w, best, r) for r, w in enumerate(batch.deciding)])
+    sizes = np.array([_known_size(w, best, r) for r, w in enumerate(batch.deciding)])
     return NoiseScale(sizes, floor, float(floor.sum() / sizes.sum()))
+
+
+def _known_size(term: DataTerm, found: Fit, specimen: int) -> float:
+    """Return the effective size; remembered, for it takes a simulation."""
+    known = _sizes.setdefault(found, WeakKeyDictionary()).setdefault(term, {})
+    if specimen not in known:
+        known[specimen] = effective_size(term, found, specimen)
+    return known[specimen]
 
 
 def laplace(found: Fit, scale: NoiseScale) -> float:
@@ -134,7 +147,10 @@ def laplace(found: Fit, scale: NoiseScale) -> float:
         likelihood = -0.5 * float(scale.sizes @ np.log(ratio)) - 0.5 * found.penalty
     else:
         likelihood = -0.5 * found.cost
-    return likelihood - 0.5 * information(found.layout, found.system, found.state, found.active, scale.noise)[0]
+    known = _determinants.setdefault(found, {})
+    if scale.noise not in known:
+        known[scale.noise] = information(found.layout, found.system, found.state, found.active, scale.noise)[0]
+    return likelihood - 0.5 * known[scale.noise]
 
 
 def residuals_of(term: DataTerm, found: Fit, specimen: int) -> FloatArray:
@@ -172,8 +188,6 @@ def lack_of_fit(batch: Batch, found: Fit) -> LackOfFit:
 
     The noise level comes from the residuals beside, so that an error in its estimate does not matter.
     """
-    from scipy.stats import chi2, f, norm
-
     fitted = found.layout.free.size / max(len(batch.specimens), 1) + len(batch.nuisances)
     z, ratios, shares = [], [], []
     for r, term in enumerate(batch.deciding):
@@ -185,27 +199,25 @@ def lack_of_fit(batch: Batch, found: Fit) -> LackOfFit:
             rest = residuals.size - degrees - fitted
             noise = outside / max(rest, 1.0)
             ratio = inside / max(degrees, 1.0) / max(noise, 1e-300)
-            p = float(f.sf(ratio, max(degrees, 1.0), max(rest, 1.0)))
+            p = float(fdtrc(max(degrees, 1.0), max(rest, 1.0), ratio))
             shares.append(np.sqrt(max(inside - degrees * noise, 0.0)) / _size_of_motion(term))
         else:
             degrees = max(residuals.size - fitted, 1.0)
             ratio = float(residuals @ residuals) / degrees
             # the noise itself is known to some ten per cent only
-            p = float(f.sf(ratio, degrees, 60.0)) if batch.has_records else float(chi2.sf(ratio * degrees, degrees))
+            p = float(fdtrc(degrees, 60.0, ratio)) if batch.has_records else float(chdtrc(degrees, ratio * degrees))
             excess = max(float(residuals @ residuals) - degrees, 0.0)
             size = _size_of_motion(term) if isinstance(term, WaveformTerm) else float("nan")
             shares.append(np.sqrt(excess) / size)
         ratios.append(ratio)
-        z.append(float(norm.isf(min(max(p, 1e-300), 1.0 - 1e-15))))
-    combined = float(norm.sf(np.sum(z) / np.sqrt(len(z)))) if z else 1.0
-    worst = min(1.0, len(z) * float(norm.sf(max(z)))) if z else 1.0
+        z.append(float(-ndtri(min(max(p, 1e-300), 1.0 - 1e-15))))
+    combined = float(ndtr(-np.sum(z) / np.sqrt(len(z)))) if z else 1.0
+    worst = min(1.0, len(z) * float(ndtr(-max(z)))) if z else 1.0
     return LackOfFit(float(np.median(ratios)), min(1.0, 2.0 * min(combined, worst)), float(np.max(shares)))
 
 
 def p_nothing_missing(fits: Mapping[tuple[str, ...], Fit], batch: Batch) -> float:
     """Return the p-value of the base model: by what its residuals hold, and by what any one effect would gain."""
-    from scipy.stats import chi2
-
     base = fits[()]
     count = sum(term.size for term in batch.deciding)
     lowest = min(item.cost for item in fits.values())
@@ -216,7 +228,7 @@ def p_nothing_missing(fits: Mapping[tuple[str, ...], Fit], batch: Batch) -> floa
         if len(names) == 1:
             gain = max(base.cost - found.cost, 0.0) / scale
             degrees = found.layout.free.size - base.layout.free.size
-            p_gain = min(p_gain, float(chi2.sf(gain, degrees)))
+            p_gain = min(p_gain, float(chdtrc(degrees, gain)))
     p_gain = min(1.0, _INDEPENDENT * p_gain)
     return min(1.0, 2.0 * min(p_gain, lack_of_fit(batch, base).p_value))
 

@@ -95,11 +95,14 @@ class Derivatives(NamedTuple):
         With respect to the shared coordinates.
     own : (n, 7 + q) array
         With respect to the specimen's own values; zero where these are not fitted.
+    together : (n, 8 + 2 q) array
+        Shared, own, residuals: what the three are columns of.
     """
 
     residuals: FloatArray
     shared: FloatArray
     own: FloatArray
+    together: FloatArray
 
 
 def parameters_at(layout: Layout, eta: FloatArray, values: FloatArray, scatter: float) -> tuple[FloatArray, FloatArray]:
@@ -121,12 +124,17 @@ def derivatives(
         return None
     residuals, jacobian = compared
     to_effects = jacobian[:, layout.free] @ slopes
-    to_own = np.empty((residuals.size, values.size))
-    to_own[:, :2] = jacobian[:, :2]
-    to_own[:, 2:NUISANCES] = jacobian[:, vector.size :]
-    to_own[:, NUISANCES:] = to_effects * (eta * scatter)
-    to_own[:, ~active] = 0.0
-    return Derivatives(residuals, to_effects * (1.0 + scatter * values[NUISANCES:]), to_own)
+    q = layout.free.size
+    together = np.empty((residuals.size, q + values.size + 1))
+    shared, own = together[:, :q], together[:, q:-1]
+    np.multiply(to_effects, 1.0 + scatter * values[NUISANCES:], out=shared)
+    own[:, :2] = jacobian[:, :2]
+    own[:, 2:NUISANCES] = jacobian[:, vector.size :]
+    np.multiply(to_effects, eta * scatter, out=own[:, NUISANCES:])
+    for column in np.flatnonzero(~active):
+        own[:, column] = 0.0
+    together[:, -1] = residuals
+    return Derivatives(residuals, shared, own, together)
 
 
 def _gram(
@@ -136,8 +144,7 @@ def _gram(
     found = derivatives(layout, term, eta, values, scatter, active)
     if found is None:
         return None
-    together = np.concatenate([found.shared, found.own, found.residuals[:, None]], axis=1)
-    gram: FloatArray = together.T @ together
+    gram: FloatArray = found.together.T @ found.together
     return gram if np.isfinite(gram).all() else None
 
 
@@ -145,25 +152,35 @@ def eliminate(system: System, active: Any, damping: float, held: Any) -> Any:
     """Return what remains for the shared values once each specimen's own are eliminated."""
     shared = system.shared + damping * np.diag(np.diag(system.shared))
     gradient = system.shared_gradient.copy()
+    free = active & ~held
+    every = np.arange(free.shape[0])
+    # specimens with the same free values in one call: their systems are small, and calls cost more than they do
+    groups = [every] if (free == free[:1]).all() else [every[r : r + 1] for r in every]
     solved = []
-    for r in range(system.own.shape[0]):
-        index = np.flatnonzero(active & ~held[r])
-        block = system.own[r][np.ix_(index, index)]
-        diagonal = np.maximum(np.diag(block), 1e-300)
-        scale = 1.0 / np.sqrt(diagonal)
-        block = block * np.outer(scale, scale) + (damping + 1e-12) * np.eye(index.size)
-        mixed = system.mixed[r][:, index] * scale
-        right = np.concatenate([mixed, (system.own_gradient[r, index] * scale)[None]]).T
+    for rows in groups:
+        index = np.flatnonzero(free[rows[0]])
         try:
-            factor = np.linalg.cholesky(block)
+            found = _eliminated(system, rows, index, damping)
         except np.linalg.LinAlgError:
             return None
-        reduced = np.linalg.solve(block, right)
-        shared -= mixed @ reduced[:, :-1]
-        gradient -= mixed @ reduced[:, -1]
-        log_determinant = 2.0 * np.log(np.diag(factor)).sum() - 2.0 * np.log(scale).sum()
-        solved.append((index, scale, reduced, log_determinant))
+        for scale, mixed, reduced, log_determinant in zip(*found, strict=True):
+            shared -= mixed @ reduced[:, :-1]
+            gradient -= mixed @ reduced[:, -1]
+            solved.append((index, scale, reduced, log_determinant))
     return shared, gradient, solved
+
+
+def _eliminated(system: System, rows: Any, index: Any, damping: float) -> tuple[FloatArray, ...]:
+    """Return scales (s, n), scaled mixed blocks (s, q, n), solutions (s, n, q + 1), log-determinants (s,)."""
+    block = system.own[rows][:, index[:, None], index]
+    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(block, axis1=1, axis2=2), 1e-300))
+    block = block * (scale[:, :, None] * scale[:, None, :]) + (damping + 1e-12) * np.eye(index.size)
+    mixed = system.mixed[rows][:, :, index] * scale[:, None]
+    right = np.concatenate([mixed, (system.own_gradient[rows][:, index] * scale)[:, None]], axis=1).transpose(0, 2, 1)
+    factor = np.linalg.cholesky(block)
+    roots = np.diagonal(factor, axis1=1, axis2=2)
+    log_determinants = 2.0 * np.log(roots).sum(axis=1) - 2.0 * np.log(scale).sum(axis=1)
+    return scale, mixed, np.linalg.solve(block, right), log_determinants
 
 
 def information(layout: Layout, system: System, state: State, active: Any, noise: float) -> tuple[float, FloatArray]:

@@ -12,7 +12,6 @@ from collections.abc import Callable
 
 import numpy as np
 from scipy.linalg import cholesky_banded, solve_banded
-from scipy.signal import correlate
 from scipy.sparse import csr_array
 
 from .._common.checks import FloatArray
@@ -63,6 +62,8 @@ def passed_values(
 
 def _covariance(taps: FloatArray, autocovariance: FloatArray, step: int, instants: int) -> FloatArray:
     """Return the covariance of the values, as the diagonals of a banded matrix, from the main one down."""
+    from scipy.signal import correlate
+
     used = np.flatnonzero(autocovariance)
     lags = int(used[-1]) if used.size else 0
     around = np.concatenate([autocovariance[lags:0:-1], autocovariance[: lags + 1]])

@@ -66,6 +66,37 @@ class _View(NamedTuple):
     points: Any
 
 
+class _OwnValues(NamedTuple):
+    """What the level values of a specimen say of its stiffness and damping, where no effect is.
+
+    Attributes
+    ----------
+    stiffness, damping : (m,) arrays
+        Of which effects take their share, at levels with a frequency, and at levels with a damping.
+    at_frequency, at_damping : (m,) arrays of int
+        These levels.
+    """
+
+    stiffness: FloatArray
+    damping: FloatArray
+    at_frequency: Any
+    at_damping: Any
+
+
+def _own_values(data: LevelData, specimen: int) -> _OwnValues:
+    m = data.count[specimen]
+    (observable, level), values = data.rows[specimen, :m].T, data.values[specimen, :m]
+    omega = 2.0 * np.pi * values[observable == 0]
+    at = level[observable == 1]
+    damping = values[observable == 1] * data.mass * data.omegas[at] / np.pi
+    return _OwnValues(data.mass * omega**2, damping, level[observable == 0], at)
+
+
+def _mean(values: FloatArray) -> float:
+    """Return the mean of a few values, a tenth of the time of `numpy.mean`."""
+    return float(np.add.reduce(values) / values.size)
+
+
 class SetFits:
     """Fits of the sets of effects of one batch to its level values.
 
@@ -104,6 +135,7 @@ class SetFits:
             effect = by_name.get(name) or own_effects.get(name) or LIBRARY[name]
             layout = make_layout(Oscillator(base.mass, [effect]), batch.amplitude, batch.angular_frequency)
             self.atoms.append(atoms_of(layout, name, self.data))
+        self.own_values = [_own_values(self.data, r) for r in range(self.data.count.size)]
         self.firsts = np.concatenate([[0], np.cumsum([len(item.points) for item in self.atoms])]).astype(np.int64)
 
     def layout(self, names: Set) -> Layout:
@@ -133,13 +165,10 @@ class SetFits:
             sums += strength * self.atoms[e].looks[atom - self.firsts[e]]
         data = self.data
         own = np.zeros((data.count.size, 2))
-        for r, m in enumerate(data.count):
-            o, level = data.rows[r, :m, 0], data.rows[r, :m, 1]
-            omega = 2.0 * np.pi * data.values[r, :m][o == 0]
-            own[r, 0] = np.mean(data.mass * omega**2 - sums[level[o == 0], 0])
-            at = level[o == 1]
-            damping = data.values[r, :m][o == 1] * data.mass * data.omegas[at] / np.pi
-            own[r, 1] = np.mean(damping - sums[at, 1]) if at.size else self.batch.own[r, 1]
+        for r, known in enumerate(self.own_values):
+            own[r, 0] = _mean(known.stiffness - sums[known.at_frequency, 0])
+            at = known.at_damping
+            own[r, 1] = _mean(known.damping - sums[at, 1]) if at.size else self.batch.own[r, 1]
         smallest = 0.02 * data.mass * data.omegas.min() ** 2
         own[:, 0] = np.maximum(own[:, 0], smallest)
         own[:, 1] = np.maximum(own[:, 1], 0.0)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 
 import numpy as np
 from scipy.linalg import solve_toeplitz, solve_triangular, toeplitz
-from scipy.signal import lfilter
 
 from .._common.checks import FloatArray
 
@@ -19,10 +19,16 @@ def average(columns: FloatArray, together: int) -> FloatArray:
     """Return means over each step from values at the middle of the steps; two steps at either end are lost."""
     weights = _mean_weights(together)
     kept = columns.shape[0] - 2 * EDGE
-    return np.asarray(sum(weight * columns[k : kept + k] for k, weight in enumerate(weights)))
+    result: FloatArray = weights[0] * columns[:kept]
+    room = np.empty_like(result)  # one for all: large arrays anew for each weight cost more than the sums
+    for k, weight in enumerate(weights[1:], start=1):
+        np.multiply(columns[k : kept + k], weight, out=room)
+        result += room
+    return result
 
 
-def _mean_weights(together: int) -> FloatArray:
+@functools.cache
+def _mean_weights(together: int) -> tuple[float, ...]:
     """Return weights (5,) on the middles of neighbouring steps that give the mean of a step's ``together`` samples.
 
     Exact for polynomials of degree five. A mean of few samples is not the mean over the step: for two samples of a
@@ -32,7 +38,7 @@ def _mean_weights(together: int) -> FloatArray:
     second, fourth = float(np.mean(place**2)), float(np.mean(place**4))
     outer = (fourth - second) / 24.0
     inner = 0.5 * second - 4.0 * outer
-    return np.array([outer, inner, 1.0 - 2.0 * (outer + inner), inner, outer])
+    return (outer, inner, 1.0 - 2.0 * (outer + inner), inner, outer)
 
 
 def means(columns: FloatArray, together: int) -> FloatArray:
@@ -100,5 +106,7 @@ def with_slow_noise(
 
 def _filtered(taps: FloatArray, columns: FloatArray) -> FloatArray:
     """Return each column after a filter of finite length."""
-    result: FloatArray = np.asarray(lfilter(taps, [1.0], columns, axis=0))
-    return result
+    rows = np.empty((columns.shape[1], columns.shape[0]))
+    for row, column in zip(rows, columns.T, strict=True):
+        row[:] = np.convolve(taps, column)[: row.size]
+    return rows.T

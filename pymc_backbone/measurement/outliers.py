@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtr
 
 from .._common.checks import FloatArray
 from .._common.text import printable, shorten
@@ -139,7 +139,7 @@ def _far_out(
         freedom = quantity.freedom + worth
         variance = (quantity.freedom * quantity.scatter**2 + worth * spread**2) / freedom
         score = abs(away) / np.sqrt((1.0 + 1.0 / len(others)) * variance + error**2)
-        probability = min(tests * 2.0 * float(student.sf(score, freedom)), 1.0)
+        probability = min(tests * 2.0 * float(stdtr(freedom, -score)), 1.0)
         if probability < false_alarms:
             found.append(((items[i].specimen,), float(np.exp(away)), probability))
     if n == 2 and found:

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
-from scipy.signal import fftconvolve
 
 from ..._common.checks import FloatArray
+from .convolution import convolve_inside
 from .tracking import Track
 
 _EVIDENCE = 12.0
@@ -119,7 +119,7 @@ def second_harmonic(values: FloatArray, sampling_rate: float, path: Track, integ
     stamps = np.arange(values.size) / sampling_rate
     samples = make_interp_spline(stamps, values, k=5)(np.clip(path.time_at(grid), 0.0, stamps[-1]))
     box = np.ones(per_cycle) / per_cycle
-    z = 2.0 * fftconvolve(samples * np.exp(-2j * grid), np.convolve(box, box), mode="valid")
+    z = 2.0 * convolve_inside(samples * np.exp(-2j * grid), np.convolve(box, box))
     amplitude = np.interp(grid[per_cycle - 1 : per_cycle - 1 + z.size], path.phase, path.amplitude)
     z, amplitude = z[::per_cycle], amplitude[::per_cycle]
     if z.size < 3:

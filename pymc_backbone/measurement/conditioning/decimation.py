@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import firwin, kaiserord, upfirdn
 
 from ..._common.checks import FloatArray
 
@@ -43,6 +42,8 @@ class Decimation:
 
     def apply(self, values: FloatArray) -> FloatArray:
         """Return the kept samples, the first of which stands ``half`` samples after the first of ``values``."""
+        from scipy.signal import upfirdn
+
         kept = upfirdn(self.taps, values, 1, self.factor)
         first = 2 * self.half // self.factor
         return np.asarray(kept[first : (values.size - 1) // self.factor + 1], dtype=np.float64)
@@ -86,6 +87,8 @@ def design_decimation(size: int, sampling_rate: float, highest: float) -> Decima
     factor = int(sampling_rate / (KEPT * highest))
     if size <= SMALL or factor < 2:
         return None
+    from scipy.signal import firwin, kaiserord
+
     rate = sampling_rate / factor
     count, beta = kaiserord(_ATTENUATION, 0.5 * rate / (0.5 * sampling_rate))
     half = factor * int(np.ceil(count / 2 / factor))

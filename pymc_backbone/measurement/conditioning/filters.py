@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
-from scipy.signal import firwin, get_window, kaiserord, oaconvolve
 
 from ..._common.checks import FloatArray, InputError
+from .convolution import convolve_inside
 from .tracking import Track, local_basis
 
 _ATTENUATION = 70.0
@@ -49,6 +49,8 @@ class BandPass:
 
     def apply(self, values: FloatArray) -> FloatArray:
         """Return the filtered values that depend on no sample beyond the ends: ``half`` fewer at each end."""
+        from scipy.signal import oaconvolve
+
         return oaconvolve(values, self.taps, mode="valid")
 
     def gain(self, frequency: FloatArray | float, decay_rate: float = 0.0) -> FloatArray:
@@ -105,6 +107,8 @@ def design_band_pass(band: tuple[float, float], frequency: float, sampling_rate:
 
     The transition at each edge is as wide as the distance from the mode to the nearer edge allows.
     """
+    from scipy.signal import firwin, get_window, kaiserord
+
     low, high = band
     near = min(frequency - low, high - frequency)
     if near < _NARROWEST * frequency:
@@ -156,7 +160,7 @@ def _drift(running: FloatArray, time: FloatArray, path: Track) -> FloatArray:
     box = np.ones(per_cycle + 1) / per_cycle
     box[[0, -1]] *= 0.5
     kernel = np.convolve(np.convolve(box, box), box)
-    middle = oaconvolve(samples, kernel, mode="valid")
+    middle: FloatArray = convolve_inside(samples, kernel)
     half = (kernel.size - 1) // 2
     drift = np.interp(at, grid[half : half + middle.size] / (2.0 * np.pi), middle)
     for window, distance in ((at < begin + _EDGE_FIT, at - begin), (at > end - _EDGE_FIT, end - at)):

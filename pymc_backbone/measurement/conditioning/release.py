@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
-from scipy.signal import oaconvolve
 
 from ..._common.checks import FloatArray
 from ..rough_turning import rough_noise
+from .convolution import convolve_inside
 from .tracking import Track
 
 ComplexArray = NDArray[np.complex128]
@@ -47,7 +47,7 @@ def _demodulated(values: FloatArray, turns: float, kernel: FloatArray) -> Comple
     for first in range(0, result.size, _PIECE):
         last = min(first + _PIECE, result.size) + kernel.size - 1
         carrier = np.exp(-2j * np.pi * turns * np.arange(first, last))
-        result[first : first + _PIECE] = oaconvolve(values[first:last] * carrier, kernel, mode="valid")
+        result[first : first + _PIECE] = convolve_inside(values[first:last] * carrier, kernel)
     return result
 
 

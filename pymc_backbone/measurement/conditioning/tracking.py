@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.fft import next_fast_len, rfft, rfftfreq
 from scipy.interpolate import make_interp_spline
-from scipy.signal import fftconvolve
 
 from ..._common.checks import FloatArray
+from .convolution import convolve_inside
 
 _EDGE_CYCLES = 3.0
 
@@ -124,7 +124,7 @@ def _first_phase(values: FloatArray, sampling_rate: float, frequency: float) -> 
     half = max(round(sampling_rate / frequency), 2)
     time = np.arange(values.size) / sampling_rate
     carrier = np.exp(-2j * np.pi * frequency * time)
-    z = fftconvolve(values * carrier, _triangle(half), mode="valid")
+    z = convolve_inside(values * carrier, _triangle(half))
     inner = time[half - 1 : half - 1 + z.size]
     return inner, 2.0 * np.pi * frequency * inner + np.unwrap(np.angle(z))
 
@@ -154,8 +154,8 @@ def track(values: FloatArray, sampling_rate: float, frequency: float) -> Track |
     spline = make_interp_spline(np.arange(values.size) / sampling_rate, values, k=5)
     samples = spline(np.clip(rough.time_at(grid), 0.0, end))
     kernel = _triangle(per_cycle)
-    z = 2.0 * fftconvolve(samples * np.exp(-1j * grid), kernel, mode="valid")
-    mean = fftconvolve(samples, kernel, mode="valid")
+    z = 2.0 * convolve_inside(samples * np.exp(-1j * grid), kernel)
+    mean = convolve_inside(samples, kernel)
     inner = grid[per_cycle - 1 : per_cycle - 1 + z.size]
     time, phase = _monotone(rough.time_at(inner), inner + np.unwrap(np.angle(z)), frequency)
     n = time.size

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.fft import dct
 from scipy.interpolate import make_interp_spline
-from scipy.signal import fftconvolve
 from scipy.special import logsumexp
 
 from ..._common.checks import FloatArray
+from .convolution import convolve_inside
 from .noise import NoiseSpectrum
 from .tracking import Track
 
@@ -204,8 +204,8 @@ def _mid_line(values: FloatArray, sampling_rate: float, path: Track) -> tuple[Fl
     samples = make_interp_spline(stamps, values, k=3)(np.clip(path.time_at(grid), 0.0, stamps[-1]))
     box = np.ones(per_cycle) / per_cycle
     kernel = np.convolve(box, box)
-    middle = fftconvolve(samples, kernel, mode="valid")
-    second = 2.0 * fftconvolve(samples * np.exp(-2j * grid), kernel, mode="valid")
+    middle = convolve_inside(samples, kernel)
+    second = 2.0 * convolve_inside(samples * np.exp(-2j * grid), kernel)
     inner = grid[per_cycle - 1 : per_cycle - 1 + middle.size]
     amplitude = path.amplitude_at(path.time_at(inner)) / float(path.amplitude.max())
     # few cycles hold few frequencies: not all are given away to shapes
