@@ -566,6 +566,24 @@ def test_variants_are_looked_for_in_the_place_of_what_they_vary():
     assert ("power_damping",) not in search.fits  # the square is one of its powers, and leaves as little
 
 
+def test_what_made_up_for_the_lack_of_a_variant_is_left_out():
+    """Drag in one direction only, by SciPy: half of it is drag, and the other half bends the motion as a spring does."""
+
+    def force(x: float, v: float, direction: float) -> float:
+        return STIFFNESS * x + DAMPING * v + 0.9 * DAMPING / (OMEGA * AMPLITUDE) * v * v * (direction + 1.0)
+
+    rng = np.random.default_rng(33)
+    records = []
+    for r in range(3):
+        exact = free_decay(force, AMPLITUDE * (1.0 - 0.1 * r), np.maximum(TIME - RELEASE_TIME, 0.0))
+        records.append(noisy(rng, f"specimen {r + 1}", TIME, exact, 55.0))
+    candidates = ("quadratic_damping", "quadratic_stiffness", "bilinear_stiffness")
+    search = Search(batch_of(records), Oscillator(MASS), candidates, 2, variants=("asymmetric_drag",))
+    search.run()
+    assert search.best() == ("asymmetric_drag",)
+    assert any("asymmetric_drag" in names and len(names) == 2 for names in search.fits)  # from here it was found
+
+
 def test_a_variant_is_kept_where_it_leaves_less():
     """A damper with the power 1.5 of the speed, by SciPy; its square and a viscous damper leave more."""
     speed = AMPLITUDE * OMEGA

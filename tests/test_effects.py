@@ -651,6 +651,7 @@ FORMULAS = {
     "pendulum_stiffness": lambda x, v, p: p[0] * (np.sin(x) - x),
     "coulomb_friction": lambda x, v, p: p[0] * np.sign(v),
     "quadratic_damping": lambda x, v, p: p[0] * v * abs(v),
+    "asymmetric_drag": lambda x, v, p: p[0] * v * abs(v) + p[0] * p[1] * v**2,
     "cubic_damping": lambda x, v, p: p[0] * v**3,
     "displacement_dependent_damping": lambda x, v, p: p[0] * x**2 * v,
     "absolute_displacement_damping": lambda x, v, p: p[0] * abs(x) * v,

@@ -22,6 +22,7 @@ TRUTHS = {
     "one_sided_stiffness": (0.4 * STIFFNESS, 0.25 * AMPLITUDE),
     "hertz_contact": (0.4 * STIFFNESS / AMPLITUDE**0.5, 0.2 * AMPLITUDE),
     "magnetic_stiffness": (0.01 * FORCE, 2.0 * AMPLITUDE, 4.0),
+    "asymmetric_drag": (0.015 * MASS / AMPLITUDE, 0.7),
     "absolute_displacement_damping": (0.04 * MASS * OMEGA / AMPLITUDE,),
 }
 DAHL = {"dahl_friction": (0.1 * STIFFNESS, 0.01 * FORCE)}

@@ -277,11 +277,20 @@ class Search(RevisitedSets):
                 if not is_asked or self._is_spent or (self._is_costly(names) and not self._is_costly(best)):
                     continue
                 self.progress("variants of effects", 0.5)
-                looks = propose(self.batch, self.base, names, len(names), self.own)
-                self.varied[names] = next(item for item in looks if set(item.names) == set(names))
-                found = self.fit_set(names)
+                found = self._fit_varied(names)
                 if found is not None and found.cost > self.fits[best].cost - _NEEDED:
                     del self.fits[names]
+                elif found is not None and found.cost < EXPLAINED * self.count:
+                    for out in best:  # what stood beside the effect may have made up for its lack
+                        if out != name:
+                            self._fit_varied(tuple(other for other in names if other != out))
+
+    def _fit_varied(self, names: Set) -> Fit | None:
+        """Return the fit of a set with a variant, begun from its own look in the backbones."""
+        if names not in self.fits:
+            looks = propose(self.batch, self.base, names, len(names), self.own)
+            self.varied[names] = next(item for item in looks if set(item.names) == set(names))
+        return self.fit_set(names)
 
     def _within_reach(self, sets: Sequence[Set], best: Set) -> list[Set]:
         """Return those sets whose backbones are not much less likely than those of the best, the likeliest first."""
