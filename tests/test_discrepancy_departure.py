@@ -210,3 +210,11 @@ def test_forces_far_larger_than_what_is_missing_are_rarer_in_proportion():
     both = size(bilinear_stiffness=k, quadratic_stiffness=-k)
     assert both == pytest.approx(2.0 * large, abs=1e-6)  # each pays
     assert size() == 0.0
+    # where the base departs by nothing at all, a force is held against the errors of the levels, not against zero
+    flat = replace(base, curves=np.zeros_like(base.curves))
+    names = ("cubic_stiffness",)
+    state = start_state(layout_of(batch, names), np.array([0.1 * k]), np.array([[k, c, 0.0, 0.0, 0.0]]))
+    against_noise = _log_size(search, names, replace(base, state=state), departures, flat)
+    seen = float(np.sqrt(((departures.noise / departures.per_force)[:2] ** 2).sum()))
+    assert against_noise == pytest.approx(-np.log(0.1 / (5.0 * seen)), abs=0.01)
+    assert -6.0 < against_noise < -3.0

@@ -567,7 +567,7 @@ def test_variants_are_looked_for_in_the_place_of_what_they_vary():
 
 
 def test_what_made_up_for_the_lack_of_a_variant_is_left_out():
-    """Drag in one direction only, by SciPy: half of it is drag, and the other half bends the motion as a spring does."""
+    """Drag in one direction only, by SciPy: half is drag, and the other half bends the motion as a spring does."""
 
     def force(x: float, v: float, direction: float) -> float:
         return STIFFNESS * x + DAMPING * v + 0.9 * DAMPING / (OMEGA * AMPLITUDE) * v * v * (direction + 1.0)

@@ -69,7 +69,8 @@ LIBRARY_NAMES_OF_OUTSIDE: dict[str, str] = {
     "one_way_drag": "asymmetric_drag",
 }
 """Laws of `OUTSIDE` that an effect of the package describes by now: the same force, written in other parameters, or
-with an exponent of one half, or an asymmetry of one. A magnet on one side is not the package's pair of magnets: its force has even powers."""
+with an exponent of one half, or an asymmetry of one. A magnet on one side is not the package's pair of magnets: its
+force has even powers."""
 
 BASE: tuple[str, ...] = ("linear_stiffness", "linear_stiffness_rate", "viscous_damping", "viscous_damping_rate")
 

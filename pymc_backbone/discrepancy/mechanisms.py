@@ -174,12 +174,15 @@ def _harmonics(search: Search, departing: Mapping[Set, Departing], chosen: list[
 def _log_size(search: Search, names: Set, item: Departing, departures: DepartingSets, base: Departing | None) -> float:
     """Return how much rarer a set is whose forces are far larger than what is missing, as a natural logarithm.
 
-    They compensate each other, or go unseen by chance. Beforehand a force is as large as the gap, with a tail that
-    falls with the square of its size; widths of the evidence are in proportion to it, so it is rarer in proportion.
+    They compensate each other, or go unseen by chance. Beforehand a force is as large as the gap, or as the errors of
+    the levels where that is less, with a tail that falls with the square of its size; widths of the evidence are in
+    proportion to it, so it is rarer in proportion.
     """
     if base is None or not names:
         return 0.0
-    gap = float(np.sqrt((_mean_squares(base) / departures.per_force**2).sum()))
+    # what is missing is not smaller than what could be seen: there may be no departure at all
+    seen = np.where(np.isfinite(departures.noise), departures.noise, 0.0)
+    gap = float(np.sqrt(((_mean_squares(base) + seen**2) / departures.per_force**2).sum()))
     layout, amplitude, omega = search.layout(names), search.batch.amplitude, search.batch.angular_frequency
     vector = parameters_of(layout, item.state, 0)
     elastic = search.base.mass * omega**2 * amplitude
@@ -190,7 +193,7 @@ def _log_size(search: Search, names: Set, item: Departing, departures: Departing
             own = np.array([vector[layout.oscillator.index(parameter.name)] for parameter in effect.parameters])
             states = np.zeros(effect.n_states)
             force = max(abs(effect.force(x, v, 1.0 if x + v > 0.0 else -1.0, states, own)) for x, v in points)
-            lost += np.log(max(force / elastic / (_AMPLE * max(gap, 1e-300)), 1.0))
+            lost += np.log(max(force / elastic / (_AMPLE * gap), 1.0))
     return -float(lost)
 
 

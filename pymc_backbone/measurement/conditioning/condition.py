@@ -136,7 +136,7 @@ class _Conditioning:
         check_decays(displacement_amplitude(path, self.integrations), self.name, path.amplitude[-1] > 3.0 * floor)
         baseline = self._baseline(measured, path, end, spectrum, band_pass)
         second = self._second_mode(measured, path)
-        wander = None if band_pass is not None else find_wander(measured, self.rate, path, spectrum)
+        wander = None if band_pass is not None else find_wander(measured, self.rate, path, spectrum, self.integrations)
         if wander is not None and wander.is_sure:
             self.notes.append(wander.note(path, self.rate, spectrum, self.record.unit))
         end = self._above_floor(path, end)

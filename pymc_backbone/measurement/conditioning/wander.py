@@ -23,6 +23,7 @@ _RATIOS = np.geomspace(1.0, 1e7, 43)  # of slow noise to the other at the lowest
 _LEVERAGE = 0.5  # share of a frequency that shapes of the mid-line take, beyond which it says nothing
 _FEWEST = 2
 _MANY = 12.0  # cycles
+_SLOW = 0.025  # damping ratio
 _POSSIBLE = 0.2  # probability below which it is left out
 _SURE = 0.95
 _MOST_MODES = 200
@@ -98,7 +99,9 @@ class Wander:
         return np.cos(np.outer(phase, k)) * np.sqrt(2.0 / time.size * variance)
 
 
-def find_wander(values: FloatArray, sampling_rate: float, path: Track, spectrum: NoiseSpectrum) -> Wander | None:
+def find_wander(
+    values: FloatArray, sampling_rate: float, path: Track, spectrum: NoiseSpectrum, order: int = 0
+) -> Wander | None:
     """Return the slow noise of a record, or None where it is too short to tell.
 
     Parameters
@@ -111,6 +114,8 @@ def find_wander(values: FloatArray, sampling_rate: float, path: Track, spectrum:
         Its track up to the end of motion.
     spectrum : NoiseSpectrum
         Noise between the harmonics.
+    order : int
+        How often the displacement was differentiated in ``values``.
 
     Notes
     -----
@@ -118,9 +123,10 @@ def find_wander(values: FloatArray, sampling_rate: float, path: Track, spectrum:
     harmonic that changes alike. What remains of the tracked mid-line beside constant, A, A^2, A^3 (A^2 alone in few
     cycles) and that harmonic is taken to cosines, whose squares follow the density of the noise (Whittle's
     likelihood): the known one alone, or with a power law of the frequency added, whose power (0.5 to 2: from drifting
-    electronics to a random walk) and size are averaged over what the record supports.
+    electronics to a random walk) and size are averaged over what the record supports. An acceleration that decays
+    slowly has as good as no mid-line of its own.
     """
-    middle, shapes = _mid_line(values, sampling_rate, path)
+    middle, shapes = _mid_line(values, sampling_rate, path, order)
     n, per_cycle = middle.size, path.per_cycle
     if n < 3 * per_cycle:
         return None
@@ -193,7 +199,7 @@ def _log_likelihood(density: FloatArray, expected: FloatArray) -> float:
     return -0.5 * float(np.sum(density / expected + np.log(expected)))
 
 
-def _mid_line(values: FloatArray, sampling_rate: float, path: Track) -> tuple[FloatArray, FloatArray]:
+def _mid_line(values: FloatArray, sampling_rate: float, path: Track, order: int) -> tuple[FloatArray, FloatArray]:
     """Return the mid-line (n,) on a grid of uniform phase, and what a structure's own is made of (n, s)."""
     per_cycle = path.per_cycle
     stamps = np.arange(values.size) / sampling_rate
@@ -208,6 +214,9 @@ def _mid_line(values: FloatArray, sampling_rate: float, path: Track) -> tuple[Fl
     second = 2.0 * convolve_inside(samples * np.exp(-2j * grid), kernel)
     inner = grid[per_cycle - 1 : per_cycle - 1 + middle.size]
     amplitude = path.amplitude_at(path.time_at(inner)) / float(path.amplitude.max())
+    ratio = float(np.log(path.amplitude[0] / path.amplitude[-1])) / (2.0 * np.pi * path.cycles)
+    if order == 2 and ratio < _SLOW:  # twice the rate of decay, over the angular frequency, squared: next to nothing
+        return middle, np.ones((middle.size, 1))
     # few cycles hold few frequencies: not all are given away to shapes
     powers = (0, 1, 2, 3) if middle.size > _MANY * per_cycle else (0, 2)
     return middle, np.column_stack([*(amplitude**power for power in powers), second.real])
