@@ -134,15 +134,15 @@ def find_wander(
     left = middle - basis @ (basis.T @ middle)
     k = np.arange(1, int(2.0 * _CLEAR * n / per_cycle) + 1)
     leverage = (dct(basis, axis=0, norm="ortho") ** 2).sum(axis=1)[k]
-    order = 0.5 * k * per_cycle / n
+    orders = 0.5 * k * per_cycle / n
     # two running means over a cycle, and the density of samples at a uniform rate
-    passed = np.sinc(order) ** 4
+    passed = np.sinc(orders) ** 4
     density = 2.0 * dct(left, norm="ortho")[k] ** 2 * path.frequency**-1 / per_cycle
     used = leverage < _LEVERAGE
     if used.sum() < _FEWEST:
         return None
     density = (density / passed / (1.0 - leverage))[used]
-    frequency = order[used] * path.frequency
+    frequency = orders[used] * path.frequency
     known = np.maximum(spectrum.at(frequency), 1e-300)
     top = TOP * path.frequency
     lowest = 0.5 * path.frequency * per_cycle / n
