@@ -189,7 +189,7 @@ def test_force_is_continuous_where_the_regime_changes(effect, rng):
 
 
 ASYMMETRIC = (
-    *("quadratic_stiffness", "bilinear_stiffness"),
+    *("quadratic_stiffness", "bilinear_stiffness", "asymmetric_drag"),
     *("offset_freeplay", "one_sided_stiffness", "hertz_contact", *TABULATED),
 )
 

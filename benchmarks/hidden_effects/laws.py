@@ -39,6 +39,7 @@ STOP_K, STOP_GAP, STOP_C = (INDEX[name] for name in OUTSIDE["impact_stop"])
 BAND_C, BAND = (INDEX[name] for name in OUTSIDE["deadband_damper"])
 PAIR_F, MAGNET_D, PAIR_N = (INDEX[name] for name in NEW["magnetic_stiffness"])
 ABS_C = INDEX["absolute_displacement_damping"]
+BOTH_C, BOTH_R = (INDEX[name] for name in NEW["asymmetric_drag"])
 DAHL_K, DAHL_F = (INDEX[name] for name in NEW["dahl_friction"])
 HERTZ_K, HERTZ_GAP = (INDEX[name] for name in NEW["hertz_contact"])
 ARM_K, ARM_TIME = (INDEX[name] for name in NEW["maxwell_element"])
@@ -46,7 +47,7 @@ PLAY_K, PLAY, PLAY_R = (INDEX[name] for name in NEW["offset_freeplay"])
 POWER_C, POWER_C_N, POWER_C_V = (INDEX[name] for name in NEW["power_damping"])
 POWER_K, POWER_K_N, POWER_K_X = (INDEX[name] for name in NEW["power_stiffness"])
 
-ROUNDED = 0.01
+ROUNDED = 1e-3
 """Share of its reference speed below which a damper with a power of the speed is rounded, as the package defines it."""
 
 
@@ -138,6 +139,8 @@ def _new(force, y, probe, p):
     if p[PAIR_F] != 0.0:
         u, n = x / p[MAGNET_D], p[PAIR_N]
         force += p[PAIR_F] * ((1.0 - u) ** -n - (1.0 + u) ** -n - 2.0 * n * u)
+    if p[BOTH_C] != 0.0:
+        force += p[BOTH_C] * (v * abs(v) + p[BOTH_R] * v * v)
     if p[POWER_C] != 0.0:
         u = v / p[POWER_C_V]
         force += p[POWER_C] * u * (u * u + ROUNDED**2) ** (0.5 * (p[POWER_C_N] - 1.0))

@@ -38,6 +38,7 @@ WORDS: dict[str, str] = {
     "quadratic_damping": "drag",
     "cubic_damping": "drag",
     "power_damping": "drag",
+    "asymmetric_drag": "drag",
     "displacement_dependent_damping": "displacement_damping",
     "absolute_displacement_damping": "displacement_damping",
     "maxwell_element": "other",
@@ -52,6 +53,8 @@ _RIGHTLY: dict[str, set[str]] = {
     "offset_freeplay": {"clearance", "asymmetry"},
     "one_sided_stiffness": {"clearance", "asymmetry"},
     "hertz_contact": {"clearance", "asymmetry"},
+    # The square of the speed alike in both directions moves the mid-line, as below.
+    "asymmetric_drag": {"drag", "asymmetry"},
     # A magnet on one side pulls with even powers of the displacement first, and softens with the third.
     "magnetic_attraction": {"asymmetry", "spring"},
     # Net damping is small at low speed and rises to the viscous damper's at high speed.

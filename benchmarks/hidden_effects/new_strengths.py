@@ -65,6 +65,12 @@ def _absolute(strength: float, rng: np.random.Generator, k: float, big: float, o
     return {"absolute_displacement_damping": strength / _ratio(unit, k, big)}, strength
 
 
+def _two_way(strength: float, rng: np.random.Generator, k: float, big: float, omega: float) -> Drawn:
+    unit = _work(_SINE * np.abs(_SINE) * (omega * big) ** 2, big)
+    asymmetry = float(rng.choice((-1.0, 1.0)) * rng.uniform(0.2, 1.0))
+    return {"asymmetric_drag": strength / _ratio(unit, k, big), "drag_asymmetry": asymmetry}, strength
+
+
 def _dahl(strength: float, rng: np.random.Generator, k: float, big: float, omega: float) -> Drawn:
     way = log_uniform(rng, 0.1, 0.8) * big
     # The steady loop between -A and A, whose ends are way * tanh(A / way).
@@ -153,6 +159,7 @@ def _structural(strength: float, rng: np.random.Generator, k: float, big: float,
 
 _DRAWN: dict[str, Callable[[float, np.random.Generator, float, float, float], Drawn]] = {
     "absolute_displacement_damping": _absolute,
+    "asymmetric_drag": _two_way,
     "dahl_friction": _dahl,
     "hertz_contact": _hertz,
     "magnetic_stiffness": _magnets,

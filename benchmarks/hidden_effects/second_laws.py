@@ -134,7 +134,7 @@ def _power_stiffness(p: Values, release: float) -> Term:
 
 def _power_damping(p: Values, release: float) -> Term:
     f, n, unit = p["power_damping"], p["power_damping_exponent"], p["power_damping_speed"]
-    return Term(lambda x, v, s, at: f * v / unit * math.hypot(v / unit, 0.01) ** (n - 1.0))
+    return Term(lambda x, v, s, at: f * v / unit * math.hypot(v / unit, 1e-3) ** (n - 1.0))
 
 
 def _absolute(p: Values, release: float) -> Term:
@@ -176,6 +176,11 @@ def _deadband(p: Values, release: float) -> Term:
 def _one_way(p: Values, release: float) -> Term:
     c = p["one_way_drag"]
     return Term(lambda x, v, s, at: c * v * v if s > 0.0 else 0.0)
+
+
+def _asymmetric_drag(p: Values, release: float) -> Term:
+    c, r = p["asymmetric_drag"], p["drag_asymmetry"]
+    return Term(lambda x, v, s, at: c * (s + r) * v * v)
 
 
 def _jenkins(p: Values, release: float) -> Term:
@@ -229,6 +234,7 @@ TERMS: dict[str, Callable[[Values, float], Term]] = {
     "linear": _polynomial("linear_stiffness", 1),
     "viscous": _of_speed("viscous_damping", 1),
     "absolute_displacement_damping": _absolute,
+    "asymmetric_drag": _asymmetric_drag,
     "bilinear_stiffness": _bilinear,
     "bouc_wen": _bouc_wen,
     "coulomb_friction": _of_speed("friction_force", 0),

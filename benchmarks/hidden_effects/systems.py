@@ -36,6 +36,7 @@ LIBRARY: dict[str, tuple[str, ...]] = {
 
 NEW: dict[str, tuple[str, ...]] = {
     "absolute_displacement_damping": ("absolute_displacement_damping",),
+    "asymmetric_drag": ("asymmetric_drag", "drag_asymmetry"),
     "dahl_friction": ("dahl_stiffness", "dahl_force"),
     "hertz_contact": ("hertz_stiffness", "hertz_gap"),
     "magnetic_stiffness": ("magnet_force", "magnet_distance", "magnet_exponent"),

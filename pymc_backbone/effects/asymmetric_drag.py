@@ -27,12 +27,12 @@ EFFECT = Effect(
     name="asymmetric_drag",
     summary="Drag that is stronger in one direction: damping rises with amplitude, and the mid-line moves.",
     text="asymmetric_drag x' |x'| (1 + drag_asymmetry sign(x'))",
-    latex=r"c_a \dot{x} \left|\dot{x}\right| \left(1 + a_d \operatorname{sign} \dot{x}\right)",
+    latex=r"c_w \dot{x} \left|\dot{x}\right| \left(1 + r_w \operatorname{sign} \dot{x}\right)",
     parameters=(
         Parameter(
             name="asymmetric_drag",
             unit="N s^2/m^2",
-            latex="c_a",
+            latex="c_w",
             summary="coefficient of the quadratic damper, mean of both directions",
             role="strength",
             bounds=lambda mass, amplitude, angular_frequency: (0.0, 0.5 * mass / amplitude),
@@ -40,10 +40,12 @@ EFFECT = Effect(
         Parameter(
             name="drag_asymmetry",
             unit="-",
-            latex="a_d",
+            latex="r_w",
             summary="1: only while the displacement rises; -1: only while it falls; 0: alike",
             role="shape",
             bounds=lambda mass, amplitude, angular_frequency: (-1.0, 1.0),
+            minimum=-1.0,
+            maximum=1.0,
         ),
     ),
     force=force,
