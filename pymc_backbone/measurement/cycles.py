@@ -138,10 +138,11 @@ def extract_cycles(record: Any, *, noise: float | ArrayLike | None = None) -> Cy
     measured = getattr(record, "measured", None)
     if measured is None or measured.slow_noise is None or measured.order:
         return cycles
-    modes = measured.slow_noise.modes(measured.time, float(measured.autocovariance[0]))
-    here = np.array([np.interp(cycles.time, measured.time, mode) for mode in modes.T]).reshape(-1, len(cycles)).T
-    size = float(np.sqrt((modes**2).sum(axis=1).mean()))  # the zero was taken from where it happened to be
-    return _with_zero_errors(cycles, np.column_stack([here, np.full(len(cycles), size)]))
+    slow, time, noise = measured.slow_noise, measured.time, float(measured.autocovariance[0])
+    # the zero was taken from where it happened to be
+    size = slow.size(float(time[-1] - time[0]) / (time.size - 1), time.size, noise)
+    modes = slow.modes(time, noise, cycles.time)
+    return _with_zero_errors(cycles, np.column_stack([modes, np.full(len(cycles), size)]))
 
 
 @with_one_thread

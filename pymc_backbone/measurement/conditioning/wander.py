@@ -74,15 +74,18 @@ class Wander:
 
     def note(self, path: Track, sampling_rate: float, spectrum: NoiseSpectrum, unit: str) -> str:
         """Return a sentence that says by how much."""
-        time = np.arange(int(float(path.time[-1]) * sampling_rate)) / sampling_rate
-        size = float(np.sqrt((self.modes(time, spectrum.total**2) ** 2).sum(axis=1).mean()))
+        size = self.size(1.0 / sampling_rate, int(float(path.time[-1]) * sampling_rate), spectrum.total**2)
         return (
             f"the sensor's zero wanders slower than the motion, by some {size:.2g} {unit}: that is counted as "
             "noise, not as the structure's mid-line"
         )
 
-    def modes(self, time: FloatArray, noise: float) -> FloatArray:
-        """Return the slow noise as columns (n, k): a record of it is these times independent standard normal numbers.
+    def size(self, step: float, count: int, noise: float) -> float:
+        """Return the root mean square of the slow noise in so many samples, ``step`` [s] apart."""
+        return float(np.sqrt(self._variances(step, count, noise)[1].sum() / count))
+
+    def modes(self, time: FloatArray, noise: float, at: FloatArray | None = None) -> FloatArray:
+        """Return the slow noise as columns (m, k): a record of it is these times independent standard normal numbers.
 
         Parameters
         ----------
@@ -90,13 +93,19 @@ class Wander:
             Instants [s], uniform, rising.
         noise : float
             Variance of the other noise of a sample at these instants [unit^2]; what is far below it is left out.
+        at : (m,) array, optional
+            Instants [s] at which the columns are wanted; by default ``time``.
         """
         step = float(time[-1] - time[0]) / (time.size - 1)
-        k = np.arange(1, min(_MOST_MODES, time.size // 2) + 1)
-        variance = 0.5 * self.at(k / (2.0 * step * time.size)) / step
-        k, variance = k[variance > _SEEN * noise], variance[variance > _SEEN * noise]
-        phase = np.pi * (np.arange(time.size) + 0.5) / time.size
-        return np.cos(np.outer(phase, k)) * np.sqrt(2.0 / time.size * variance)
+        k, variance = self._variances(step, time.size, noise)
+        place = ((time if at is None else at) - time[0]) / step + 0.5
+        return np.cos(np.outer(np.pi / time.size * place, k)) * np.sqrt(2.0 / time.size * variance)
+
+    def _variances(self, step: float, count: int, noise: float) -> tuple[FloatArray, FloatArray]:
+        """Return numbers (k,) of half waves in so many samples, and the variance of each that counts."""
+        k = np.arange(1.0, min(_MOST_MODES, count // 2) + 1.0)
+        variance = 0.5 * self.at(k / (2.0 * step * count)) / step
+        return k[variance > _SEEN * noise], variance[variance > _SEEN * noise]
 
 
 def find_wander(
