@@ -28,7 +28,6 @@ from .memory import (
     memory_of,
 )
 from .pointers import address
-from .symmetry import IS_SYMMETRIC, WEIGH_STATES
 
 
 class Run(NamedTuple):
@@ -49,8 +48,6 @@ def define() -> None:
     COUNTED.define()
     HALF_CYCLE.define()
     LOAD_STATES.define()
-    IS_SYMMETRIC.define()
-    WEIGH_STATES.define()
 
 
 @compiled
