@@ -36,7 +36,6 @@ LIBRARY: dict[str, tuple[str, ...]] = {
 
 NEW: dict[str, tuple[str, ...]] = {
     "absolute_displacement_damping": ("absolute_displacement_damping",),
-    "asymmetric_drag": ("asymmetric_drag", "drag_asymmetry"),
     "dahl_friction": ("dahl_stiffness", "dahl_force"),
     "hertz_contact": ("hertz_stiffness", "hertz_gap"),
     "magnetic_stiffness": ("magnet_force", "magnet_distance", "magnet_exponent"),
@@ -47,6 +46,7 @@ NEW: dict[str, tuple[str, ...]] = {
     "power_stiffness": ("power_stiffness", "power_stiffness_exponent", "power_stiffness_displacement"),
     "stribeck_friction": ("kinetic_friction", "stribeck_excess", "stribeck_speed"),
     "structural_damping": ("structural_damping",),
+    "asymmetric_drag": ("asymmetric_drag", "drag_asymmetry"),  # last: batches of the others stay what they were
 }
 """Effects that the package holds beside these, as variants or to be named, with its names of their parameters."""
 
