@@ -501,7 +501,7 @@ def test_normal_equations_equal_those_of_the_whole_matrix(cubic_batch):
     scale = np.linalg.norm(dense, axis=0)
     expected = np.linalg.lstsq(dense / scale, target, rcond=None)[0] / scale
     assert system.cost == pytest.approx(float(target @ target), rel=1e-12)
-    step, own_step = joint_fit._step(layout, system, state, active, 0.0)
+    step, own_step = joint_fit._step(layout, system, state, active, 0.0, SCATTER)
     # squaring the matrix squares its condition number, scaled about 1e4
     np.testing.assert_allclose(step, expected[:1], rtol=1e-6)
     np.testing.assert_allclose(own_step.ravel(), expected[1:], rtol=1e-5, atol=1e-9 * np.abs(expected[1:]).max())

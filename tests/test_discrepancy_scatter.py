@@ -35,8 +35,8 @@ def backbones(factors: np.ndarray) -> Batch:
     return batch_of_backbones(MASS, data.assign(value=(dims, noisy), standard_error=(dims, error)))
 
 
-def fitted(batch: Batch) -> Fit:
-    layout = make_layout(Oscillator(MASS, ["cubic_stiffness"]), batch.amplitude, batch.angular_frequency)
+def fitted(batch: Batch, scatter: float = SCATTER) -> Fit:
+    layout = make_layout(Oscillator(MASS, ["cubic_stiffness"]), batch.amplitude, batch.angular_frequency, scatter)
     found = fit(layout, batch.levels, start_state(layout, np.array([CUBIC]), batch.own), nuisances=(0, 1))
     assert found is not None
     return found
@@ -85,13 +85,12 @@ def test_specimens_that_are_alike_are_more_probable_with_little_scatter():
     assert unlike.low > 0.15
 
 
-def test_a_newton_step_stands_for_the_fit_with_another_scatter(monkeypatch):
+def test_a_newton_step_stands_for_the_fit_with_another_scatter():
     """The evidence at twice the scatter, by a Newton step from one fit, against that of a fit made with it."""
     batch = backbones(factors_of(0.2, 6))
     found = fitted(batch)
     predicted = joint_fit._log_likelihood(found, 2.0) - joint_fit._log_likelihood(found, 1.0)
-    monkeypatch.setattr(joint_fit, "SCATTER", 2.0 * SCATTER)
-    again = fitted(batch)
+    again = fitted(batch, 2.0 * SCATTER)
     assert again.penalty < 0.5 * found.penalty  # negative control: it is another fit
     whole = joint_fit._log_likelihood(again, 1.0) - joint_fit._log_likelihood(found, 1.0)
     assert predicted == pytest.approx(whole, abs=0.1)
@@ -134,3 +133,55 @@ def test_specimens_that_differ_by_a_third_are_fitted_to_the_minimum():
     start = np.concatenate([[1.0], np.tile([1.0, 1.0, 0.0], len(terms))])
     other = least_squares(residuals, start, x_scale="jac", xtol=1e-14, ftol=1e-14, max_nfev=60)
     assert found.cost == pytest.approx(2.0 * other.cost, abs=0.01)
+
+
+def test_a_deviation_ends_where_its_parameter_has_its_limit():
+    """Bouc-Wen hysteresis with the least exponent there is: no specimen pays for one that is below it.
+
+    The minimum is that of SciPy's least squares with the deviations bounded as the parameters are.
+    """
+    truth = Oscillator(MASS, ["bouc_wen"])
+    stiffness, slip = 0.25 * SPRING, 0.3 * AMPLITUDE
+    factors = factors_of(0.2, 4)
+    rows = np.array([[SPRING, DAMPER, stiffness * f, 1.0, 1.0, 0.5 / slip, 0.5 / slip, 1.0] for f in factors])
+    data = simulate_population(truth, rows, np.geomspace(0.12, 0.9, 8) * AMPLITUDE, OBSERVABLES).drop_vars("covariance")
+    typical = np.abs(data["value"].values)
+    error = np.stack([1e-4 * typical[:, 0], 5e-3 * typical[:, 1], np.full_like(typical[:, 0], 1e-3)], axis=1)
+    noisy = data["value"].values + error * np.random.default_rng(8).standard_normal(error.shape)
+    dims = data["value"].dims
+    batch = batch_of_backbones(MASS, data.assign(value=(dims, noisy), standard_error=(dims, error)))
+    layout = make_layout(truth, batch.amplitude, batch.angular_frequency)
+    exponent = layout.names.index("bouc_wen_exponent")
+    eta = layout.coordinates(np.array([stiffness, 0.5 / slip, 0.5 / slip, 1.0]))
+    found = fit(layout, batch.levels, start_state(layout, eta, batch.own), nuisances=(0, 1), iterations=80)
+    assert found is not None and found.is_converged
+    assert found.state.eta[exponent] == pytest.approx(1.0, abs=0.02)
+    values = found.state.eta * (1.0 + SCATTER * found.state.own[:, normal_equations.NUISANCES :])
+    assert np.all(values >= layout.low - 1e-9 * np.abs(layout.low))
+    assert np.isfinite(found.scatter.value)  # at a minimum a step promises nothing
+
+    count, q = len(batch.levels), layout.free.size
+    terms = batch.levels
+    scale = np.maximum(np.abs(found.state.eta), 1e-3)
+
+    def state_of(x: np.ndarray) -> normal_equations.State:
+        own = found.state.own.copy()
+        each = x[q:].reshape(count, 2 + q)
+        own[:, :2], own[:, -q:] = each[:, :2] * found.state.own[:, :2], each[:, 2:]
+        shared = x[:q] * scale
+        return normal_equations.State(shared, own)
+
+    def residuals(x: np.ndarray) -> np.ndarray:
+        state = state_of(x)
+        parts = [
+            term.compare(layout.simulator, joint_fit.parameters_of(layout, state, r), np.zeros(5))[0]
+            for r, term in enumerate(terms)
+        ]
+        return np.concatenate([*parts, state.own[:, -q:].ravel()])
+
+    start = np.concatenate([found.state.eta / scale, *(
+        np.concatenate([np.ones(2), own[-q:]]) for own in found.state.own)])  # fmt: skip
+    low, high = np.full(start.size, -np.inf), np.full(start.size, np.inf)
+    low[:q], high[:q] = layout.low / scale - 1e-9, layout.high / scale + 1e-9
+    other = least_squares(residuals, np.clip(start, low + 1e-9, high), bounds=(low, high), x_scale="jac", max_nfev=40)
+    assert found.cost == pytest.approx(2.0 * other.cost, abs=0.1)

@@ -20,7 +20,6 @@ from .._common.threads import in_threads
 from .data_term import DataTerm
 from .joint_fit import Fit
 from .normal_equations import DRIFTS, NUISANCES, derivatives, parameters_at, prior_width, symmetric
-from .scatter import SCATTER
 
 _MOST_STEPS = 4
 _NEAR = 0.5  # fall of minus twice the log-likelihood that a further step promises, up to which its promise is kept
@@ -91,7 +90,7 @@ class Conditional:
     def __init__(self, found: Fit, terms: Sequence[DataTerm], sizes: FloatArray, floor: FloatArray) -> None:
         self.found, self.layout = found, found.layout
         self.index = np.flatnonzero(found.active)
-        self.scatter = SCATTER if found.active[NUISANCES:].any() else 0.0
+        self.scatter = found.layout.scatter if found.active[NUISANCES:].any() else 0.0
         self.prior = (self.index >= DRIFTS[0]).astype(np.float64)
         self.cycles = float(sum(term.cycles for term in terms))
         self.simulated = 0.0

@@ -19,7 +19,6 @@ from .data_term import DataTerm
 from .evidence import effective_size
 from .joint_fit import Fit
 from .normal_equations import DRIFTS, NUISANCES, State, System, linearise
-from .scatter import SCATTER
 from .tabulated import DAMPING, STIFFNESS, Tabulated
 
 _FIRST = 1e2  # precision of a bend at first: second derivatives of a tenth of the scale over the range
@@ -222,7 +221,7 @@ class _At:
 
 
 def _evaluated(tabulated: Tabulated, terms: Sequence[DataTerm], state: State, frame: _Frame) -> _At | None:
-    scatter = SCATTER if len(terms) > 1 else 0.0
+    scatter = tabulated.layout.scatter if len(terms) > 1 else 0.0
     system = linearise(tabulated.layout, terms, state, scatter, frame.active)
     return None if system is None else _At(state, system)
 

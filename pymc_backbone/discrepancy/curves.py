@@ -15,7 +15,6 @@ from .data_term import LevelTerm
 from .joint_fit import Fit, fit, parameters_of
 from .layout import Layout
 from .normal_equations import NUISANCES, State, linearise, start_state
-from .scatter import SCATTER
 
 _NEAR = 2.0  # reduced chi-square
 NO_NUISANCES = np.zeros(5)  # levels see none of them
@@ -150,7 +149,7 @@ def level_chi_square(batch: Batch, found: Fit) -> float:
 def prediction_errors(found: Fit, terms: list[LevelTerm], levels: FloatArray) -> FloatArray:
     """Return standard errors (specimen, 3, l) of what a fit to ``terms`` predicts at ``levels``."""
     q = found.layout.free.size
-    scatter = SCATTER if len(terms) > 1 else 0.0
+    scatter = found.layout.scatter if len(terms) > 1 else 0.0
     active = np.zeros(NUISANCES + q, dtype=bool)
     active[:2] = True
     active[NUISANCES:] = scatter > 0.0

@@ -24,6 +24,7 @@ _ITERATIONS = 6
 _ENOUGH = 0.3  # gain of the logarithm of the evidence below which an iteration was the last
 _CUTS = (1.0, 0.3, 0.08)
 _FIRST = (5, 2)  # size and noise that the first look begins with
+_MOST_SCATTER = 6.0  # standard deviations that a specimen may differ
 _ROUNDING = 1e-9  # of information scaled to a unit diagonal
 
 
@@ -159,13 +160,14 @@ class DepartingSets(Departures):
     def _point(self, layout: Layout, state: State, choice: Choice, drifts: str) -> Point | None:
         """Return residuals and derivatives of a set at a state; None where a level cannot be simulated."""
         q, specimens = layout.free.size, len(self.kept)
+        scatter = layout.scatter if specimens > 1 else 0.0
         common = 2 if drifts == "common" else 0
         own = _OWN + q + (2 if drifts else 0)
         residuals = np.zeros(self.owner.size)
         jacobian = np.zeros((self.owner.size, q + common + specimens * own))
         for r, (observable, level) in enumerate(self.kept):
             delta = state.own[r, NUISANCES:]
-            effects, slopes = layout.physical(state.eta, delta, self.scatter)
+            effects, slopes = layout.physical(state.eta, delta, scatter)
             vector = layout.template.copy()
             vector[:2], vector[layout.free] = state.own[r, :2], effects
             reached = np.unique(level)
@@ -180,10 +182,10 @@ class DepartingSets(Departures):
             residuals[at] = self.values[at] - values[pick]
             by_effects = derivatives[pick][:, layout.free] @ slopes
             first = q + common + r * own
-            jacobian[at, :q] = by_effects * (1.0 + self.scatter * delta)
+            jacobian[at, :q] = by_effects * (1.0 + scatter * delta)
             jacobian[at, first : first + 2] = derivatives[pick][:, :2]
             jacobian[at, first + 2] = np.where(observable == 2, 1.0 / self.levels[level], 0.0)
-            jacobian[at, first + _OWN : first + _OWN + q] = by_effects * (state.eta * self.scatter)
+            jacobian[at, first + _OWN : first + _OWN + q] = by_effects * (state.eta * scatter)
             for o in range(2 if drifts else 0):
                 drift = np.where(observable == o, self.units[o, level] * self.changes[o] * self.elapsed[at], 0.0)
                 jacobian[at, first + _OWN + q + o] = drift
@@ -195,7 +197,7 @@ class DepartingSets(Departures):
         for r in range(specimens):
             base = (_OWN_WIDTHS[0] * rough[r, 0], _OWN_WIDTHS[1] * rough[r, 1], _OWN_WIDTHS[2] * self.batch.amplitude)
             drifting = np.full(2 if drifts else 0, 2.0 * (OWN_SHARE if common else 1.0))
-            widths += [np.array(base), np.full(q, 1.0 if self.scatter else 0.0), drifting]
+            widths += [np.array(base), np.full(q, 1.0 if scatter else 0.0), drifting]
             pull += [np.zeros(_OWN), state.own[r, NUISANCES:], np.zeros(drifting.size)]
         columns = q + common + np.arange(specimens * own).reshape(specimens, own)
         point = Point(
@@ -287,13 +289,21 @@ class DepartingSets(Departures):
             own = point.state.own.copy()
             own[:, :2] += length * step[1][:, :2]
             own[:, 1] = np.maximum(own[:, 1], 0.0)
-            own[:, NUISANCES:] = np.clip(own[:, NUISANCES:] + length * step[1][:, 2 : 2 + q], -6.0, 6.0)
+            low, high = self._room(layout, eta)
+            own[:, NUISANCES:] = np.clip(own[:, NUISANCES:] + length * step[1][:, 2 : 2 + q], low, high)
             if not (np.isfinite(own).all() and np.isfinite(eta).all() and (own[:, 0] > 0.0).all()):
                 continue
             trial = self._point(layout, State(eta, own), point.choice, point.drifts)
             if trial is not None and trial.log_evidence > point.log_evidence:
                 return self._near(trial, 1)
         return None
+
+    def _room(self, layout: Layout, eta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the deviations (q,) that no specimen goes beyond: the most, or where a coordinate has its limit."""
+        if len(self.kept) < 2:
+            return np.zeros(eta.size), np.zeros(eta.size)
+        low, high = layout.room(eta, layout.scatter)
+        return np.maximum(low, -_MOST_SCATTER), np.minimum(high, _MOST_SCATTER)
 
     def _step(self, point: Point) -> tuple[FloatArray, FloatArray] | None:
         """Return the step of the shared coordinates, and that of stiffness, damping and deviations of each specimen."""
@@ -303,6 +313,10 @@ class DepartingSets(Departures):
         low = (point.state.eta <= point.layout.low) & (right[:q] <= 0.0)
         high = (point.state.eta >= point.layout.high) & (right[:q] >= 0.0)
         moved = np.concatenate([~(low | high), np.ones(m - q, dtype=bool)])
+        edges = self._room(point.layout, point.state.eta)
+        for r, columns in enumerate(point.own[:, _OWN : _OWN + q]):
+            delta, wanted = point.state.own[r, NUISANCES:], right[columns]
+            moved[columns] = ~(((delta <= edges[0]) & (wanted < 0.0)) | ((delta >= edges[1]) & (wanted > 0.0)))
         try:
             information = products[:m, :m] + np.eye(m)
             solved = np.linalg.solve(information[np.ix_(moved, moved)], right[moved])

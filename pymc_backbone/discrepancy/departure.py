@@ -13,7 +13,6 @@ import numpy as np
 from .._common.checks import FloatArray, IntArray
 from .batch import Batch
 from .looks import level_data
-from .scatter import SCATTER
 
 SIZES = np.array([0.0, 0.003, 0.007, 0.016, 0.037, 0.085, 0.2, 0.45, 1.0])
 """Standard deviations of a departure, in units of the force whose change with amplitude is measured."""
@@ -64,7 +63,6 @@ class Departures:
         )
         self.levels = data.levels[thinned]
         self.nodes = np.log(self.levels)
-        self.scatter = SCATTER if len(batch.levels) > 1 else 0.0
         kept: list[tuple[IntArray, IntArray]] = []  # of each specimen: places in its values, levels
         owner, observable, level, values, blocks = [], [], [], [], []
         for r, count in enumerate(data.count):

@@ -20,6 +20,7 @@ from .joint_fit import Fit
 from .layout import Layout, make_layout
 from .normal_equations import State
 from .propose import Proposal, propose
+from .scatter import SCATTER
 from .set_fits import Set
 
 Progress = Callable[[str, float], None]
@@ -60,6 +61,8 @@ class FittedSets:
         Relative change of frequency and damping that does not matter.
     refuted : set of tuple of str
         Sets that were not fitted to the samples, because the turning points leave no doubt.
+    scatter : float
+        How much the effects are taken to differ between specimens, relative to their value.
     """
 
     batch: Batch
@@ -79,6 +82,7 @@ class FittedSets:
     varied: dict[Set, Proposal] = field(default_factory=dict)
     limited: tuple[Fit | None, float] = (None, np.inf)
     refuted: set[Set] = field(default_factory=set)
+    scatter: float = SCATTER
 
     def __post_init__(self) -> None:
         self.descent = Descent(self.batch)
@@ -108,6 +112,17 @@ class FittedSets:
         values = sum(term.size for term in self.batch.levels)
         known = [item.chi_square for item in proposals if item.is_exact]
         return not known or min(known) <= POSSIBLE_BACKBONE * values
+
+    def _mind_scatter(self) -> None:
+        """Begin again with effects that differ more between specimens, where only so a set explains the backbones."""
+        asked = next(iter(self.proposals.values())).scatter
+        if asked == self.scatter or not self._is_any_possible(self.proposals.values()):
+            return
+        before, self.scatter = self.fits, asked
+        self.fits, self.failed, self.layouts, self.asked, self.limited = {}, {}, {}, {}, (None, np.inf)
+        self.refuted.clear()
+        if self.fit_set(()) is None:
+            self.fits, self.scatter, self.layouts = before, SCATTER, {}
 
     @property
     def has_proposals(self) -> bool:
@@ -141,7 +156,9 @@ class FittedSets:
         """Return the layout of the base with these effects."""
         if names not in self.layouts:
             extended = self.base + [self.own.get(name, name) for name in names]
-            self.layouts[names] = make_layout(extended, self.batch.amplitude, self.batch.angular_frequency)
+            self.layouts[names] = make_layout(
+                extended, self.batch.amplitude, self.batch.angular_frequency, self.scatter
+            )
         return self.layouts[names]
 
     def mechanism_of(self, name: str) -> str:

@@ -95,8 +95,9 @@ def fit_remainder(batch: Batch, oscillator: Oscillator, start: Fit | None = None
     fast anywhere, or faster close to rest: whichever the evidence asks for, with what the other says added to the
     errors.
     """
+    scatter = SCATTER if start is None else start.layout.scatter
     lowest = min(float(np.abs(term.values[-_AMONG:]).max()) for term in batch.turning)
-    tabulated = tabulate(oscillator, batch, max(lowest, _LEAST_REACH * batch.amplitude))
+    tabulated = tabulate(oscillator, batch, max(lowest, _LEAST_REACH * batch.amplitude), scatter=scatter)
     begun = fit_curves(tabulated, batch.levels, _began(tabulated, batch, start), nuisances=(0, 1), iterations=15)
     if begun is None:
         return None
@@ -117,7 +118,7 @@ def fit_remainder(batch: Batch, oscillator: Oscillator, start: Fit | None = None
     found = fit_curves(tabulated, batch.waveform, state, nuisances=_NUISANCES, precisions=precisions)
     if found is None:
         return None
-    sharp = tabulate(oscillator, batch, tabulated.reach, is_sharp=True)
+    sharp = tabulate(oscillator, batch, tabulated.reach, is_sharp=True, scatter=scatter)
     other = fit_curves(sharp, batch.waveform, found.fit.state, nuisances=_NUISANCES, precisions=found.precisions)
     if other is None:
         return _widened(batch, found)
@@ -219,7 +220,7 @@ def _centred(found: CurveFit, state: State) -> State:
     for effect in (STIFFNESS, DAMPING):
         places = found.tabulated.places(effect)
         mean = float(own[:, NUISANCES + places[0]].mean())
-        eta[places] *= 1.0 + SCATTER * mean
+        eta[places] *= 1.0 + found.fit.layout.scatter * mean
         own[:, NUISANCES + places] -= mean
     return State(eta, own)
 
@@ -229,7 +230,7 @@ def _with_sizes(solved: CurveFit) -> Fit:
     covariance, own = solved.fit.covariance.copy(), solved.fit.state.own.copy()
     for effect in (STIFFNESS, DAMPING):
         places = solved.tabulated.places(effect)
-        sizes = SCATTER * own[:, NUISANCES + places[0]]
+        sizes = solved.fit.layout.scatter * own[:, NUISANCES + places[0]]
         values = solved.fit.state.eta[places]
         covariance[np.ix_(places, places)] += float((sizes**2).mean()) * np.outer(values, values)
         own[:, NUISANCES + places] = 0.0

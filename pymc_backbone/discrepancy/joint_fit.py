@@ -30,7 +30,7 @@ from .normal_equations import (
     prior_width,
     symmetric,
 )
-from .scatter import NO_SCATTER, SCATTER, Scatter, infer_scatter
+from .scatter import NO_SCATTER, Scatter, infer_scatter
 
 _FIRST_DAMPING = 1e-3
 _LARGEST_DAMPING = 1e8
@@ -94,10 +94,8 @@ class Fit:
         """
         if not self.active[NUISANCES:].any():
             return self.state.eta
-        delta = self.state.own[:, NUISANCES:]
-        middle: FloatArray = np.clip(self.state.eta * (1.0 + SCATTER * delta), self.layout.low, self.layout.high).mean(
-            axis=0
-        )
+        factors = 1.0 + self.layout.scatter * self.state.own[:, NUISANCES:]
+        middle: FloatArray = np.clip(self.state.eta * factors, self.layout.low, self.layout.high).mean(axis=0)
         return middle
 
     @cached_property
@@ -111,7 +109,8 @@ class Fit:
         stepped = _stepped(self, 1.0, is_bounded=True)
         if stepped is None or not self.cost - stepped.cost < _AT_REST:
             return NO_SCATTER
-        return infer_scatter(lambda width: _log_likelihood(self, width / SCATTER))
+        assumed = self.layout.scatter
+        return infer_scatter(lambda width: _log_likelihood(self, width / assumed), assumed)
 
     def parameters(self, specimen: int) -> FloatArray:
         """Return the full parameter vector of one specimen."""
@@ -120,7 +119,7 @@ class Fit:
 
 def parameters_of(layout: Layout, state: State, specimen: int) -> FloatArray:
     """Return the full parameter vector of one specimen at a point of the fit."""
-    return parameters_at(layout, state.eta, state.own[specimen], SCATTER)[0]
+    return parameters_at(layout, state.eta, state.own[specimen], layout.scatter)[0]
 
 
 def fit(
@@ -159,11 +158,11 @@ def fit(
         A cost that is low enough for what comes after: the fit ends below it, not at rest.
     """
     q = layout.free.size
-    scatter = SCATTER if has_scatter and len(terms) > 1 else 0.0
+    scatter = layout.scatter if has_scatter and len(terms) > 1 else 0.0
     active = np.zeros(NUISANCES + q, dtype=bool)
     active[list(nuisances)] = True
     active[NUISANCES:] = scatter > 0.0
-    state = State(np.clip(state.eta, layout.low, layout.high), state.own.copy())
+    state = _within(layout, State(np.clip(state.eta, layout.low, layout.high), state.own.copy()), scatter)
     system = linearise(layout, terms, state, scatter, active)
     if system is None:
         return None
@@ -210,14 +209,14 @@ def _tried(
     layout: Layout, terms: Sequence[DataTerm], state: State, system: System, active: Any, damping: float, scatter: float
 ) -> _Tried:
     """Return where the step with this damping leads, limits and valleys minded."""
-    step = _step(layout, system, state, active, damping)
+    step = _step(layout, system, state, active, damping, scatter)
     if step is None:
         return _Tried(state, None, 0)
     proposal = State(np.clip(state.eta + step[0], layout.low, layout.high), state.own + step[1])
     proposal.own[:, 1] = np.maximum(proposal.own[:, 1], 0.0)
     np.clip(proposal.own[:, DRIFTS[0] :], -_MOST_SCATTER, _MOST_SCATTER, out=proposal.own[:, DRIFTS[0] :])
     if scatter > 0.0:
-        proposal = _recentred(layout, proposal, scatter)
+        proposal = _within(layout, _recentred(layout, proposal, scatter), scatter)
     if not np.isfinite(proposal.own).all() or not _is_trusted(state, proposal):
         return _Tried(state, None, 0)
     reached = linearise(layout, terms, proposal, scatter, active)
@@ -278,12 +277,12 @@ def _recentred(layout: Layout, state: State, scatter: float) -> State:
     return state if np.any(np.abs(own[:, NUISANCES:]) > _MOST_SCATTER) else State(eta, own)
 
 
-def _step(layout: Layout, system: System, state: State, active: Any, damping: float) -> Any:
+def _step(layout: Layout, system: System, state: State, active: Any, damping: float, scatter: float) -> Any:
     """Return the step of the shared and the own values, limits minded."""
     q = layout.free.size
     held = np.zeros((state.own.shape[0], NUISANCES + q), dtype=bool)
     held[:, 1] = (state.own[:, 1] <= 0.0) & (system.own_gradient[:, 1] < 0.0)
-    held[:, DRIFTS[0] :] = _leans(state.own, system.own_gradient)[:, DRIFTS[0] :]
+    held[:, DRIFTS[0] :] = _leans(layout, state, system.own_gradient, scatter)[:, DRIFTS[0] :]
     eliminated = eliminate(system, active, damping, held)
     if eliminated is None:
         return None
@@ -308,9 +307,32 @@ def _step(layout: Layout, system: System, state: State, active: Any, damping: fl
     return step, own
 
 
-def _leans(own: FloatArray, gradient: FloatArray) -> npt.NDArray[np.bool_]:
-    """Return which of the specimens' own values (r, 7 + q) want beyond the most that they may differ."""
-    leans: npt.NDArray[np.bool_] = (np.abs(own) >= _MOST_SCATTER - 1e-9) & (np.sign(own) * gradient > 0.0)
+def _within(layout: Layout, state: State, scatter: float) -> State:
+    """Return the same with no specimen's parameter beyond its limits, where its deviation would cost and do nothing."""
+    if scatter == 0.0 or not layout.free.size:
+        return state
+    low, high = layout.room(state.eta, scatter)
+    own = state.own.copy()
+    np.clip(own[:, NUISANCES:], low, high, out=own[:, NUISANCES:])
+    return State(state.eta, own)
+
+
+def _leans(layout: Layout, state: State, gradient: FloatArray, scatter: float) -> npt.NDArray[np.bool_]:
+    """Return which of the specimens' own values (r, 7 + q) want beyond the most that they may differ.
+
+    Or beyond where the parameter that they stand for has its limit.
+    """
+    low = np.full(state.own.shape[1], -_MOST_SCATTER)
+    high = -low
+    if scatter > 0.0 and layout.free.size:
+        edges = layout.room(state.eta, scatter)
+        low[NUISANCES:], high[NUISANCES:] = (
+            np.maximum(low[NUISANCES:], edges[0]),
+            np.minimum(high[NUISANCES:], edges[1]),
+        )
+    leans: npt.NDArray[np.bool_] = ((state.own >= high - 1e-9) & (gradient > 0.0)) | (
+        (state.own <= low + 1e-9) & (gradient < 0.0)
+    )
     return leans
 
 
@@ -365,7 +387,7 @@ def _stepped(found: Fit, width: float, is_bounded: bool = False) -> _Stepped | N
     held = np.zeros(state.own.shape, dtype=bool)
     held[:, 1] = state.own[:, 1] <= 0.0
     if is_bounded:
-        held[:, DRIFTS[0] :] = _leans(state.own, system.own_gradient)[:, DRIFTS[0] :]
+        held[:, DRIFTS[0] :] = _leans(layout, state, system.own_gradient, layout.scatter)[:, DRIFTS[0] :]
     eliminated = eliminate(moved, active, 0.0, held)
     if eliminated is None:
         return None

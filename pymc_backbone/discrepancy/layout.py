@@ -10,6 +10,7 @@ from .._common.checks import BoolArray, FloatArray, IntArray
 from ..effects import BASE_EFFECTS, Role
 from ..oscillator import Oscillator
 from ..simulation.decay import Simulator
+from .scatter import SCATTER
 
 _BOX = 4.0
 _STIFFEST = 0.003  # slip displacement over amplitude
@@ -56,6 +57,8 @@ class Layout:
         Parameters behind the coordinates.
     ordinates : frozenset of int
         Coordinates that are forces of a tabulated curve, beside its strength: zero where nothing is known of it.
+    scatter : float
+        How much the coordinates differ between specimens, relative to their value.
     """
 
     oscillator: Oscillator
@@ -72,12 +75,23 @@ class Layout:
     amplitude: float
     names: tuple[str, ...]
     ordinates: frozenset[int] = frozenset()
+    scatter: float = SCATTER
 
     @property
     def held(self) -> dict[str, float]:
         """Values of the redundant parameters."""
         names = [name for effect in self.oscillator.effects for name, _ in effect.redundant]
         return {name: float(self.template[self.oscillator.index(name)]) for name in names}
+
+    def room(self, eta: FloatArray, scatter: float) -> tuple[FloatArray, FloatArray]:
+        """Return the deviations (q,) of a specimen at which its coordinates come to their lower or upper limits.
+
+        Beyond, a deviation does nothing. The first are not above zero, the second not below.
+        """
+        with np.errstate(divide="ignore", invalid="ignore"):
+            edges = (np.array([self.low, self.high]) / eta - 1.0) / scatter
+        edges = np.where(eta != 0.0, edges, np.array([[-np.inf], [np.inf]]))
+        return np.minimum(edges.min(axis=0), 0.0), np.maximum(edges.max(axis=0), 0.0)
 
     def physical(self, eta: FloatArray, delta: FloatArray, scatter: float) -> tuple[FloatArray, FloatArray]:
         """Return effect parameters (q,) of a specimen, and their derivatives (q, q) to its own coordinates."""
@@ -111,8 +125,8 @@ class Layout:
         return np.clip(eta, self.low, self.high)
 
 
-def make_layout(oscillator: Oscillator, amplitude: float, angular_frequency: float) -> Layout:
-    """Return the layout of an oscillator for records of this amplitude and frequency."""
+def make_layout(oscillator: Oscillator, amplitude: float, angular_frequency: float, scatter: float = SCATTER) -> Layout:
+    """Return the layout of an oscillator for records of this amplitude and frequency, ``scatter`` between specimens."""
     bounds = oscillator.default_bounds(amplitude, angular_frequency)
     template = np.zeros(len(oscillator.parameter_names))
     free: list[int] = []
@@ -167,4 +181,5 @@ def make_layout(oscillator: Oscillator, amplitude: float, angular_frequency: flo
         amplitude=amplitude,
         names=tuple(oscillator.parameter_names[i] for i in free),
         ordinates=frozenset(ordinates),
+        scatter=scatter,
     )

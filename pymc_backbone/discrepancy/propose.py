@@ -22,12 +22,10 @@ from ..oscillator import Oscillator
 from .batch import Batch
 from .look_kernels import N_LOOK
 from .looks import regression
-from .scatter import SCATTER
+from .scatter import SCATTER, WIDE_SCATTER
 from .set_fits import Point, Set, SetFits
 from .set_kernels import best_atoms
 
-WIDE_SCATTER = 0.33
-"""Scatter of the effects that is tried where that of most batches leaves the level values unexplained."""
 WORTH_A_SECOND_LOOK = 1.5
 """Reduced chi-square of the level values from which it is."""
 _STARTS = 3
@@ -64,6 +62,8 @@ class Proposal:
         For ranking, the prior of the set's size included.
     starts : tuple of (float, (q,) array, (r, 2) array)
         Minima found: chi-square, coordinates, own values; best first.
+    scatter : float
+        How much the effects were taken to differ between specimens.
     """
 
     names: Set
@@ -73,6 +73,7 @@ class Proposal:
     is_exact: bool
     log_evidence: float
     starts: tuple[tuple[float, FloatArray, FloatArray], ...]
+    scatter: float = SCATTER
 
 
 def propose(
@@ -124,7 +125,7 @@ class _Proposer:
         own: dict[str, Effect],
         scatter: float = SCATTER,
     ) -> None:
-        self.fits = SetFits(batch, base, candidates, own, scatter)
+        self.fits, self.scatter = SetFits(batch, base, candidates, own, scatter), scatter
         self.batch, self.candidates, self.data = batch, candidates, self.fits.data
         self.sets: list[Set] = [
             tuple(sorted(names)) for size in range(max_effects + 1) for names in combinations(candidates, size)
@@ -319,7 +320,9 @@ class _Proposer:
             if not starts:
                 layout = self.fits.layout(names)
                 empty = np.zeros(layout.free.size)
-                proposals.append(Proposal(names, empty, self.batch.own[:, :2], np.inf, False, -np.inf, ()))
+                proposals.append(
+                    Proposal(names, empty, self.batch.own[:, :2], np.inf, False, -np.inf, (), self.scatter)
+                )
                 continue
             best = min(starts, key=lambda item: (not item.is_exact, item.cost))
             proposals.append(
@@ -331,6 +334,7 @@ class _Proposer:
                     best.is_exact,
                     self.fits.log_evidence(names, best),
                     tuple((item.cost, item.eta, item.own) for item in starts),
+                    self.scatter,
                 )
             )
         proposals.sort(key=lambda item: -item.log_evidence)

@@ -17,7 +17,6 @@ from .descent import is_heavy
 from .evidence import UNEXPLAINED, Drifting
 from .joint_fit import Fit, fit
 from .normal_equations import DRIFTS, NUISANCES
-from .scatter import SCATTER
 from .search import Search, Set
 from .study import Check
 
@@ -222,20 +221,20 @@ def alike_check(batch: Batch, best: Fit) -> Check:
     name = "specimens alike"
     if len(batch.specimens) < 2:
         return Check(name, True, "one specimen only: nothing to compare")
-    delta = best.state.own[:, NUISANCES:]
+    delta, width = best.state.own[:, NUISANCES:], best.layout.scatter
     if delta.size:
         with np.errstate(divide="ignore", invalid="ignore"):  # from the middle of the specimens, in units of a scatter
-            delta = np.nan_to_num((best.state.eta * (1.0 + SCATTER * delta) / best.centre - 1.0) / SCATTER)
+            delta = np.nan_to_num((best.state.eta * (1.0 + width * delta) / best.centre - 1.0) / width)
         worst = int(np.argmax(np.abs(delta).max(axis=1)))
         size = float(np.abs(delta[worst]).max())
         if size > _ALIKE:
             return Check(
                 name,
                 False,
-                f"{batch.specimens[worst]} needs an effect {size * SCATTER:.0%} off that of the batch; look at its "
+                f"{batch.specimens[worst]} needs an effect {size * width:.0%} off that of the batch; look at its "
                 "record, or treat it apart",
             )
-        spread = SCATTER * float(np.sqrt((delta**2).mean()))
+        spread = width * float(np.sqrt((delta**2).mean()))
         return Check(name, True, f"the effects of the specimens scatter by {spread:.1%}")
     observables = [str(item) for item in batch.backbones["observable"].values]
     which = "frequency" if "frequency" in observables else observables[0]

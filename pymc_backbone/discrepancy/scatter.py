@@ -10,7 +10,9 @@ from scipy.interpolate import PchipInterpolator
 from scipy.special import logsumexp
 
 SCATTER = 0.1
-"""Scatter of an effect's parameters between specimens, relative to their value, that a fit is made with."""
+"""Scatter of an effect's parameters between specimens, relative to their value, that fits are made with."""
+WIDE_SCATTER = 0.33
+"""The same where that leaves the level values unexplained and this does not."""
 NARROWEST, WIDEST = 0.01, 0.5
 """Bounds of the log-uniform prior of the scatter."""
 _GRID = np.geomspace(NARROWEST, WIDEST, 18)
@@ -26,7 +28,7 @@ class Scatter(NamedTuple):
     value, low, high : float
         Relative standard deviation over specimens: median, 5 % and 95 % of the posterior. NaN where there is none.
     log_evidence : float
-        What the freedom of the scatter adds to the logarithm of the evidence at a scatter of `SCATTER`.
+        What the freedom of the scatter adds to the logarithm of the evidence at the scatter that the fit was made with.
     """
 
     value: float
@@ -39,16 +41,18 @@ NO_SCATTER = Scatter(float("nan"), float("nan"), float("nan"), 0.0)
 """Of fits without effects, or of one specimen."""
 
 
-def infer_scatter(log_likelihood: Callable[[float], float]) -> Scatter:
+def infer_scatter(log_likelihood: Callable[[float], float], assumed: float = SCATTER) -> Scatter:
     """Return the posterior of the scatter, and the evidence with it integrated out.
 
     Parameters
     ----------
     log_likelihood : callable
         Logarithm of the likelihood of a scatter, everything else integrated out.
+    assumed : float
+        The scatter that the fit was made with.
     """
     each = np.array([log_likelihood(float(width)) for width in _GRID])
-    reference = log_likelihood(SCATTER)
+    reference = log_likelihood(assumed)
     held = np.isfinite(each)
     if not np.isfinite(reference) or held.sum() < _FEWEST:
         return NO_SCATTER
@@ -62,4 +66,4 @@ def infer_scatter(log_likelihood: Callable[[float], float]) -> Scatter:
     return Scatter(float(middle), float(low), float(high), float(evidence))
 
 
-__all__ = ["NARROWEST", "NO_SCATTER", "SCATTER", "WIDEST", "Scatter", "infer_scatter"]
+__all__ = ["NARROWEST", "NO_SCATTER", "SCATTER", "WIDEST", "WIDE_SCATTER", "Scatter", "infer_scatter"]

@@ -45,14 +45,14 @@ class Search(RevisitedSets):
             if self._is_answered():
                 return
             self._look_again()
-        elif self._is_beyond():
-            self._follow_backbones(_FEW_FOLLOWED)
-            if min(item.cost for item in self.fits.values()) > _NEAR * self.count:
-                self._look_back()
-                self._vary()
-                return
-            self._follow_backbones(_MOST_FOLLOWED)
         else:
+            self._mind_scatter()
+            if self._is_beyond():
+                self._follow_backbones(_FEW_FOLLOWED)
+                if min(item.cost for item in self.fits.values()) > _NEAR * self.count:
+                    self._look_back()
+                    self._vary()
+                    return
             self._follow_backbones(_MOST_FOLLOWED)
         self._look_back()
         if self._is_answered() or (self.is_cut and self.is_refuted(self.best())):

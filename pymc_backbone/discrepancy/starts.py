@@ -15,7 +15,6 @@ from .batch import Batch
 from .joint_fit import Fit
 from .layout import Layout
 from .normal_equations import State
-from .scatter import SCATTER
 
 _STRENGTHS = (0.02, 0.3)
 _TINY = 1e-4
@@ -76,7 +75,7 @@ def by_score(layout: Layout, effect: str, parent: Fit, batch: Batch) -> list[Sco
     where = positions(layout, effect)
     start, others = embedded(layout, parent)
     eta, own = start.eta, start.own
-    scatter = SCATTER if len(batch.specimens) > 1 else 0.0
+    scatter = layout.scatter if len(batch.specimens) > 1 else 0.0
     active = np.zeros(normal_equations.NUISANCES + layout.free.size, dtype=bool)
     active[list(batch.nuisances)] = True
     active[[normal_equations.NUISANCES + here for here, _ in others]] = scatter > 0.0

@@ -19,6 +19,7 @@ from ..effects.tabulated_stiffness import NODES as DISPLACEMENTS
 from ..oscillator import Oscillator
 from .batch import Batch
 from .layout import Layout, make_layout
+from .scatter import SCATTER
 
 STIFFNESS, DAMPING = "tabulated_stiffness", "tabulated_damping"
 PARTS = ((STIFFNESS, "odd"), (STIFFNESS, "even"), (DAMPING, "odd"), (DAMPING, "even"))
@@ -132,7 +133,9 @@ class Tabulated:
         return _LOOSE[part.effect] / part.places.size
 
 
-def tabulate(oscillator: Oscillator, batch: Batch, lowest: float, is_sharp: bool = False) -> Tabulated:
+def tabulate(
+    oscillator: Oscillator, batch: Batch, lowest: float, is_sharp: bool = False, scatter: float = SCATTER
+) -> Tabulated:
     """Return the model with both curves added.
 
     Parameters
@@ -145,12 +148,14 @@ def tabulate(oscillator: Oscillator, batch: Batch, lowest: float, is_sharp: bool
         The amplitude over which no line is left in the odd conservative part [m or rad].
     is_sharp : bool
         Whether the damping force may bend close to rest much faster than at speed, as friction does.
+    scatter : float
+        How much the sizes of effects and curves differ between specimens, relative to their value.
     """
     model = oscillator
     for name in (STIFFNESS, DAMPING):
         if name not in {effect.name for effect in model.effects}:
             model = model + name
-    layout = make_layout(model, batch.amplitude, batch.angular_frequency)
+    layout = make_layout(model, batch.amplitude, batch.angular_frequency, scatter)
     parts = tuple(_part(layout, *part, is_sharp and part == (DAMPING, "odd")) for part in PARTS)
     scale = oscillator.mass * batch.angular_frequency**2 * batch.amplitude
     return Tabulated(layout, parts, scale, lowest)

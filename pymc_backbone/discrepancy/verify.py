@@ -14,7 +14,6 @@ from .data_term import level_term
 from .descent import is_heavy
 from .joint_fit import Fit, fit, parameters_of
 from .normal_equations import NUISANCES, State
-from .scatter import SCATTER
 from .study import HeldOut
 
 MOST_HELD_OUT = 6
@@ -161,7 +160,7 @@ def _spread(solved: Fit, count: int, own: FloatArray, levels: FloatArray) -> Flo
     if q == 0:
         return spread
     delta = solved.state.own[:, NUISANCES:]
-    scatter = SCATTER * np.sqrt((delta**2).mean(axis=0)) if count > 1 else np.zeros(q)
+    scatter = solved.layout.scatter * np.sqrt((delta**2).mean(axis=0)) if count > 1 else np.zeros(q)
     covariance = solved.covariance + np.diag((solved.state.eta * scatter) ** 2)
     values, status = np.empty((3, levels.size)), np.zeros(levels.size, dtype=np.int64)
     state = State(solved.state.eta, own[None])
