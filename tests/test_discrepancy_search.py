@@ -21,6 +21,7 @@ from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.discrepancy.study import HeldOut
 from pymc_backbone.effects import LIBRARY
 from pymc_backbone.oscillator import Oscillator
+from pymc_backbone.simulation.decay import simulate_waveform
 
 from .discrepancy_cases import (
     AMPLITUDE,
@@ -629,3 +630,24 @@ def test_an_information_without_an_inverse_is_no_fault(cubic):
     singular = replace(found.system, shared=np.array([[-1.0 / width**2]]), mixed=mixed, own=own)
     determinant, covariance = information(found.layout, singular, found.state, found.active, 1.0)
     assert determinant == np.inf and np.isnan(covariance).all()
+
+
+def test_what_acts_above_all_levels_is_asked_from_the_model_as_it_is():
+    """A slider that slips in the first cycle of one specimen only: no backbone shows it, and one record does."""
+    names = ("linear_stiffness", "viscous_damping", "slider_stiffness", "slip_force")
+    slider, rng = 0.035 * STIFFNESS, np.random.default_rng(9)
+    values = dict(zip(names, (STIFFNESS, DAMPING, slider, 0.8 * AMPLITUDE * slider), strict=True))
+    records = []
+    for r, share in enumerate((1.0, 0.7, 0.65)):
+        release, after = share * AMPLITUDE, np.maximum(TIME - RELEASE_TIME, 0.0)
+        held = np.unique(after)
+        exact = simulate_waveform(Oscillator(MASS, ["jenkins"]), values, held, release).displacement
+        records.append(noisy(rng, f"specimen {r + 1}", TIME, np.interp(after, held, exact), 60.0))
+    batch = batch_of(records)
+    search = search_of(batch, ("quadratic_damping", "jenkins"), 1)
+    highest = max(term.levels[-1] for term in batch.levels)
+    assert highest < 0.8 * AMPLITUDE  # negative control: the backbones explain the model as it is
+    assert search.proposals[()].chi_square < sum(term.size for term in batch.levels)
+    assert search.fits[()].cost > 2.0 * search.count
+    assert search.best() == ("jenkins",)
+    assert search.fits[("jenkins",)].cost < 1.1 * search.count

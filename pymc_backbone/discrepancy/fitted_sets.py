@@ -34,6 +34,7 @@ POSSIBLE_BACKBONE = 3.0
 _LARGEST_VARIED = 2  # effects of the sets with variants in the place of others that are looked at
 _POOR = 1.5  # reduced chi-square above which a fit may have lost its way
 _NOT_FAR = 2.0  # reduced chi-square of a smaller set up to which the records say where a further effect begins
+_UNTOLD = 1.0  # reduced chi-square of the backbones of a smaller set up to which they do not say what else is there
 _LOST = 6.0  # reduced chi-square of the backbones, over what was promised, from which a fit ended elsewhere
 _NOTED = 1.0  # chi-square above that of the smaller set up to which one step is enough to note a set
 _WORTH = 5.0  # fall of chi-square by which one more effect begins to earn its place
@@ -237,13 +238,20 @@ class FittedSets:
         return found
 
     def _gains_nothing(self, found: list[Fit], parents: list[Fit]) -> bool:
-        """Return whether fits from the backbones end no lower than a smaller set that is not far from the noise.
+        """Return whether fits from the backbones end hardly lower than a smaller set that is as good a start.
 
-        Levels end below the largest amplitudes: what acts there only, they do not show.
+        Levels end below the largest amplitudes: what acts there only, they do not show. So it is where the smaller set
+        is not far from the noise, or explains the backbones and not the samples.
         """
-        if not parents or parents[0].cost > _NOT_FAR * self.count:
+        if not parents:
             return False
-        return min(item.cost for item in found) > parents[0].cost - _WORTH
+        parent, worth = parents[0], _WORTH
+        if parent.cost > _NOT_FAR * self.count:
+            smaller = self.proposals.get(self._names(parent))
+            if smaller is None or not smaller.chi_square < _UNTOLD * sum(term.size for term in self.batch.levels):
+                return False
+            worth = 0.5 * (parent.cost - self.count)
+        return min(item.cost for item in found) > parent.cost - worth
 
     def _extended(self, names: Set, layout: Layout, parent: Fit, rival: float | None) -> list[Fit]:
         """Return the fit of a set from that of a smaller one, to which the score says what the new effect adds."""
