@@ -3,7 +3,8 @@
     python benchmarks/simulation.py
 
 Ten levels of a Duffing oscillator against SciPy's DOP853 with turning-point events over the whole decay, at equal
-accuracy; one cycle per level against the whole decay; with and without sensitivities; every effect of the library.
+accuracy; one cycle per level against the whole decay; with and without sensitivities; every effect of the library; what
+remembers, a few cycles at each level against every cycle.
 """
 
 from __future__ import annotations
@@ -125,9 +126,40 @@ def per_effect() -> None:
         print(f"  {name:30s} {plain * 1e6:9.0f} us {plain / base:9.1f} {both / plain:15.2f} {wave * 1e6:17.0f} us")
 
 
+REMEMBERING = {
+    "bouc_wen": (65.0, 1.0, 0.0, 20.0, 8.0, 1.0),
+    "bouc_wen, cubic_stiffness": (65.0, 1.0, 0.0, 60.0, 30.0, 1.5, -1e5),
+    "bouc_wen, iwan": (65.0, 1.0, 0.0, 20.0, 8.0, 1.0, 100.0, 20.0, -0.5),
+    "iwan": (300.0, 20.0, -0.5),
+}
+
+
+def jumps_against_whole_decay() -> None:
+    """Print what leaving out cycles between ten levels over a factor of 50 saves and costs, from the same release."""
+    global LEVELS
+    LEVELS = np.geomspace(0.03 / 50.0, 0.03, 10)
+    print("Ten levels over a factor of 50       whole decay   with derivatives   to jumps: values, derivatives   "
+          "largest difference: frequency, damping (relative), derivatives (of their largest)")  # fmt: skip
+    for names, own in REMEMBERING.items():
+        oscillator = Oscillator(MASS, names.split(", "))
+        p = np.array([K, 0.003 * np.sqrt(K * MASS), *own])
+        simulator = Simulator(oscillator)
+        release = 1.25 * LEVELS[-1]
+        times = [seconds(runner(simulator, p, r, s), 7) for r in (release, 0.0) for s in (False, True)]
+        whole = simulate_backbone(oscillator, p, LEVELS, release_amplitude=release, sensitivities=True)
+        jumps = simulate_backbone(oscillator, p, LEVELS, sensitivities=True)
+        f, d = (np.abs(jumps.values[o] / whole.values[o] - 1.0).max() for o in (0, 1))
+        both = whole.jacobian[1], jumps.jacobian[1]
+        size = np.maximum(np.abs(both[0]).max(axis=0), 1e-9 * np.abs(both[0] * p).max() / np.maximum(np.abs(p), 1e-30))
+        slopes = (np.abs(both[1] - both[0]) / size).max()
+        print(f"  {names:32s} {times[0] * 1e3:9.1f} ms {times[1] * 1e3:12.1f} ms   x {times[0] / times[2]:.1f}, "
+              f"x {times[1] / times[3]:.1f}   {f:.1e}, {d:.1e}, {slopes:.1e}")  # fmt: skip
+
+
 if __name__ == "__main__":
     start = time.process_time()
     simulate_backbone(Oscillator(MASS, ()), [K, C], LEVELS)
     print(f"first call: {time.process_time() - start:.2f} s CPU (compiling, or loading from disk)")
     against_scipy()
     per_effect()
+    jumps_against_whole_decay()

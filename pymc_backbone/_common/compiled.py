@@ -37,12 +37,14 @@ _COMPILED_MODULES = (
     "discrepancy/refine_kernels.py",
     "discrepancy/set_kernels.py",
     "likelihood/density_kernel.py",
+    "simulation/by_decay.py",
     "simulation/closing.py",
     "simulation/counts.py",
     "simulation/curves.py",
     "simulation/forces.py",
     "simulation/halfcycle.py",
     "simulation/instants.py",
+    "simulation/jumps.py",
     "simulation/kernels.py",
     "simulation/kinks.py",
     "simulation/lane_cycles.py",
@@ -54,6 +56,9 @@ _COMPILED_MODULES = (
     "simulation/run.py",
     "simulation/states.py",
     "simulation/stepper.py",
+    "simulation/symmetry.py",
+    "simulation/whole.py",
+    "simulation/windows.py",
 )
 
 

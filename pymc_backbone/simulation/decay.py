@@ -333,8 +333,9 @@ def simulate_backbone(
     """Simulate the backbone of an oscillator at amplitude levels.
 
     Without internal states a turning point is described by its amplitude alone, so each level needs one cycle,
-    whose starting peak Newton's method finds; with states (hysteresis) the whole decay is run and read off between
-    its cycles by local cubics in log amplitude.
+    whose starting peak Newton's method finds; with states (hysteresis) the decay is run and read off between its
+    cycles by local cubics in log amplitude. Where the decay is long and the oscillator its own mirror image, a few
+    cycles at each level are run, with the past that they would have, and those in between are left out.
 
     Parameters
     ----------
@@ -345,8 +346,8 @@ def simulate_backbone(
     levels : array_like, shape (l,)
         Amplitudes [m or rad], strictly increasing and positive.
     release_amplitude : float, optional
-        Start of the decay [m or rad]. Given, the whole decay is run even without internal states (the reference
-        path). Default: one cycle per level, or 1.25 times the highest level where states remember.
+        Start of the decay [m or rad]. Given, the whole decay is run, every cycle of it (the reference path).
+        Default: one cycle per level, or 1.25 times the highest level where states remember.
     virgin : bool, default True
         Whether hysteretic states start loaded from rest up to the release, or relaxed at the release.
     sensitivities : bool, default False

@@ -12,23 +12,18 @@ import numpy as np
 
 from .._common.checks import FloatArray, IntArray
 from .._common.compiled import cached
-from .curves import carry_jacobian, compiled, curve_at, cycle_quantities, cycle_slope, cycles_of_decay, hermite
-from .halfcycle import COMPLETED, NO_RETURN, OUT_OF_REACH, RUNAWAY, STUCK, half_cycle
-from .instants import ACCELERATION, DISPLACEMENT
+from .by_decay import backbone_by_decay
+from .curves import carry_jacobian, compiled, cycle_quantities, cycle_slope, hermite
+from .halfcycle import COMPLETED, NO_RETURN, OUT_OF_REACH, RUNAWAY
+from .instants import ACCELERATION
 from .memory import (
-    AMPLITUDE,
     BY_DECAY,
-    CURSOR,
     HAS_REGIME,
     LARGEST_STEP,
-    MAXIMUM,
     MODE,
     N_NUMBERS,
-    N_SAMPLES,
     OWN_STATES,
-    QUANTITY,
     RELEASE,
-    SAMPLE_SLOPES,
     STEP,
     STOP,
     TIME,
@@ -36,19 +31,16 @@ from .memory import (
     Turns,
     Waveform,
 )
-from .pointers import address
 from .run import Run, prepare, release_from, swing
+from .whole import LARGEST_STEP_OF_DECAY, all_finite, no_answer, run_decay
 
 _ON_LEVEL = 3e-5  # a cycle this close to its level is carried there along its slope (error: its square)
 _DERIVATIVES = 2e-6  # the same for derivatives, times the square of the spacing of the levels (in the logarithm)
 _ALONE = 3e-7  # the same for derivatives where they are not carried at all: few levels, or kinks
 _NEAR_LEVEL = 1e-3  # one this close by the cubic through it and the cycle before it, slopes included
 _CYCLES_PER_LEVEL = 14
-_LARGEST_STEP = 1.5  # radians; between larger steps the error estimate is not to be trusted ...
-_LARGEST_SAMPLED_STEP = 0.5  # ... and here the septic between steps is good to 4e-10 of the amplitude
+_LARGEST_SAMPLED_STEP = 0.5  # radians; up to here the septic between steps is good to 4e-10 of the amplitude
 _COARSE, _LARGEST_COARSE_STEP = 1e-8, 1.0  # where less is asked for, it is good to 1e-7
-_RELEASE_GROWTH = 1.25
-_CHECK_PROGRESS = 400  # after so many turning points, and then each time so many
 
 
 class Cycle(NamedTuple):
@@ -66,31 +58,12 @@ class Cycle(NamedTuple):
 
 
 @compiled
-def _all_finite(p: FloatArray) -> bool:
-    """Return whether all parameters are finite: a comparison with nan may take a force past it unnoticed."""
-    for value in p:
-        if not math.isfinite(value):
-            return False
-    return True
-
-
-@compiled
 def _derivatives_near(levels: FloatArray, k: int, has_regime: bool) -> float:
     """Return how close to level ``k`` a cycle has to be for derivatives; their slopes come from the levels beside."""
     if has_regime or levels.size < 3:
         return _ALONE
     width = math.log(levels[k + 1] / levels[k]) if k + 1 < levels.size else math.log(levels[k] / levels[k - 1])
     return min(_ON_LEVEL, _DERIVATIVES / (width * width))
-
-
-@compiled
-def _no_answer(k: int, values: FloatArray, jacobian: FloatArray) -> None:
-    """Mark level ``k`` as not answered; ``jacobian`` may be empty."""
-    for i in range(3):
-        values[i, k] = np.nan
-    for i in range(jacobian.shape[0]):
-        for j in range(jacobian.shape[2]):
-            jacobian[i, k, j] = np.nan
 
 
 @compiled
@@ -186,13 +159,13 @@ def _backbone_by_cycles(
     levels = numbers[N_NUMBERS:]
     has_regime = integers[HAS_REGIME] != 0
     sensitivities = jacobian.size > 0
-    run = prepare(integers, numbers, p, sensitivities, _LARGEST_STEP)
+    run = prepare(integers, numbers, p, sensitivities, LARGEST_STEP_OF_DECAY)
     trough = np.zeros(run.columns)
     nodes = np.zeros(levels.size)
     # Rows: log amplitude; then value and slope, along log amplitude, of log starting peak and of each observable.
     node = np.zeros((2, 9))
     last, previous, known = 0, 1, 0
-    usable = _all_finite(p)
+    usable = all_finite(p)
     for k in range(levels.size - 1, -1, -1):
         level = levels[k]
         near = _ON_LEVEL
@@ -205,7 +178,7 @@ def _backbone_by_cycles(
             start = _predict_start(level, node, last, previous, known)
             cycle, status[k] = _find_cycle(run, level, start, near, known > 0, trough)
         if status[k] != COMPLETED:
-            _no_answer(k, values, jacobian)
+            no_answer(k, values, jacobian)
             continue
         if known > 0:
             last, previous = previous, last
@@ -230,120 +203,6 @@ def _backbone_by_cycles(
         carry_jacobian(levels, nodes, status, jacobian)
 
 
-@compiled
-def _whole_decay(
-    run: Run, release: float, stop: float, more: int, maximum: int, turns: Turns, waveform: Waveform
-) -> tuple[int, int]:
-    """Run a decay turning point by turning point until a cycle is smaller than ``stop``, then ``more`` of them.
-
-    Writes `Turns` and, at the instants of the `Waveform`, what it has room for. Returns how many turning points there
-    are and the status that ended the decay.
-    """
-    n_samples = waveform.times.size
-    release_from(run, release)
-    run.integers[N_SAMPLES] = n_samples
-    run.integers[SAMPLE_SLOPES] = 1 if waveform.slopes.shape[1] > 0 else 0
-    run.integers[CURSOR] = 0
-    run.integers[QUANTITY] = waveform.quantity
-    memory = run.memory
-    memory[STEP] = 0.0
-    direction = -1.0 if release > 0.0 else 1.0
-    values = turns.values
-    values[0] = release
-    turns.times[0] = 0.0
-    for c in range(run.columns):
-        turns.slopes[0, c] = run.slopes[c]
-        turns.time_slopes[0, c] = 0.0
-    count = 1
-    code = COMPLETED if _all_finite(run.p) else RUNAWAY
-    while count < maximum and code == COMPLETED:
-        code = half_cycle(
-            address(run.integers), address(memory), address(run.p), direction,
-            address(waveform.times), address(waveform.values), address(waveform.slopes),
-        )  # fmt: skip
-        if code != COMPLETED:
-            break
-        values[count] = run.y[0]
-        turns.times[count] = memory[TIME]
-        for c in range(run.columns):
-            turns.slopes[count, c] = run.slopes[c]
-            turns.time_slopes[count, c] = run.dt[c]
-        count += 1
-        direction = -direction
-        if n_samples > 0 and run.integers[CURSOR] >= n_samples:
-            break
-        amplitude = np.inf
-        if count > 2:
-            amplitude = 0.25 * abs(values[count - 3] + values[count - 1] - 2.0 * values[count - 2])
-        if amplitude < stop:
-            maximum = min(maximum, count + more)
-            stop = 0.0
-        if stop > 0.0 and count % _CHECK_PROGRESS == 1:
-            before = abs(values[count - _CHECK_PROGRESS] - values[count - _CHECK_PROGRESS + 1]) * 0.5
-            # At ten times this pace of decay it would still take more turning points than there may be.
-            pace = math.log(before / memory[AMPLITUDE]) / _CHECK_PROGRESS
-            if not 10.0 * pace * (maximum - count) > math.log(memory[AMPLITUDE] / stop):
-                break
-    # What sticks stays where it is; after any other end there is no answer.
-    held = 0.0 if code == STUCK else np.nan
-    is_displacement = waveform.quantity == DISPLACEMENT
-    for i in range(run.integers[CURSOR], n_samples):
-        waveform.values[i] = held + (run.y[0] if is_displacement else 0.0)
-        for c in range(waveform.slopes.shape[1]):
-            waveform.slopes[i, c] = held + (run.slopes[c] if is_displacement and c < run.columns else 0.0)
-    return count, code
-
-
-@compiled
-def _backbone_by_decay(
-    integers: IntArray, numbers: FloatArray, p: FloatArray, values: FloatArray, jacobian: FloatArray,
-    status: IntArray,
-) -> None:  # fmt: skip
-    """Write the backbone at the levels from the whole decay, by local cubics in log amplitude between its cycles.
-
-    Without a release (0) it is raised in fixed steps, so that it does not slide with the parameters, until the first
-    cycle reaches the highest level.
-    """
-    levels = numbers[N_NUMBERS:]
-    maximum = integers[MAXIMUM]
-    release = numbers[RELEASE]
-    sensitivities = jacobian.size > 0
-    run = prepare(integers, numbers, p, sensitivities, _LARGEST_STEP)
-    carried = run.columns if sensitivities else 0
-    cycles = np.empty((maximum // 2 + 1, 4))
-    cycle_slopes = np.empty((maximum // 2 + 1, 4, carried))
-    turns = Turns(
-        np.empty(maximum), np.empty(maximum), np.empty((maximum, run.columns)), np.empty((maximum, run.columns))
-    )
-    none = Waveform(np.empty(0), np.empty(0), np.empty((0, 0)), DISPLACEMENT)
-    count, found, code = 0, 0, COMPLETED
-    given = release > 0.0
-    if not given:
-        release = _RELEASE_GROWTH * levels[-1]
-    stop = 0.8 * levels[0]  # and one cycle more: the local cubic wants two below the lowest level
-    for _ in range(1 if given else 12):
-        count, code = _whole_decay(run, release, stop, 0, 3, turns, none)
-        first = turns.values
-        if given or code != COMPLETED or 0.25 * (first[0] + first[2] - 2.0 * first[1]) >= levels[-1]:
-            break
-        release *= _RELEASE_GROWTH
-    if code == COMPLETED:
-        count, code = _whole_decay(run, release, stop, 2, maximum, turns, none)
-    if count > 2:
-        found = cycles_of_decay(
-            turns.values, turns.times, turns.slopes, turns.time_slopes, count, carried, cycles, cycle_slopes
-        )
-    weights = np.empty(4)
-    tilts = np.empty(4)
-    for k in range(levels.size):
-        enclosed = curve_at(cycles, cycle_slopes, found, levels[k], k, carried, values, jacobian, weights, tilts)
-        status[k] = COMPLETED
-        if not enclosed:
-            below = found == 0 or levels[k] < cycles[found - 1, 0]
-            status[k] = code if below and code != COMPLETED else OUT_OF_REACH
-            _no_answer(k, values, jacobian)
-
-
 @cached
 def backbone(
     integers: IntArray, numbers: FloatArray, p: FloatArray, values: FloatArray, jacobian: FloatArray,
@@ -351,7 +210,7 @@ def backbone(
 ) -> None:  # fmt: skip
     """Write the backbone that is described into ``values`` (3, l), ``jacobian`` (3, l, p or all 0), ``status`` (l,)."""
     if integers[BY_DECAY] != 0:
-        _backbone_by_decay(integers, numbers, p, values, jacobian, status)
+        backbone_by_decay(integers, numbers, p, values, jacobian, status)
     else:
         _backbone_by_cycles(integers, numbers, p, values, jacobian, status)
 
@@ -363,10 +222,11 @@ def decay(integers: IntArray, numbers: FloatArray, p: FloatArray, turns: Turns, 
     Derivatives are carried with respect to the parameters where ``turns`` has columns for them. Returns the number of
     turning points and the status.
     """
-    largest = _LARGEST_STEP
+    largest = LARGEST_STEP_OF_DECAY
     if waveform.times.size > 0:
         largest = _LARGEST_SAMPLED_STEP if numbers[TOLERANCE] < _COARSE else _LARGEST_COARSE_STEP
     run = prepare(integers, numbers, p, turns.slopes.shape[1] > 1, largest)
     if waveform.quantity == ACCELERATION and run.integers[MODE] == OWN_STATES:
         run.memory[LARGEST_STEP] *= 0.5  # there the acceleration is a derivative of what lies between the steps
-    return _whole_decay(run, numbers[RELEASE], numbers[STOP], 0, turns.values.size, turns, waveform)
+    release_from(run, numbers[RELEASE])
+    return run_decay(run, numbers[STOP], 0, turns.values.size, turns, waveform)

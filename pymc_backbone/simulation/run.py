@@ -28,6 +28,7 @@ from .memory import (
     memory_of,
 )
 from .pointers import address
+from .symmetry import IS_SYMMETRIC, WEIGH_STATES
 
 
 class Run(NamedTuple):
@@ -48,6 +49,8 @@ def define() -> None:
     COUNTED.define()
     HALF_CYCLE.define()
     LOAD_STATES.define()
+    IS_SYMMETRIC.define()
+    WEIGH_STATES.define()
 
 
 @compiled
