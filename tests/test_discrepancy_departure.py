@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import combinations
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from pymc_backbone._common.checks import OBSERVABLES
 from pymc_backbone.discrepancy import departure as module
-from pymc_backbone.discrepancy import starts
-from pymc_backbone.discrepancy.batch import Batch
+from pymc_backbone.discrepancy import mechanisms, starts
+from pymc_backbone.discrepancy.batch import Batch, batch_of_backbones
 from pymc_backbone.discrepancy.data_term import LevelTerm
 from pymc_backbone.discrepancy.departing import DepartingSets
 from pymc_backbone.discrepancy.departure import NOISES, OWN_SHARE, SCALES, SIZES, Choice
@@ -18,7 +20,9 @@ from pymc_backbone.discrepancy.joint_fit import fit
 from pymc_backbone.discrepancy.layout import make_layout
 from pymc_backbone.discrepancy.mechanisms import _log_size
 from pymc_backbone.discrepancy.normal_equations import start_state
+from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.oscillator import Oscillator
+from pymc_backbone.simulation.backbones import simulate_population
 from pymc_backbone.simulation.decay import simulate_backbone
 
 OMEGA, ZETA = 20.0, 0.01
@@ -218,3 +222,42 @@ def test_forces_far_larger_than_what_is_missing_are_rarer_in_proportion():
     seen = float(np.sqrt(((departures.noise / departures.per_force)[:2] ** 2).sum()))
     assert against_noise == pytest.approx(-np.log(0.1 / (5.0 * seen)), abs=0.01)
     assert -6.0 < against_noise < -3.0
+
+
+def backbones_of(truth, vector, noise=(1e-4, 5e-3)):
+    """A batch of two specimens that are known by their backbones only."""
+    data = simulate_population(truth, np.array([vector, vector]), LEVELS, OBSERVABLES).drop_vars("covariance")
+    typical = np.abs(data["value"].values)
+    error = np.stack([noise[0] * typical[:, 0], noise[1] * typical[:, 1], np.full_like(typical[:, 0], 1e-3)], axis=1)
+    noisy = data["value"].values + error * np.random.default_rng(6).standard_normal(error.shape)
+    dims = data["value"].dims
+    return batch_of_backbones(1.0, data.assign(value=(dims, noisy), standard_error=(dims, error)))
+
+
+def test_simple_sets_are_weighed_however_unlikely_at_first_sight(monkeypatch):
+    """What simulates fast is fitted with the departure, and stands beside what takes long: else rivals are missing."""
+    monkeypatch.setattr(mechanisms, "_LEADERS", 1)
+    monkeypatch.setattr(mechanisms, "_MOST_WEIGHED", 1)
+    vector = np.array([OMEGA**2, 2.0 * ZETA * OMEGA, 0.2 * OMEGA**2, 0.4])
+    batch = backbones_of(Oscillator(1.0, ["cubic_stiffness", "displacement_dependent_damping"]), vector)
+    candidates = ("cubic_stiffness", "cubic_damping", "displacement_dependent_damping", "jenkins")
+    search = Search(batch, Oscillator(1.0), candidates, 2)
+    search.run()
+    weighed = mechanisms.weigh(search)
+    assert weighed is not None
+    simple = [names for size in (1, 2) for names in combinations(sorted(candidates[:3]), size)]
+    assert set(simple) <= set(weighed.departing)
+    assert weighed.ranked()[0] == ("cubic_stiffness", "displacement_dependent_damping")
+
+
+def test_laws_of_one_mechanism_are_as_probable_beforehand():
+    """How many unknowns a law has is charged by the evidence, by how wide their priors are, and not once more."""
+    batch = backbones_of(Oscillator(1.0, ["cubic_stiffness"]), np.array([OMEGA**2, 2.0 * ZETA * OMEGA, 0.1 * OMEGA**2]))
+    search = Search(batch, Oscillator(1.0), ("coulomb_friction", "jenkins", "iwan", "cubic_stiffness"), 2)
+    prior = {name: mechanisms._log_prior((name,), search) for name in search.candidates}
+    assert prior["iwan"] == prior["jenkins"] == prior["coulomb_friction"]
+    assert prior["cubic_stiffness"] == pytest.approx(prior["iwan"] + np.log(3.0))  # the only law of its mechanism
+    total = [mechanisms._log_prior(names, search) for size in (1, 2) for names in combinations(search.candidates, size)]
+    _, one, two, _ = mechanisms.PRIOR_OF_COUNT
+    twice = 0.1 * one / 2  # two laws of friction
+    assert np.exp(total).sum() == pytest.approx(one + two + twice, rel=1e-12)

@@ -25,7 +25,6 @@ PRIOR_OF_COUNT = (0.05, 0.6, 0.3, 0.05)
 """Prior probability that so many mechanisms are missing where no law is exact; none: the library holds none of them."""
 LEAST_SPAN = 1.7
 """Ratio of amplitudes in one record from which mechanisms are weighed."""
-_EACH_UNKNOWN = 1.0 / 3.0  # how much rarer a law is for each unknown that it has more
 _TWICE = 0.1  # how much rarer a second law of the same mechanism is
 _MOST_SPECIMENS = 3  # a departure is alike in all: more of them say hardly more of it
 _MOST_TURNS = 4000  # turning points of these together, where two specimens are enough
@@ -144,6 +143,8 @@ def _departing(search: Search, departures: DepartingSets, chosen: list[int]) -> 
     refine([(), *order[:_LEADERS]])
     if () not in departing:
         return {}
+    # a first sight may be far too low, and those without memory take next to nothing
+    refine([names for names in order if not search.layout(names).simulator.needs_decay])
     search.progress("weighing sets that are not exact", 0.5)
     known = {names: item.log_evidence + _log_prior(names, search) for names, item in departing.items()}
     refine([names for names in order[:_MOST_WEIGHED] if first[names] > max(known.values()) - _REACH])
@@ -281,14 +282,12 @@ def _log_prior(names: Set, search: Search) -> float:
     """Return the logarithm of the prior of a set where the model as it is lacks something and no law is exact.
 
     Mechanisms come first: so many of them are missing with the probabilities `PRIOR_OF_COUNT`, each choice of them
-    alike, and within each its laws. Two laws of one mechanism are hardly ever needed. The base with a departure is what
-    the library does not hold.
+    alike, and within each its laws; how many unknowns these have is charged by the evidence. Two laws of one mechanism
+    are hardly ever needed. The base with a departure is what the library does not hold.
     """
     laws: dict[str, dict[str, float]] = {}
     for name in (*search.candidates, *search.variants):
-        unknowns = search.layout((name,)).free.size - search.layout(()).free.size
-        weight = evidence.VARIANT if name in search.variants else 1.0
-        laws.setdefault(search.mechanism_of(name), {})[name] = weight * _EACH_UNKNOWN ** (unknowns - 1)
+        laws.setdefault(search.mechanism_of(name), {})[name] = evidence.VARIANT if name in search.variants else 1.0
     held: dict[str, list[str]] = {}
     for name in names:
         held.setdefault(search.mechanism_of(name), []).append(name)
