@@ -185,3 +185,12 @@ def test_a_deviation_ends_where_its_parameter_has_its_limit():
     low[:q], high[:q] = layout.low / scale - 1e-9, layout.high / scale + 1e-9
     other = least_squares(residuals, np.clip(start, low + 1e-9, high), bounds=(low, high), x_scale="jac", max_nfev=40)
     assert found.cost == pytest.approx(2.0 * other.cost, abs=0.1)
+
+
+def test_a_specimen_that_leans_on_the_most_it_may_differ_promises_nothing_beyond():
+    """One spring softens where the others harden: no scatter that is allowed reaches it, and none is believed to."""
+    found = fitted(backbones(np.array([1.0, 1.05, 0.95, 1.0, -1.0])))
+    assert np.abs(found.state.own[:, -1]).max() == pytest.approx(8.0)
+    assert found.cost > 1000.0 * found.penalty  # negative control: beyond lies a fall of the cost by all that is left
+    # a wider scatter makes the same deviations cheaper, and that is all that it can gain
+    assert 0.0 < found.scatter.log_evidence < 0.5 * found.penalty

@@ -583,6 +583,11 @@ def test_what_made_up_for_the_lack_of_a_variant_is_left_out():
     search.run()
     assert search.best() == ("asymmetric_drag",)
     assert any("asymmetric_drag" in names and len(names) == 2 for names in search.fits)  # from here it was found
+    # also where three effects imitate the backbones and the effort goes to these
+    candidates = ("quadratic_damping", "quadratic_stiffness", "cubic_stiffness")
+    spent = Search(search.batch, Oscillator(MASS), candidates, 3, variants=("asymmetric_drag",), budget=0.0)
+    spent.run()
+    assert spent.is_cut and spent.best() == ("asymmetric_drag",)
 
 
 def test_a_variant_is_kept_where_it_leaves_less():

@@ -97,16 +97,22 @@ class FittedSets:
         self.progress("all sets, by their backbones", 0.0)
         found = propose(self.batch, self.base, self.candidates, self.max_effects, self.own)
         if self.variants and not self._is_any_possible(found):
-            every = (*self.candidates, *self.variants)
-            wider = propose(self.batch, self.base, every, min(self.max_effects, _LARGEST_VARIED), self.own)
-            rare = np.log(evidence.VARIANT)
-            found += [
-                replace(item, log_evidence=item.log_evidence + rare * len(set(item.names) & set(self.variants)))
-                for item in wider
-                if set(item.names) & set(self.variants)
-            ]
+            found += self._with_variants()
             found.sort(key=lambda item: -item.log_evidence)
         return {item.names: item for item in found}
+
+    def _with_variants(self) -> list[Proposal]:
+        """Return how sets that hold a variant look in the backbones, the likeliest first; variants are rare."""
+        every = (*self.candidates, *self.variants)
+        wider = propose(self.batch, self.base, every, min(self.max_effects, _LARGEST_VARIED), self.own)
+        count = {item.names: len(set(item.names) & set(self.variants)) for item in wider}
+        rare = np.log(evidence.VARIANT)
+        found = [
+            replace(item, log_evidence=item.log_evidence + rare * count[item.names])
+            for item in wider
+            if count[item.names]
+        ]
+        return sorted(found, key=lambda item: -item.log_evidence)
 
     def _is_any_possible(self, proposals: Iterable[Proposal]) -> bool:
         """Return whether a set explains the backbones, or none was simulated exactly."""

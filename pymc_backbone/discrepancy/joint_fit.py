@@ -106,7 +106,7 @@ class Fit:
         """
         if not self.active[NUISANCES:].any():
             return NO_SCATTER
-        stepped = _stepped(self, 1.0, is_bounded=True)
+        stepped = _stepped(self, 1.0)
         if stepped is None or not self.cost - stepped.cost < _AT_REST:
             return NO_SCATTER
         assumed = self.layout.scatter
@@ -370,10 +370,10 @@ def _log_likelihood(found: Fit, width: float) -> float:
     return -np.inf if stepped is None else -0.5 * (stepped.cost + stepped.log_determinant)
 
 
-def _stepped(found: Fit, width: float, is_bounded: bool = False) -> _Stepped | None:
+def _stepped(found: Fit, width: float) -> _Stepped | None:
     """Return what a Newton step with a scatter ``width`` times that of the fit leads to; None where there is none.
 
-    With ``is_bounded`` specimens do not go beyond the most that a fit lets them differ from the shared values.
+    Specimens do not go beyond the most that a fit lets them differ from the shared values: what lies there is unknown.
     """
     system, state, layout, active = found.system, found.state, found.layout, found.active
     free = active & (np.arange(active.size) >= NUISANCES)
@@ -386,8 +386,7 @@ def _stepped(found: Fit, width: float, is_bounded: bool = False) -> _Stepped | N
     )  # fmt: skip
     held = np.zeros(state.own.shape, dtype=bool)
     held[:, 1] = state.own[:, 1] <= 0.0
-    if is_bounded:
-        held[:, DRIFTS[0] :] = _leans(layout, state, system.own_gradient, layout.scatter)[:, DRIFTS[0] :]
+    held[:, DRIFTS[0] :] = _leans(layout, state, system.own_gradient, layout.scatter)[:, DRIFTS[0] :]
     eliminated = eliminate(moved, active, 0.0, held)
     if eliminated is None:
         return None

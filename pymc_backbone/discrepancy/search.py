@@ -20,6 +20,8 @@ from .set_fits import Set
 _KEPT_PARENTS = 2
 _ROUNDS = 2
 _MOST_FOLLOWED = 24  # sets that are followed from the backbones to the waveforms before anything explains these
+_MOST_VARIED = 4  # sets with a variant that are fitted where nothing else explains the records
+_FOR_VARIANTS = 0.2  # of the budget, for these
 _FEW_FOLLOWED = 6  # the same where not even the backbones are explained
 _FLOOR = 1.1  # ratio of costs within which sets leave the same
 _MOST_EXTENDED = 4
@@ -54,6 +56,7 @@ class Search(RevisitedSets):
                     self._vary()
                     return
             self._follow_backbones(_MOST_FOLLOWED)
+            self._follow_variants()
         self._look_back()
         if self._is_answered() or (self.is_cut and self.is_refuted(self.best())):
             return
@@ -149,6 +152,25 @@ class Search(RevisitedSets):
             if found.cost < EXPLAINED * self.count:
                 explained.append(names)
                 reach = max(reach, proposal.log_evidence - _REACH)
+
+    def _follow_variants(self) -> None:
+        """Where no set explains the records, fit the likeliest that hold a variant, until one does.
+
+        Three effects may imitate the backbones of one that is none of the candidates; so there is a share of effort for
+        these, whatever was spent before.
+        """
+        if self._is_explained() or not self.variants or any({*names} & {*self.variants} for names in self.proposals):
+            return
+        most = self.descent.effort + _FOR_VARIANTS * self.budget
+        possible = [item for item in self._with_variants() if self._is_any_possible([item])]
+        for proposal in [item for item in possible if not self._is_costly(item.names)][:_MOST_VARIED]:
+            if self.descent.effort > most:
+                break
+            self.progress("variants of effects", 0.0)
+            self.varied[proposal.names] = proposal
+            self.fit_set(proposal.names)
+            if self._is_explained():
+                break
 
     def _ask_costly(self) -> bool:
         """Fit the costly sets that explain the backbones as well as what explains the records does.
