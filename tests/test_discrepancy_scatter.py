@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -194,3 +196,32 @@ def test_a_specimen_that_leans_on_the_most_it_may_differ_promises_nothing_beyond
     assert found.cost > 1000.0 * found.penalty  # negative control: beyond lies a fall of the cost by all that is left
     # a wider scatter makes the same deviations cheaper, and that is all that it can gain
     assert 0.0 < found.scatter.log_evidence < 0.5 * found.penalty
+
+
+def test_parameters_at_their_limit_say_nothing_of_the_scatter():
+    """Whatever the scatter, half of the specimens would be at the limit: as many deviations more change nothing."""
+    batch = backbones(factors_of(0.2, 6))
+    found = fitted(batch)
+    layout = make_layout(Oscillator(MASS, ["cubic_stiffness"]), batch.amplitude, batch.angular_frequency)
+    # the same with the lower limit at the value that is shared, towards which specimens are pulled
+    low = replace(layout, low=found.state.eta.copy())
+    own = found.state.own.copy()
+    own[:, -1] = 0.0
+    held = fit(low, batch.levels, normal_equations.State(found.state.eta.copy(), own), nuisances=(0, 1), iterations=40)
+    assert held is not None
+    at_limit = np.abs(held.state.own[:, -1]) < 1e-6
+    assert 0 < at_limit.sum() < 6
+    system = replace(held.system, own_gradient=np.where(at_limit[:, None], -np.ones(8), held.system.own_gradient))
+    leaning = replace(held, system=system)
+    rest = [r for r in range(6) if not at_limit[r]]
+    each = [joint_fit._log_likelihood(leaning, width) for width in (0.3, 1.0)]
+    free = replace(
+        held,
+        state=normal_equations.State(held.state.eta, held.state.own[rest]),
+        system=replace(
+            system, chi_square=system.chi_square[rest], mixed=system.mixed[rest], own=system.own[rest],
+            own_gradient=system.own_gradient[rest], penalty=float((held.state.own[rest, -1] ** 2).sum()),
+        ),
+    )  # fmt: skip
+    alone = [joint_fit._log_likelihood(free, width) for width in (0.3, 1.0)]
+    assert each[1] - each[0] == pytest.approx(alone[1] - alone[0], abs=0.5)  # each of them would add 1.2

@@ -146,15 +146,15 @@ def test_what_the_turning_points_refute_is_not_fitted_to_the_samples(cubic):
 
 
 def test_larger_sets_imitate_more_and_small_gaps_most():
-    def chance(size, gap):
+    def chance(size, gap, has_drift=False):
         names = tuple("abc"[:size])
-        return is_none_other(
-            SimpleNamespace(fits={(): SimpleNamespace(cost=gap**2), names: SimpleNamespace(cost=0.0)}), names
-        )
+        fits = {(): SimpleNamespace(cost=gap**2), names: SimpleNamespace(cost=0.0)}
+        return is_none_other(SimpleNamespace(fits=fits), names, has_drift)
 
     assert [round(chance(size, 100.0), 2) for size in (1, 2, 3)] == [1.0, 0.94, 0.4]
     assert chance(3, 500.0) < NAMED < chance(3, 5000.0)
     assert all(chance(size, 1e3) > chance(size, 100.0) for size in (1, 2, 3))
+    assert chance(2, 100.0, has_drift=True) == chance(3, 100.0) and chance(1, 100.0, has_drift=True) > NAMED
 
 
 def test_an_irrelevant_effect_costs(cubic, linear):

@@ -128,6 +128,25 @@ def test_the_reason_is_in_physical_words(cubic_study):
     assert cubic_study.where[0].observable == "frequency"
 
 
+def test_an_effect_that_is_a_spring_at_rest_is_told_by_what_changes():
+    """A slider that sticks is a spring more, which is the linear one's; what tells is that it gives way."""
+    levels, error = np.array([0.1, 0.2, 0.5, 1.0]), np.full(4, 1e-3)
+    softer = words._change("frequency", np.array([0.5, 0.48, 0.4, 0.3]), error, levels, (" Hz", "mm"))
+    assert softer == "frequency falls by 0.2 Hz from 0.1 to 1 mm"
+    same = words._change("damping", np.array([-0.5, -0.4995, -0.5, -0.501]), error, levels, ("", "mm"))
+    assert same == "damping is 0.5 lower throughout"
+
+
+def test_laws_that_are_needed_together_are_no_alternatives():
+    laws = tuple(
+        LawProbability(name, chance) for name, chance in (("bouc_wen", 0.999), ("iwan", 0.97), ("jenkins", 0.1))
+    )
+    decision = decision_of(
+        "found", named_level=NamedLevel.MECHANISM, mechanisms=(replace(HYSTERESIS, laws=laws),), best=("iwan",)
+    )
+    assert "its laws are Bouc-Wen and Iwan together, or ones like them" in verdict_words.sentence(decision)
+
+
 def test_a_named_effect_comes_with_its_scatter_and_what_the_evidence_rests_on(cubic_study):
     scatter = cubic_study.scatter
     # two specimens with the same spring: little is known of a scatter but that it is not large

@@ -117,7 +117,8 @@ def _weighed(search: Search, drifting: Mapping[Set, Drifting]) -> Decision:
             left = evidence.lack_of_fit(search.batch, drifting[()].fit)  # what explains the records best may be no set
     explained = library_holds(left.p_value)
     probabilities = {
-        names: explained * is_none_other(search, names) * evidences[names].probability for names in search.fits
+        names: explained * is_none_other(search, names, names in drifts) * evidences[names].probability
+        for names in search.fits
     }
     return Decision(
         verdict=Verdict.AMBIGUOUS,
@@ -189,13 +190,13 @@ def _by_mechanism(search: Search, decision: Decision) -> Decision:
     return replace(decision, mechanisms=missing_mechanisms(search, decision.probabilities, best, gaps, estimates))
 
 
-def is_none_other(search: Search, names: Set) -> float:
+def is_none_other(search: Search, names: Set, has_drift: bool = False) -> float:
     """Return the probability that a set which leaves noise is not the imitation of something the library lacks.
 
     The more effects a set has, the less probable it is beforehand, and the more it can imitate; but what explains a gap
-    of thousands of standard deviations to the noise is hardly ever an imitation.
+    of thousands of standard deviations to the noise is hardly ever an imitation. A drift beside it counts as one more.
     """
-    size = min(len(names), len(_IMITATES) - 1)
+    size = min(len(names) + has_drift, len(_IMITATES) - 1)
     gap = float(np.sqrt(max(search.fits[()].cost - search.fits[names].cost, 0.0)))
     imitates = _IMITATES[size] * min(1.0, _HARDLY / max(gap, 1.0))
     prior = evidence.PRIOR_OF_SIZE[size]

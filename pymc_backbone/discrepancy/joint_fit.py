@@ -402,5 +402,7 @@ def _stepped(found: Fit, width: float) -> _Stepped | None:
     for r, (index, scale, reduced, _) in enumerate(solved):
         cost -= float((moved.own_gradient[r, index] * scale) @ reduced[:, -1])
     determinant = sum(item[3] for item in solved) + np.linalg.slogdet(scaled)[1]
-    determinant += 2.0 * np.count_nonzero(free) * state.own.shape[0] * np.log(width)
+    # at a parameter's limit lies half of any prior; elsewhere its density falls with the width
+    at_limit = held[:, free] & (np.abs(state.own[:, free]) < _MOST_SCATTER - 1e-9)
+    determinant += 2.0 * np.count_nonzero(~at_limit) * np.log(width)
     return _Stepped(float(cost), float(determinant))

@@ -12,7 +12,7 @@ from .decision import DRIFT_POSSIBLE, Decision
 from .evidence import MISSING
 from .search import Set
 from .study import Check, MissingMechanism
-from .verdict import AdequateBy, NamedLevel, Verdict
+from .verdict import MECHANISM_NAMED, AdequateBy, NamedLevel, Verdict
 
 _SPOKEN = 5  # sets or laws that the sentence holds
 _HEADED = 3  # sets in the headline, where a list of them follows
@@ -46,7 +46,10 @@ def _chance(probability: float) -> str:
 def _of_mechanism(item: MissingMechanism) -> str:
     """Return the sentence that names a mechanism, with the laws that it may be."""
     laws = [law for law in item.laws if law.probability > _UNLIKELY]
-    if len(laws) > 1:
+    together = [in_words(law.effect) for law in laws if law.probability >= MECHANISM_NAMED]
+    if len(together) > 1:  # not one or the other: every set that explains holds them all
+        which = f"its laws are {', '.join(together[:-1])} and {together[-1]} together, or ones like them, not exactly"
+    elif len(laws) > 1:
         told = ", ".join(f"{in_words(law.effect)} {100.0 * law.probability:.0f} %" for law in laws[:_SPOKEN])
         which = f"which law these records do not tell: {told}"
     else:

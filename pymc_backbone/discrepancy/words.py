@@ -18,6 +18,7 @@ from .study import Detectable, ScatterOfEffects
 from .verdict_words import is_drift_possible, named
 
 _DETECTED = 5.0  # standard deviations at which an effect is named nine times in ten
+_VANISHING = 0.3  # power of the amplitude below which a departure does not vanish with it
 _SEPARATED = 5.0  # logarithm of the odds that decides
 
 
@@ -90,19 +91,35 @@ def _power_law(batch: Batch, found: Fit, name: str, row: int) -> str:
     good &= mean * sign > 0.0
     if good.sum() < 3:
         return f"{OBSERVABLES[row]} departs in both directions"
+    unit, length = " Hz" if row == 0 else "", str(batch.backbones.attrs.get("amplitude_unit", "m"))
     x, y = np.log(levels[good]), np.log(mean[good] * sign)
     w = (mean[good] / error[good]) ** 2
     centre = np.average(x, weights=w)
     slope = float(np.average((x - centre) * y, weights=w) / np.average((x - centre) ** 2, weights=w))
     slope_error = float(1.0 / np.sqrt(np.sum(w * (x - centre) ** 2)))
+    if row < 2 and slope < _VANISHING and (row == 0 or slope > -_VANISHING):
+        return _change(OBSERVABLES[row], mean[good], error[good], levels[good], (unit, length))
     at = int(np.flatnonzero(good)[np.argmax(np.abs(mean[good]))])
-    unit = " Hz" if row == 0 else ""
     verb = {(0, 1): "rises", (0, -1): "falls", (1, 1): "rises", (1, -1): "falls"}.get((row, int(sign)), "moves")
     trend = "grows with amplitude" if slope > 0.0 else "grows as amplitude falls"
     return (
         f"{OBSERVABLES[row]} {verb}: the departure {trend}, proportional to A^({slope:.2f} +- {slope_error:.2f}), "
-        f"{mean[at]:+.3g}{unit} at {levels[at]:.3g} {batch.backbones.attrs.get('amplitude_unit', 'm')}"
+        f"{mean[at]:+.3g}{unit} at {levels[at]:.3g} {length}"
     )
+
+
+def _change(observable: str, excess: FloatArray, error: FloatArray, levels: FloatArray, units: tuple[str, str]) -> str:
+    """Return how an observable changes with amplitude by an effect that is there however small the amplitude is.
+
+    A slider that sticks is a spring more: the linear spring of the model without it would stand for that, so it is the
+    change from the smallest amplitude on that tells.
+    """
+    change = excess - excess[0]
+    at = int(np.argmax(np.abs(change)))
+    if not abs(change[at]) > 2.0 * float(np.hypot(error[at], error[0])):
+        return f"{observable} is {abs(excess[0]):.3g}{units[0]} {'higher' if excess[0] > 0.0 else 'lower'} throughout"
+    verb = "rises" if change[at] > 0.0 else "falls"
+    return f"{observable} {verb} by {abs(change[at]):.3g}{units[0]} from {levels[0]:.3g} to {levels[at]:.3g} {units[1]}"
 
 
 def detectable(search: Search) -> tuple[Detectable, ...]:

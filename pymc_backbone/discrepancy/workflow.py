@@ -336,7 +336,12 @@ def _contenders(outcome: Outcome) -> tuple[Contender, ...]:
     if decision.verdict is not Verdict.AMBIGUOUS or not search.batch.has_records:
         return ()
     return tuple(
-        contender(names, decision.probabilities[names], search.fits[names], 1.0 - is_none_other(search, names))
+        contender(
+            names,
+            decision.probabilities[names],
+            search.fits[names],
+            1.0 - is_none_other(search, names, names in decision.drifts),
+        )
         for names in decision.listed
         if decision.probabilities[names] > 0.0
     )
