@@ -77,6 +77,8 @@ def dense_batch():
 def test_coordinates_return_and_their_derivatives_are_those_of_differences(name):
     layout = make_layout(Oscillator(MASS, (name,)), AMPLITUDE, OMEGA)
     eta = middle(layout)
+    for j, other in layout.opposed:
+        eta[j] = 0.5 * eta[other]
     delta = np.linspace(-0.7, 0.9, eta.size)
     assert np.all((layout.low <= eta) & (eta <= layout.high)) and eta.any()
     values, slopes = layout.physical(eta, np.zeros(eta.size), 0.0)
@@ -100,16 +102,20 @@ def test_coordinates_return_and_their_derivatives_are_those_of_differences(name)
 
 @pytest.mark.parametrize("name", [name for name in EFFECTS if LIBRARY[name].opposed])
 def test_opposed_parameters_stay_within_each_other(name):
-    """A coordinate below minus its opponent is held there, and moves with the opponent alone."""
+    """A coordinate below minus its opponent, or above three times it, is held there, and moves with it alone."""
     layout = make_layout(Oscillator(MASS, (name,)), AMPLITUDE, OMEGA)
     eta, none = middle(layout), np.zeros(layout.free.size)
     for j, other in layout.opposed:
-        eta[j] = -1.5 * eta[other]
-        values, slopes = layout.physical(eta, none, 0.0)
-        assert values[j] == pytest.approx(-values[other], rel=1e-12)
-        assert not slopes[:, j].any()
-        # the same factor of amplitude on both
-        assert slopes[j, other] == pytest.approx(-slopes[other, other], rel=1e-12)
+        for beyond, limit in ((-1.5, -1.0), (3.5, 3.0)):
+            eta[j] = beyond * eta[other]
+            values, slopes = layout.physical(eta, none, 0.0)
+            assert values[j] == pytest.approx(limit * values[other], rel=1e-12)
+            assert not slopes[:, j].any()
+            # the same factor of amplitude on both
+            assert slopes[j, other] == pytest.approx(limit * slopes[other, other], rel=1e-12)
+            assert layout.within(eta)[j] == pytest.approx(limit * eta[other], rel=1e-12)
+        eta[j] = 2.0 * eta[other]
+        assert layout.physical(eta, none, 0.0)[1][:, j].any() and layout.within(eta)[j] == eta[j]
 
 
 @pytest.mark.parametrize("name", EFFECTS)

@@ -285,7 +285,7 @@ class DepartingSets(Departures):
             return None
         layout, q = point.layout, point.layout.free.size
         for length in _CUTS:
-            eta = np.clip(point.state.eta + length * step[0], layout.low, layout.high)
+            eta = layout.within(point.state.eta + length * step[0])
             own = point.state.own.copy()
             own[:, :2] += length * step[1][:, :2]
             own[:, 1] = np.maximum(own[:, 1], 0.0)

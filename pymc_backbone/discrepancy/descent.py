@@ -78,6 +78,15 @@ class Descent:
         )
         return state if found is None else found.state
 
+    def first_look(self, layout: Layout, state: State) -> tuple[State, float]:
+        """Return a start brought to the first turning points, and the reduced chi-square that it leaves there."""
+        terms = [term.first(_FIRST_WINDOW) for term in self.batch.turning]
+        count = sum(term.size for term in terms)
+        found = self.fit(
+            layout, terms, state, iterations=_ON_THE_WAY, tolerance=_ENOUGH, goal=_NEAR_NOISE * count
+        )  # fmt: skip
+        return (state, np.inf) if found is None else (found.state, found.cost / count)
+
     def hopeless(self, best: Fit | None) -> float:
         """Return the sum of squares over the turning points from which no other model can rival one that explains.
 

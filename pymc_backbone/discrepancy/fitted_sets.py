@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
@@ -35,6 +35,7 @@ _LARGEST_VARIED = 2  # effects of the sets with variants in the place of others 
 _POOR = 1.5  # reduced chi-square above which a fit may have lost its way
 _NOT_FAR = 2.0  # reduced chi-square of a smaller set up to which the records say where a further effect begins
 _UNTOLD = 1.0  # reduced chi-square of the backbones of a smaller set up to which they do not say what else is there
+_FOLLOWS = 30.0  # reduced chi-square of the first turning points from which a start does not follow them
 _LOST = 6.0  # reduced chi-square of the backbones, over what was promised, from which a fit ended elsewhere
 _NOTED = 1.0  # chi-square above that of the smaller set up to which one step is enough to note a set
 _WORTH = 5.0  # fall of chi-square by which one more effect begins to earn its place
@@ -338,8 +339,7 @@ class FittedSets:
         found: list[Fit] = []
         ways: list[Way] = []
         limit, is_refuted = self._limit, True
-        for promised, eta, own in proposal.starts:
-            state = self.descent.released(layout, eta, own)
+        for promised, state in self._in_order(layout, proposal):
             reached = self.descent.from_afar(layout, state, rival, ways, limit)
             if reached is None:
                 continue
@@ -354,6 +354,29 @@ class FittedSets:
         if found and is_refuted:
             self.refuted.add(names)
         return found
+
+    def _in_order(self, layout: Layout, proposal: Proposal) -> Iterator[tuple[float, State]]:
+        """Yield the starts of a set, each with what it promises; as the backbones rank them, if the first is one.
+
+        Backbones of the mean specimen may rank a start first that does not follow the first cycles. Then all have to,
+        and those that do begin: a whole fit costs as much as twenty such looks.
+        """
+        released = ((promised, self.descent.released(layout, eta, own)) for promised, eta, own in proposal.starts)
+        if not self.batch.has_records or len(proposal.starts) < 2:
+            yield from released
+            return
+        promised, state = next(released)
+        followed, miss = self.descent.first_look(layout, state)
+        if miss < _FOLLOWS:
+            yield promised, followed
+            yield from released
+            return
+        looks = [(miss, 0, promised, followed)]
+        for k, (promised, state) in enumerate(released, start=1):
+            followed, miss = self.descent.first_look(layout, state)
+            looks.append((miss, k, promised, followed))
+        for _, _, promised, followed in sorted(looks, key=lambda item: item[:2]):
+            yield promised, followed
 
     def _without_base(self, layout: Layout, proposal: Proposal, rival: float | None, ways: list[Way]) -> list[Fit]:
         """Return the fit of a set from where the effects of the model as it is are absent: they may imitate the set."""

@@ -162,7 +162,7 @@ def fit(
     active = np.zeros(NUISANCES + q, dtype=bool)
     active[list(nuisances)] = True
     active[NUISANCES:] = scatter > 0.0
-    state = _within(layout, State(np.clip(state.eta, layout.low, layout.high), state.own.copy()), scatter)
+    state = _within(layout, State(layout.within(state.eta), state.own.copy()), scatter)
     system = linearise(layout, terms, state, scatter, active)
     if system is None:
         return None
@@ -212,7 +212,7 @@ def _tried(
     step = _step(layout, system, state, active, damping, scatter)
     if step is None:
         return _Tried(state, None, 0)
-    proposal = State(np.clip(state.eta + step[0], layout.low, layout.high), state.own + step[1])
+    proposal = State(layout.within(state.eta + step[0]), state.own + step[1])
     proposal.own[:, 1] = np.maximum(proposal.own[:, 1], 0.0)
     np.clip(proposal.own[:, DRIFTS[0] :], -_MOST_SCATTER, _MOST_SCATTER, out=proposal.own[:, DRIFTS[0] :])
     if scatter > 0.0:

@@ -16,6 +16,8 @@ _BOX = 4.0
 _STIFFEST = 0.003  # slip displacement over amplitude
 _SHARPEST = 0.004  # displacement over amplitude at which a state saturates
 _SOFTEST = {True: 10.0, False: 1.5}  # of a bed of sliders (with an exponent), and of one: a plain spring beyond
+MOST_OPPOSED = 3.0
+"""How many times another coordinate one that is opposed to it is at most."""
 SHAPES: tuple[Role, ...] = ("shape", "exponent")
 """Roles of parameters that have limits of their own: they do not leave their default bounds."""
 
@@ -50,7 +52,7 @@ class Layout:
     slips : tuple of (int, int)
         Stiffness and force of each slider: the coordinates hold the force, then the relative slip displacement.
     opposed : tuple of (int, int)
-        Coordinates that are not below minus another one.
+        Coordinates that are not below minus another one, nor above `MOST_OPPOSED` times it.
     amplitude : float
         Typical amplitude [m or rad].
     names : tuple of str
@@ -93,14 +95,22 @@ class Layout:
         edges = np.where(eta != 0.0, edges, np.array([[-np.inf], [np.inf]]))
         return np.minimum(edges.min(axis=0), 0.0), np.maximum(edges.max(axis=0), 0.0)
 
+    def within(self, eta: FloatArray) -> FloatArray:
+        """Return coordinates (q,) within their limits, those of one that is opposed to another included."""
+        inside: FloatArray = np.clip(eta, self.low, self.high)
+        for j, other in self.opposed:
+            inside[j] = np.clip(inside[j], -inside[other], MOST_OPPOSED * inside[other])
+        return inside
+
     def physical(self, eta: FloatArray, delta: FloatArray, scatter: float) -> tuple[FloatArray, FloatArray]:
         """Return effect parameters (q,) of a specimen, and their derivatives (q, q) to its own coordinates."""
         own = np.clip(eta * (1.0 + scatter * delta), self.low, self.high)
         slopes, base = np.eye(own.size), np.eye(own.size)
         for j, other in self.opposed:
-            if own[j] < -own[other]:
-                own[j] = -own[other]
-                base[j, j], base[j, other] = 0.0, -1.0
+            for limit in (-1.0, MOST_OPPOSED):
+                if limit * (own[j] - limit * own[other]) > 0.0:
+                    own[j] = limit * own[other]
+                    base[j, j], base[j, other] = 0.0, limit
         values = own.copy()
         for j, exponent in self.powers:
             factor = self.amplitude ** -own[exponent]

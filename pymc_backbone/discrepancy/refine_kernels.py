@@ -13,6 +13,7 @@ from ..simulation.forces import ROW
 from ..simulation.memory import DAMPING as DAMPING_PLACE
 from ..simulation.memory import MASS, N_EFFECTS, TABLE
 from ..simulation.memory import STIFFNESS as STIFFNESS_PLACE
+from .layout import MOST_OPPOSED
 from .look_kernels import AT_TURN, DAMPING, MIDDLE, N_LOOK, STIFFNESS, averaged
 
 _LONGEST = 1.0  # step of the logarithm of a shape
@@ -30,7 +31,7 @@ def _physical(
     values = np.minimum(np.maximum(eta, low), high)
     for i in range(opposed.shape[0]):
         j, other = opposed[i]
-        values[j] = max(values[j], -values[other])
+        values[j] = min(max(values[j], -values[other]), MOST_OPPOSED * values[other])
     for i in range(powers.shape[0]):
         j, exponent = powers[i]
         values[j] *= amplitude ** -values[exponent]
@@ -303,6 +304,9 @@ def refine(
                 limit = max(_LARGEST_PART * spans[j], 0.1 * widths[j])
                 moved[j] = eta[j] + min(max(step[j], -limit), limit)
             moved[j] = min(max(moved[j], low[j]), high[j])
+        for i in range(opposed.shape[0]):
+            j, other = opposed[i]
+            moved[j] = min(max(moved[j], -moved[other]), MOST_OPPOSED * moved[other])
         moved_own = own.copy()
         for r in range(own.shape[0]):
             for i in range(2):

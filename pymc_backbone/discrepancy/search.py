@@ -141,8 +141,8 @@ class Search(RevisitedSets):
             if self._is_spent:
                 self.is_cut = True
                 break
-            if self._is_costly(names) and explained:
-                continue  # asked later, where what is simple leaves more than noise
+            if self._is_costly(names) and explained and self._is_settled():
+                continue  # asked later, if at all: what is simple leaves noise
             self.progress("sets that the backbones propose", min(fitted / most, 1.0))
             found = self.fit_set(names)
             fitted += 1

@@ -172,7 +172,7 @@ class SetFits:
         smallest = 0.02 * data.mass * data.omegas.min() ** 2
         own[:, 0] = np.maximum(own[:, 0], smallest)
         own[:, 1] = np.maximum(own[:, 1], 0.0)
-        eta = np.clip(eta, layout.low, layout.high)
+        eta = layout.within(eta)
         n, q = data.levels.size, eta.size
         return Point(
             eta, own, defect.copy(), np.zeros((n, N_LOOK)), np.zeros((q, 3, n)), eta.copy(), np.zeros((q, n, N_LOOK))
@@ -351,7 +351,7 @@ class SetFits:
                 eta[here.names.index(name)] = start.eta[k]
         n, q = self.data.levels.size, eta.size
         return Point(
-            np.clip(eta, here.low, here.high), start.own.copy(), start.defect.copy(), np.zeros((n, N_LOOK)),
+            here.within(eta), start.own.copy(), start.defect.copy(), np.zeros((n, N_LOOK)),
             np.zeros((q, 3, n)), eta.copy(), np.zeros((q, n, N_LOOK)),
         )  # fmt: skip
 

@@ -192,7 +192,8 @@ class Effect:
         with the record as default bounds are.
     opposed : tuple of (str, str)
         Parameters that are not below minus another one where the effect is looked for in data: beyond, the force is
-        no longer bounded for a bounded motion.
+        no longer bounded for a bounded motion. Nor are they above three times it: beyond, hardly anything dissipates,
+        and the effect imitates a spring.
     signature : Signature, optional
         How decays show it; every effect of the library has one.
     needs_rotation : bool
