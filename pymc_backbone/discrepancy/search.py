@@ -162,7 +162,7 @@ class Search(RevisitedSets):
         if self._is_explained() or not self.variants or any({*names} & {*self.variants} for names in self.proposals):
             return
         most = self.descent.effort + _FOR_VARIANTS * self.budget
-        possible = [item for item in self._with_variants() if self._is_any_possible([item])]
+        possible = [item for item in self._with_variants() if item.is_exact and self._is_any_possible([item])]
         for proposal in [item for item in possible if not self._is_costly(item.names)][:_MOST_VARIED]:
             if self.descent.effort > most:
                 break
