@@ -43,8 +43,9 @@ def candidates(study: Study, figures: Mapping[str, Figure]) -> str:
     note = paragraph(
         "Log evidence is relative to the base model; every set that was tried is listed. After "
         "\N{PLUS-MINUS SIGN} stands the standard error of the fit to all specimens, between which an effect is taken "
-        "to differ by a tenth, or by a third where only so a set explains the backbones. Corrected by: what importance "
-        "sampling adds to the evidence by Laplace's method, with the Pareto k of its weights; above 0.7 it is not used.",
+        "to differ by a tenth, or by a third where only so a set explains the backbones. Corrected by: what "
+        "importance sampling adds to the evidence by Laplace's method, with the Pareto k of its weights; above 0.7 it "
+        "is not used.",
         "soft",
     )
     if study.evidence_basis is not None:
