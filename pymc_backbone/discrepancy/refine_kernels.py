@@ -246,8 +246,7 @@ def refine(
     )  # fmt: skip
     marquardt = 1e-3
     cost, log_determinant = np.inf, 0.0
-    quiet = 0
-    is_new = True
+    quiet, is_new = 0, True
     for iteration in range(iterations + 1):
         if is_new:
             for j in range(q):
