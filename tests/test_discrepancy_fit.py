@@ -13,8 +13,9 @@ from scipy.stats import chi2
 
 from pymc_backbone.discrepancy import joint_fit, normal_equations, starts, whitening
 from pymc_backbone.discrepancy.data_term import TurningTerm, level_term
-from pymc_backbone.discrepancy.joint_fit import _recentred, fit, parameters_of
+from pymc_backbone.discrepancy.joint_fit import fit, parameters_of
 from pymc_backbone.discrepancy.layout import make_layout
+from pymc_backbone.discrepancy.limits import recentred
 from pymc_backbone.discrepancy.normal_equations import NUISANCES, State, start_state
 from pymc_backbone.discrepancy.record_term import first_turning_point
 from pymc_backbone.discrepancy.scatter import SCATTER
@@ -591,7 +592,7 @@ def test_scatter_of_one_sign_moves_into_the_shared_value():
     eta = np.array([0.1 * STIFFNESS / AMPLITUDE**2])
     own = np.zeros((3, NUISANCES + 1))
     own[:, -1] = (6.0, 7.0, 8.0)  # the last leans on the limit
-    moved = _recentred(layout, State(eta, own), SCATTER)
+    moved = recentred(layout, State(eta, own), SCATTER)
     np.testing.assert_allclose(
         moved.eta * (1.0 + SCATTER * moved.own[:, -1]), eta * (1.0 + SCATTER * own[:, -1]), rtol=1e-12
     )  # the specimens keep their values

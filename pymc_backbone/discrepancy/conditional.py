@@ -110,7 +110,7 @@ class Conditional:
         covariance = symmetric(scaled) * np.outer(self.widths, self.widths)
         limits = 3.0 * np.sqrt(np.diag(covariance))
         step = np.clip(covariance @ gradient, -limits, limits)
-        stepped = np.clip(found.state.eta + step, found.layout.low, found.layout.high)
+        stepped = found.layout.within(found.state.eta + step)
         # a fit that did not come to rest is left behind; but along a bent valley a straight step leads away
         middle = max((found.state.eta, stepped), key=lambda eta: self._log_density(eta)[0]) if q else stepped
         self.proposal = Proposal(middle, covariance)
@@ -156,7 +156,7 @@ class Conditional:
     def _log_density(self, eta: FloatArray) -> tuple[float, float]:
         """Return the logarithm of the integrand at one point, and the cycles that were simulated for it."""
         layout, cycles = self.layout, 0.0
-        if np.any(eta < layout.low) or np.any(eta > layout.high):
+        if np.any(eta != layout.within(eta)):
             return -np.inf, cycles
         place = (eta - self.found.state.eta) / self.widths
         total = -0.5 * float(place @ place) - float(np.log(self.widths).sum()) - 0.5 * place.size * np.log(2.0 * np.pi)

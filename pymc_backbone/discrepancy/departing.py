@@ -302,8 +302,7 @@ class DepartingSets(Departures):
         """Return the deviations (q,) that no specimen goes beyond: the most, or where a coordinate has its limit."""
         if len(self.kept) < 2:
             return np.zeros(eta.size), np.zeros(eta.size)
-        low, high = layout.room(eta, layout.scatter)
-        return np.maximum(low, -_MOST_SCATTER), np.minimum(high, _MOST_SCATTER)
+        return layout.room(eta, layout.scatter, _MOST_SCATTER)
 
     def _step(self, point: Point) -> tuple[FloatArray, FloatArray] | None:
         """Return the step of the shared coordinates, and that of stiffness, damping and deviations of each specimen."""

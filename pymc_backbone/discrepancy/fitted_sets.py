@@ -12,14 +12,14 @@ import numpy as np
 from .._common.checks import FloatArray
 from ..effects import LIBRARY, Effect
 from ..oscillator import Oscillator
-from . import evidence, starts
+from . import starts
 from .batch import Batch
 from .curves import level_chi_square
 from .descent import IN_REACH, Descent, Way
 from .joint_fit import Fit
 from .layout import Layout, make_layout
 from .normal_equations import State
-from .propose import Proposal, propose
+from .propose import Proposal, propose, with_variants
 from .scatter import SCATTER
 from .set_fits import Set
 
@@ -103,23 +103,19 @@ class FittedSets:
         return {item.names: item for item in found}
 
     def _with_variants(self) -> list[Proposal]:
-        """Return how sets that hold a variant look in the backbones, the likeliest first; variants are rare."""
-        every = (*self.candidates, *self.variants)
-        wider = propose(self.batch, self.base, every, min(self.max_effects, _LARGEST_VARIED), self.own)
-        count = {item.names: len(set(item.names) & set(self.variants)) for item in wider}
-        rare = np.log(evidence.VARIANT)
-        found = [
-            replace(item, log_evidence=item.log_evidence + rare * count[item.names])
-            for item in wider
-            if count[item.names]
-        ]
-        return sorted(found, key=lambda item: -item.log_evidence)
+        """Return how sets of up to two effects that hold a variant look in the backbones, the likeliest first."""
+        largest = min(self.max_effects, _LARGEST_VARIED)
+        return with_variants(self.batch, self.base, self.candidates, self.variants, largest, self.own)
 
     def _is_any_possible(self, proposals: Iterable[Proposal]) -> bool:
         """Return whether a set explains the backbones, or none was simulated exactly."""
-        values = sum(term.size for term in self.batch.levels)
         known = [item.chi_square for item in proposals if item.is_exact]
-        return not known or min(known) <= POSSIBLE_BACKBONE * values
+        return not known or min(known) <= POSSIBLE_BACKBONE * self._level_values
+
+    @property
+    def _level_values(self) -> int:
+        """How many values the backbones hold."""
+        return sum(term.size for term in self.batch.levels)
 
     def _mind_scatter(self) -> None:
         """Begin again with effects that differ more between specimens, where only so a set explains the backbones."""
@@ -255,7 +251,7 @@ class FittedSets:
         parent, worth = parents[0], _WORTH
         if parent.cost > _NOT_FAR * self.count:
             smaller = self.proposals.get(self._names(parent))
-            if smaller is None or not smaller.chi_square < _UNTOLD * sum(term.size for term in self.batch.levels):
+            if smaller is None or not smaller.chi_square < _UNTOLD * self._level_values:
                 return False
             worth = 0.5 * (parent.cost - self.count)
         return min(item.cost for item in found) > parent.cost - worth
@@ -393,8 +389,7 @@ class FittedSets:
         if found.cost < _POOR * self.count:
             return False
         reduced = level_chi_square(self.batch, found)
-        values = sum(term.size for term in self.batch.levels)
-        return not reduced < _LOST * max(promised / values, 1.0)
+        return not reduced < _LOST * max(promised / self._level_values, 1.0)
 
     def _names(self, found: Fit) -> Set:
         held = {effect.name for effect in self.base.effects}

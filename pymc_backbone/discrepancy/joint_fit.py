@@ -13,11 +13,11 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from .._common.checks import FloatArray
 from .data_term import DataTerm
 from .layout import Layout
+from .limits import MOST_SCATTER, is_trusted, leans, recentred, within
 from .normal_equations import (
     DRIFTS,
     NUISANCES,
@@ -35,10 +35,8 @@ from .scatter import NO_SCATTER, Scatter, infer_scatter
 _FIRST_DAMPING = 1e-3
 _LARGEST_DAMPING = 1e8
 _CONVERGED = 0.01
-_MOST_SCATTER = 8.0  # standard deviations: an effect neither vanishes nor turns around in one specimen
 _RACE, _LONG_RACE, _RACE_MARGIN = 6, 25, 60.0
 _AT_REST = 50.0  # fall of the cost that one more step promises, up to which it says what a fit at rest would
-_LONGEST = 3.0  # factor by which a step may change stiffness and release
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +160,7 @@ def fit(
     active = np.zeros(NUISANCES + q, dtype=bool)
     active[list(nuisances)] = True
     active[NUISANCES:] = scatter > 0.0
-    state = _within(layout, State(layout.within(state.eta), state.own.copy()), scatter)
+    state = within(layout, State(layout.within(state.eta), state.own.copy()), scatter)
     system = linearise(layout, terms, state, scatter, active)
     if system is None:
         return None
@@ -214,16 +212,16 @@ def _tried(
         return _Tried(state, None, 0)
     proposal = State(layout.within(state.eta + step[0]), state.own + step[1])
     proposal.own[:, 1] = np.maximum(proposal.own[:, 1], 0.0)
-    np.clip(proposal.own[:, DRIFTS[0] :], -_MOST_SCATTER, _MOST_SCATTER, out=proposal.own[:, DRIFTS[0] :])
+    np.clip(proposal.own[:, DRIFTS[0] :], -MOST_SCATTER, MOST_SCATTER, out=proposal.own[:, DRIFTS[0] :])
     if scatter > 0.0:
-        proposal = _within(layout, _recentred(layout, proposal, scatter), scatter)
-    if not np.isfinite(proposal.own).all() or not _is_trusted(state, proposal):
+        proposal = within(layout, recentred(layout, proposal, scatter), scatter)
+    if not np.isfinite(proposal.own).all() or not is_trusted(state, proposal):
         return _Tried(state, None, 0)
     reached = linearise(layout, terms, proposal, scatter, active)
     if reached is None or reached.cost < system.cost or not layout.free.size:
         return _Tried(proposal, reached, 1)
     followed = _followed(proposal, reached, active)
-    if followed is None or not _is_trusted(state, followed):
+    if followed is None or not is_trusted(state, followed):
         return _Tried(proposal, reached, 1)
     again = linearise(layout, terms, followed, scatter, active)
     if again is None or again.cost >= reached.cost:
@@ -249,40 +247,12 @@ def _followed(state: State, system: System, active: Any) -> State | None:
     return State(state.eta, own) if np.isfinite(own).all() else None
 
 
-def _is_trusted(state: State, proposal: State) -> bool:
-    """Return whether no specimen's stiffness or release changes by more than a factor of three, or turns around.
-
-    Far from the minimum the linear step knows nothing of the other side of zero; from there is no way back.
-    """
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = proposal.own[:, (0, 2)] / state.own[:, (0, 2)]
-    ratio[state.own[:, (0, 2)] == 0.0] = 1.0  # backbones know no release
-    return bool(np.all((ratio > 1.0 / _LONGEST) & (ratio < _LONGEST)))
-
-
-def _recentred(layout: Layout, state: State, scatter: float) -> State:
-    """Return the same parameters of every specimen with the shared values in their middle, where one is at a limit.
-
-    Where scatter has the same sign in all specimens, it belongs to the shared value. Without this a fit could lean on
-    a limit with every specimen and find no way back. What a single specimen needs beyond the limit moves the shared
-    value; then nothing is changed.
-    """
-    if not np.any(np.abs(state.own[:, NUISANCES:]) >= _MOST_SCATTER):
-        return state
-    values = np.clip(state.eta * (1.0 + scatter * state.own[:, NUISANCES:]), layout.low, layout.high)
-    eta = values.mean(axis=0)
-    own = state.own.copy()
-    usable = eta != 0.0
-    own[:, NUISANCES:] = np.where(usable, (values / np.where(usable, eta, 1.0) - 1.0) / scatter, own[:, NUISANCES:])
-    return state if np.any(np.abs(own[:, NUISANCES:]) > _MOST_SCATTER) else State(eta, own)
-
-
 def _step(layout: Layout, system: System, state: State, active: Any, damping: float, scatter: float) -> Any:
     """Return the step of the shared and the own values, limits minded."""
     q = layout.free.size
     held = np.zeros((state.own.shape[0], NUISANCES + q), dtype=bool)
     held[:, 1] = (state.own[:, 1] <= 0.0) & (system.own_gradient[:, 1] < 0.0)
-    held[:, DRIFTS[0] :] = _leans(layout, state, system.own_gradient, scatter)[:, DRIFTS[0] :]
+    held[:, DRIFTS[0] :] = leans(layout, state, system.own_gradient, scatter)[:, DRIFTS[0] :]
     eliminated = eliminate(system, active, damping, held)
     if eliminated is None:
         return None
@@ -305,35 +275,6 @@ def _step(layout: Layout, system: System, state: State, active: Any, damping: fl
     if not (np.isfinite(step).all() and np.isfinite(own).all()):
         return None
     return step, own
-
-
-def _within(layout: Layout, state: State, scatter: float) -> State:
-    """Return the same with no specimen's parameter beyond its limits, where its deviation would cost and do nothing."""
-    if scatter == 0.0 or not layout.free.size:
-        return state
-    low, high = layout.room(state.eta, scatter)
-    own = state.own.copy()
-    np.clip(own[:, NUISANCES:], low, high, out=own[:, NUISANCES:])
-    return State(state.eta, own)
-
-
-def _leans(layout: Layout, state: State, gradient: FloatArray, scatter: float) -> npt.NDArray[np.bool_]:
-    """Return which of the specimens' own values (r, 7 + q) want beyond the most that they may differ.
-
-    Or beyond where the parameter that they stand for has its limit.
-    """
-    low = np.full(state.own.shape[1], -_MOST_SCATTER)
-    high = -low
-    if scatter > 0.0 and layout.free.size:
-        edges = layout.room(state.eta, scatter)
-        low[NUISANCES:], high[NUISANCES:] = (
-            np.maximum(low[NUISANCES:], edges[0]),
-            np.minimum(high[NUISANCES:], edges[1]),
-        )
-    leans: npt.NDArray[np.bool_] = ((state.own >= high - 1e-9) & (gradient > 0.0)) | (
-        (state.own <= low + 1e-9) & (gradient < 0.0)
-    )
-    return leans
 
 
 def _finish(layout: Layout, system: System, state: State, active: Any, converged: bool) -> Fit:
@@ -386,7 +327,7 @@ def _stepped(found: Fit, width: float) -> _Stepped | None:
     )  # fmt: skip
     held = np.zeros(state.own.shape, dtype=bool)
     held[:, 1] = state.own[:, 1] <= 0.0
-    held[:, DRIFTS[0] :] = _leans(layout, state, system.own_gradient, layout.scatter)[:, DRIFTS[0] :]
+    held[:, DRIFTS[0] :] = leans(layout, state, system.own_gradient, layout.scatter)[:, DRIFTS[0] :]
     eliminated = eliminate(moved, active, 0.0, held)
     if eliminated is None:
         return None
@@ -403,6 +344,6 @@ def _stepped(found: Fit, width: float) -> _Stepped | None:
         cost -= float((moved.own_gradient[r, index] * scale) @ reduced[:, -1])
     determinant = sum(item[3] for item in solved) + np.linalg.slogdet(scaled)[1]
     # at a parameter's limit lies half of any prior; elsewhere its density falls with the width
-    at_limit = held[:, free] & (np.abs(state.own[:, free]) < _MOST_SCATTER - 1e-9)
+    at_limit = held[:, free] & (np.abs(state.own[:, free]) < MOST_SCATTER - 1e-9)
     determinant += 2.0 * np.count_nonzero(~at_limit) * np.log(width)
     return _Stepped(float(cost), float(determinant))

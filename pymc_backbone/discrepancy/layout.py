@@ -85,15 +85,15 @@ class Layout:
         names = [name for effect in self.oscillator.effects for name, _ in effect.redundant]
         return {name: float(self.template[self.oscillator.index(name)]) for name in names}
 
-    def room(self, eta: FloatArray, scatter: float) -> tuple[FloatArray, FloatArray]:
-        """Return the deviations (q,) of a specimen at which its coordinates come to their lower or upper limits.
+    def room(self, eta: FloatArray, scatter: float, most: float) -> tuple[FloatArray, FloatArray]:
+        """Return the least and largest deviations (q,) of a specimen: the most, or where coordinates have their limits.
 
-        Beyond, a deviation does nothing. The first are not above zero, the second not below.
+        Beyond these, a deviation does nothing. The first are not above zero, the second not below.
         """
         with np.errstate(divide="ignore", invalid="ignore"):
             edges = (np.array([self.low, self.high]) / eta - 1.0) / scatter
         edges = np.where(eta != 0.0, edges, np.array([[-np.inf], [np.inf]]))
-        return np.minimum(edges.min(axis=0), 0.0), np.maximum(edges.max(axis=0), 0.0)
+        return np.clip(edges.min(axis=0), -most, 0.0), np.clip(edges.max(axis=0), 0.0, most)
 
     def within(self, eta: FloatArray) -> FloatArray:
         """Return coordinates (q,) within their limits, those of one that is opposed to another included."""

@@ -8,7 +8,7 @@ regression is repeated. Then each set within reach is refined with its own defec
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations, pairwise
 from typing import Any
@@ -20,6 +20,7 @@ from .._common.threads import in_threads
 from ..effects import Effect
 from ..oscillator import Oscillator
 from .batch import Batch
+from .evidence import VARIANT
 from .look_kernels import N_LOOK
 from .looks import regression
 from .scatter import SCATTER, WIDE_SCATTER
@@ -111,6 +112,25 @@ def propose(
         if wider[0].log_evidence > found[0].log_evidence:
             return wider
     return found
+
+
+def with_variants(
+    batch: Batch,
+    base: Oscillator,
+    candidates: Sequence[str],
+    variants: Sequence[str],
+    max_effects: int,
+    own_effects: Mapping[str, Effect] | None = None,
+) -> list[Proposal]:
+    """Return every set that holds a variant, with the prior of these in its evidence, the likeliest first.
+
+    Arguments as in `propose`; ``variants`` are effects that are looked for in the place of candidates, and rarer.
+    """
+    found = propose(batch, base, (*candidates, *variants), max_effects, own_effects)
+    count = {item.names: len(set(item.names) & set(variants)) for item in found}
+    rare = np.log(VARIANT)
+    rarer = [replace(item, log_evidence=item.log_evidence + rare * count[item.names]) for item in found]
+    return sorted((item for item in rarer if count[item.names]), key=lambda item: -item.log_evidence)
 
 
 class _Proposer:
