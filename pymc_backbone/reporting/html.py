@@ -76,6 +76,7 @@ display:flex;justify-content:space-between;gap:10px;text-align:right;white-space
 .stack td .bar{min-width:64px}.stack td.text span,.stack td.head span{text-align:left}
 .stack td.head{font-weight:650;text-align:left}.stack td.head::before,.stack td.text::before{content:none}
 .stack td.text{text-align:left;color:var(--soft)}.stack tr.strong td:first-child{box-shadow:none}}
+@media(max-width:480px){.stack td.n{grid-column:span 2}}
 @media print{body{background:#fff;font-size:11pt}main{max-width:none;padding:0}header,section{border:0;padding:0 0 8px;
 margin:0 0 12px}figure,tr,pre,.tile,.pair{break-inside:avoid}table{font-size:.78rem}
 figure img{max-width:430px}h2,h3{break-after:avoid}}
