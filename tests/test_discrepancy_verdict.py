@@ -518,6 +518,11 @@ def test_the_table_says_how_much_less_probable_a_set_is():
     assert "most probable set without" in said("a")  # another is more probable by itself
     sure = replace(decision, probabilities={("a",): 0.9, ("b",): 0.1})
     assert candidate_table._reason(("a",), 0.9, 0.0, sure, Status.BEST) == "the most probable set"
+    # out of phase no sum of squares compares sets
+    told = [candidate_table._reason(names, 0.0, np.nan, sure, Status.REJECTED) for names in ((), ("b",), ("a", "b"))]
+    assert all("chi-square" not in text and "far less probable" in text for text in told)
+    assert "no more chi-square" in candidate_table._of_backbones(0.0)
+    assert candidate_table._of_backbones(123.4).endswith("larger by 123")
 
 
 @pytest.mark.parametrize(

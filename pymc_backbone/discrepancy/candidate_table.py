@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from .._common.text import in_words
 from .curves import level_chi_square, on_levels
 from .decision import Decision
@@ -13,6 +15,7 @@ from .verdict import Status
 _LISTED_LEFT = 20  # sets in the table that were compared by their backbones only
 _POSSIBLE = 0.01  # probability from which a set is called possible
 _NOT_TRUSTED = "; its probability is not to be trusted: importance sampling does not confirm its evidence"
+_AS_MUCH = 1.0  # chi-square of the backbones up to which a set leaves as much as the likeliest
 _ABOUT = 0.5  # of the best set's probability, from which a set explains the records about as well
 
 
@@ -20,7 +23,8 @@ def candidates_of(search: Search, decision: Decision) -> tuple[Candidate, ...]:
     """Return the table of all sets, most probable first, each with what became of it and why."""
     rows = []
     count = sum(w.size for w in search.batch.deciding)
-    best_cost = search.fits[decision.best].cost
+    # out of phase the sum of squares over the samples compares nothing
+    best_cost = float("nan") if search.is_refuted(decision.best) else search.fits[decision.best].cost
     for names, found in search.fits.items():
         probability = decision.probabilities.get(names, 0.0)
         weighed, shift = decision.evidences.get(names), decision.corrected.sets.get(names)
@@ -83,10 +87,17 @@ def _by_backbones_alone(search: Search) -> list[Candidate]:
             reduced_chi_square=float("nan"),
             backbone_chi_square=item.chi_square / max(values - 2 * len(search.batch.levels), 1),
             status=Status.REJECTED,
-            reason=f"its backbones leave a chi-square that is larger by {max(item.chi_square - best, 0.0):.3g}",
+            reason=_of_backbones(item.chi_square - best),
         )
         for item in chosen
     ]
+
+
+def _of_backbones(excess: float) -> str:
+    """Return why a set was left aside whose backbones leave so much more chi-square than those of the likeliest."""
+    if excess < _AS_MUCH:
+        return "its backbones leave no more chi-square, with less evidence"
+    return f"its backbones leave a chi-square that is larger by {excess:.3g}"
 
 
 def _of_best(decision: Decision) -> str:
@@ -101,15 +112,20 @@ def _of_best(decision: Decision) -> str:
 
 
 def _reason(names: Set, probability: float, gain: float, decision: Decision, status: Status) -> str:
-    """Return why a set has its status; ``gain`` is the chi-square of the best set minus that of this one."""
+    """Return why a set has its status; ``gain`` is the chi-square of the best set minus that of this one.
+
+    NaN where the best set was not followed to the samples: over so many cycles none keeps the phase.
+    """
     if status is Status.BEST:
         return _of_best(decision)
     extra = set(names) - set(decision.best)
     if status is Status.NOT_CONVERGED:
         return "could explain the backbones, but its fit to the records did not come to rest"
-    if set(decision.best) < set(names):
+    if status is Status.REJECTED and not np.isfinite(gain):
+        return "by its backbones, with what no law explains in them, far less probable"
+    if set(decision.best) < set(names) and np.isfinite(gain):
         return f"adds {', '.join(map(in_words, sorted(extra)))}, which improves chi-square by {max(gain, 0.0):.3g} only"
-    if set(names) < set(decision.best):
+    if set(names) < set(decision.best) and np.isfinite(gain):
         lost = ", ".join(map(in_words, sorted(set(decision.best) - set(names))))
         return f"without {lost} chi-square is larger by {-gain:.3g}"
     if status is Status.POSSIBLE:
