@@ -8,6 +8,7 @@ import pytest
 from pymc_backbone._common.checks import OBSERVABLES
 from pymc_backbone.discrepancy import looks
 from pymc_backbone.discrepancy.batch import Batch, batch_of_backbones
+from pymc_backbone.discrepancy.evidence import VARIANT, log_prior
 from pymc_backbone.discrepancy.layout import make_layout
 from pymc_backbone.discrepancy.looks import STIFFNESS, atoms_of, level_data
 from pymc_backbone.discrepancy.propose import Proposal, _Proposer, propose
@@ -133,6 +134,24 @@ def test_every_set_is_there_once_and_the_same_call_gives_the_same():
     assert best.eta[0] == pytest.approx(0.35 * SPRING / AMPLITUDE**2, rel=0.03)
     # negative control: the model without the effect is far off
     assert found[_rank(found, ())].chi_square > 50.0 * best.chi_square
+
+
+def test_variants_are_proposed_in_pairs_and_are_rarer():
+    """A damper with the root of the speed: friction with drag, or memory and a gap, imitate it at this or that end."""
+    candidates, variants = ("coulomb_friction", "cubic_stiffness", "quadratic_damping"), ("power_damping",)
+    values = {"power_damping": 2.0 * DAMPER, "power_damping_exponent": 0.5, "power_damping_speed": AMPLITUDE * OMEGA,
+              "cubic_stiffness": 0.1 * SPRING / AMPLITUDE**2}  # fmt: skip
+    batch = _batch(Oscillator(MASS, ["power_damping", "cubic_stiffness"]), values, scatter=0.0)
+    found = propose(batch, Oscillator(MASS), candidates, 3, variants=variants)
+    sets = [item.names for item in found]
+    assert len(sets) == 8 + 1 + 3 == len(set(sets))  # no set of three holds a variant
+    assert sets[0] == ("cubic_stiffness", "power_damping")
+    # the same set asked as a candidate: the data say the same, the prior does not
+    named = propose(batch, Oscillator(MASS), (*candidates, "power_damping"), 2)
+    known = named[_rank(named, sets[0])]
+    assert known.chi_square == pytest.approx(found[0].chi_square, rel=0.05)
+    prior = log_prior(2, 3) + np.log(VARIANT) - log_prior(2, 4)
+    assert found[0].log_evidence - known.log_evidence == pytest.approx(prior, abs=0.5)
 
 
 HARD = {

@@ -19,7 +19,7 @@ from .descent import IN_REACH, Descent, Way
 from .joint_fit import Fit
 from .layout import Layout, make_layout
 from .normal_equations import State
-from .propose import Proposal, propose, with_variants
+from .propose import Proposal, propose
 from .scatter import SCATTER
 from .set_fits import Set
 
@@ -31,7 +31,6 @@ EXPLAINED = 1.1
 """Reduced chi-square up to which a set may be complete."""
 POSSIBLE_BACKBONE = 3.0
 """Reduced chi-square of the level values up to which a set could explain the backbones."""
-_LARGEST_VARIED = 2  # effects of the sets with variants in the place of others that are looked at
 _POOR = 1.5  # reduced chi-square above which a fit may have lost its way
 _NOT_FAR = 2.0  # reduced chi-square of a smaller set up to which the records say where a further effect begins
 _UNTOLD = 1.0  # reduced chi-square of the backbones of a smaller set up to which they do not say what else is there
@@ -94,18 +93,10 @@ class FittedSets:
 
     @cached_property
     def proposals(self) -> dict[Set, Proposal]:
-        """How every set looks in the backbones, the likeliest first; with variants where no other explains."""
+        """How every set looks in the backbones, the likeliest first."""
         self.progress("all sets, by their backbones", 0.0)
-        found = propose(self.batch, self.base, self.candidates, self.max_effects, self.own)
-        if self.variants and not self._is_any_possible(found):
-            found += self._with_variants()
-            found.sort(key=lambda item: -item.log_evidence)
+        found = propose(self.batch, self.base, self.candidates, self.max_effects, self.own, self.variants)
         return {item.names: item for item in found}
-
-    def _with_variants(self) -> list[Proposal]:
-        """Return how sets of up to two effects that hold a variant look in the backbones, the likeliest first."""
-        largest = min(self.max_effects, _LARGEST_VARIED)
-        return with_variants(self.batch, self.base, self.candidates, self.variants, largest, self.own)
 
     def _is_any_possible(self, proposals: Iterable[Proposal]) -> bool:
         """Return whether a set explains the backbones, or none was simulated exactly."""

@@ -8,7 +8,7 @@ regression is repeated. Then each set within reach is refined with its own defec
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from itertools import combinations, pairwise
 from typing import Any
@@ -20,7 +20,6 @@ from .._common.threads import in_threads
 from ..effects import Effect
 from ..oscillator import Oscillator
 from .batch import Batch
-from .evidence import VARIANT
 from .look_kernels import N_LOOK
 from .looks import regression
 from .scatter import SCATTER, WIDE_SCATTER
@@ -37,9 +36,11 @@ _REACH_SHARE = 0.5  # ... or this share of the largest fall that any set brings
 _CORRECTIONS = 5
 _HEAVY_WEIGHT = 6
 _EFFORTS = (250, 120, 60)  # fits by the exact simulator in turn, heavy ones by their weight
+_PENALTY, _RARER = 10.0, 7.0  # chi-square by which an effect, and one that is a variant, has to be worth it
 _TRUST = 0.2  # of the chi-square of a look
 _LEADERS = 8  # sets whose relatives are asked
 _POLISHED = 16
+_LARGEST_VARIED = 2  # effects of the sets that hold variants
 _NEAR = 100  # sets that are refined from several starts
 
 
@@ -83,6 +84,7 @@ def propose(
     candidates: Sequence[str],
     max_effects: int,
     own_effects: Mapping[str, Effect] | None = None,
+    variants: Sequence[str] = (),
 ) -> list[Proposal]:
     """Return every set of up to ``max_effects`` candidates, the one that explains the level values best first.
 
@@ -98,12 +100,14 @@ def propose(
         Largest set, from 0 to 3.
     own_effects : mapping of str to Effect, optional
         Candidates that the library does not hold, by name.
+    variants : sequence of str, optional
+        Effects that are looked for in the place of candidates, and rarer: sets of up to two effects hold them.
 
     Returns
     -------
     list of Proposal
     """
-    arguments = batch, base, tuple(candidates), int(max_effects), dict(own_effects or {})
+    arguments = batch, base, tuple(candidates), int(max_effects), dict(own_effects or {}), tuple(variants)
     found = _Proposer(*arguments).run()
     values = sum(term.size for term in batch.levels)
     lowest = min((item.chi_square for item in found if item.is_exact), default=np.inf)
@@ -112,25 +116,6 @@ def propose(
         if wider[0].log_evidence > found[0].log_evidence:
             return wider
     return found
-
-
-def with_variants(
-    batch: Batch,
-    base: Oscillator,
-    candidates: Sequence[str],
-    variants: Sequence[str],
-    max_effects: int,
-    own_effects: Mapping[str, Effect] | None = None,
-) -> list[Proposal]:
-    """Return every set that holds a variant, with the prior of these in its evidence, the likeliest first.
-
-    Arguments as in `propose`; ``variants`` are effects that are looked for in the place of candidates, and rarer.
-    """
-    found = propose(batch, base, (*candidates, *variants), max_effects, own_effects)
-    count = {item.names: len(set(item.names) & set(variants)) for item in found}
-    rare = np.log(VARIANT)
-    rarer = [replace(item, log_evidence=item.log_evidence + rare * count[item.names]) for item in found]
-    return sorted((item for item in rarer if count[item.names]), key=lambda item: -item.log_evidence)
 
 
 class _Proposer:
@@ -143,13 +128,17 @@ class _Proposer:
         candidates: tuple[str, ...],
         max_effects: int,
         own: dict[str, Effect],
+        variants: tuple[str, ...] = (),
         scatter: float = SCATTER,
     ) -> None:
-        self.fits, self.scatter = SetFits(batch, base, candidates, own, scatter), scatter
-        self.batch, self.candidates, self.data = batch, candidates, self.fits.data
+        self.fits = SetFits(batch, base, candidates, own, scatter, variants)
+        self.batch, self.candidates, self.data, self.scatter = batch, (*candidates, *variants), self.fits.data, scatter
         self.sets: list[Set] = [
             tuple(sorted(names)) for size in range(max_effects + 1) for names in combinations(candidates, size)
         ]
+        for size in range(1, min(max_effects, _LARGEST_VARIED) + 1):
+            pairs = (tuple(sorted(names)) for names in combinations(self.candidates, size))
+            self.sets += [names for names in pairs if not {*names}.isdisjoint(variants)]
         self.points: dict[Set, list[Point]] = {}
         self.asked: set[tuple[Set, Set]] = set()
 
@@ -223,8 +212,7 @@ class _Proposer:
 
     def _start_all(self, found: tuple[FloatArray, Any, FloatArray], defect: FloatArray) -> None:
         """Refine the best points of all sets by looks with the common defect."""
-        sizes = np.array([len(names) for names in self.sets])
-        order = np.argsort(found[0][:, 0] + self._penalty(("",)) * sizes)
+        order = np.argsort(found[0][:, 0] + np.array([self._penalty(names) for names in self.sets]))
         near = set(order[:_NEAR].tolist())
 
         def work(s: int) -> None:
@@ -247,7 +235,7 @@ class _Proposer:
         in_threads([partial(work, s) for s in range(len(self.sets))])
 
     def _penalty(self, names: Set) -> float:
-        return 10.0 * len(names)
+        return _PENALTY * len(names) + _RARER * len(self.fits.variants.intersection(names))
 
     def _correct(self) -> None:
         """Fit sets within reach by the exact simulator, the likeliest first, until those that lead have all been."""
@@ -302,18 +290,17 @@ class _Proposer:
         exact = [names for names in self.sets if self.points[names] and self.points[names][0].is_exact]
         leaders = sorted(exact, key=lambda names: self._cost(names) + self._penalty(names))[:_LEADERS]
         jobs: dict[Set, Set] = {}
-        largest = max(len(names) for names in self.sets)
         for leader in leaders:
             cost = self._cost(leader)
             for name in leader:
                 less = tuple(other for other in leader if other != name)
                 if self._cost(less) > cost + 10.0 and (leader, less) not in self.asked:
                     jobs.setdefault(less, leader)
-            if len(leader) < largest:
-                for name in self.candidates:
-                    more = tuple(sorted({*leader, name}))
-                    if len(more) > len(leader) and self._cost(more) > cost + 0.5 and (leader, more) not in self.asked:
-                        jobs.setdefault(more, leader)
+            for name in self.candidates:
+                more = tuple(sorted({*leader, name}))
+                is_known = len(more) == len(leader) or more not in self.points or (leader, more) in self.asked
+                if not is_known and self._cost(more) > cost + 0.5:
+                    jobs.setdefault(more, leader)
         self.asked.update((leader, names) for names, leader in jobs.items())
 
         def work(names: Set, leader: Set) -> None:

@@ -20,8 +20,6 @@ from .set_fits import Set
 _KEPT_PARENTS = 2
 _ROUNDS = 2
 _MOST_FOLLOWED = 24  # sets that are followed from the backbones to the waveforms before anything explains these
-_MOST_VARIED = 4  # sets with a variant that are fitted where nothing else explains the records
-_FOR_VARIANTS = 0.2  # of the budget, for these
 _FEW_FOLLOWED = 6  # the same where not even the backbones are explained
 _FLOOR = 1.1  # ratio of costs within which sets leave the same
 _MOST_EXTENDED = 4
@@ -56,7 +54,6 @@ class Search(RevisitedSets):
                     self._vary()
                     return
             self._follow_backbones(_MOST_FOLLOWED)
-            self._follow_variants()
         self._look_back()
         if self._is_answered() or (self.is_cut and self.is_refuted(self.best())):
             return
@@ -152,25 +149,6 @@ class Search(RevisitedSets):
             if found.cost < EXPLAINED * self.count:
                 explained.append(names)
                 reach = max(reach, proposal.log_evidence - _REACH)
-
-    def _follow_variants(self) -> None:
-        """Where no set explains the records, fit the likeliest that hold a variant, until one does.
-
-        Three effects may imitate the backbones of one that is none of the candidates; so there is a share of effort for
-        these, whatever was spent before.
-        """
-        if self._is_explained() or not self.variants or any({*names} & {*self.variants} for names in self.proposals):
-            return
-        most = self.descent.effort + _FOR_VARIANTS * self.budget
-        possible = [item for item in self._with_variants() if item.is_exact and self._is_any_possible([item])]
-        for proposal in [item for item in possible if not self._is_costly(item.names)][:_MOST_VARIED]:
-            if self.descent.effort > most:
-                break
-            self.progress("variants of effects", 0.0)
-            self.varied[proposal.names] = proposal
-            self.fit_set(proposal.names)
-            if self._is_explained():
-                break
 
     def _ask_costly(self) -> bool:
         """Fit the costly sets that explain the backbones as well as what explains the records does.
@@ -287,9 +265,9 @@ class Search(RevisitedSets):
         return self.best() != best
 
     def _vary(self) -> None:
-        """Fit the best set with variants in the place of its effects, begun from their own look in the backbones.
+        """Fit the best set with variants in the place of its effects, and keep no variant that explains no more.
 
-        One is kept where it leaves less than the effect that it varies: else it explains nothing that this does not.
+        What explains no more than the effect that it varies is said by that one.
         """
         best = self.best()
         for name in best if not self.is_refuted(best) else ():
@@ -300,16 +278,25 @@ class Search(RevisitedSets):
                     continue
                 self.progress("variants of effects", 0.5)
                 found = self._fit_varied(names)
-                if found is not None and found.cost > self.fits[best].cost - _NEEDED:
-                    del self.fits[names]
-                elif found is not None and found.cost < EXPLAINED * self.count:
+                if self._is_needed(names) and found is not None and found.cost < EXPLAINED * self.count:
                     for out in best:  # what stood beside the effect may have made up for its lack
                         if out != name:
                             self._fit_varied(tuple(other for other in names if other != out))
+        for names in [names for names in self.fits if not self._is_needed(names)]:
+            del self.fits[names]
+
+    def _is_needed(self, names: Set) -> bool:
+        """Return whether a fitted set leaves less than it does with what a variant in it varies in its place."""
+        for variant in {*names}.intersection(self.variants) if names in self.fits else ():
+            for name in LIBRARY[variant].variant_of:
+                plain = self.fits.get(tuple(sorted({*(other for other in names if other != variant), name})))
+                if plain is not None and plain.cost < self.fits[names].cost + _NEEDED:
+                    return False
+        return True
 
     def _fit_varied(self, names: Set) -> Fit | None:
         """Return the fit of a set with a variant, begun from its own look in the backbones."""
-        if names not in self.fits:
+        if names not in self.fits and (not self.has_proposals or self._proposal(names) is None):
             looks = propose(self.batch, self.base, names, len(names), self.own)
             self.varied[names] = next(item for item in looks if set(item.names) == set(names))
         return self.fit_set(names)

@@ -112,6 +112,8 @@ class SetFits:
         Candidates that the library does not hold, by name.
     scatter : float
         How much the parameters of effects differ between specimens, relative to their value.
+    variants : tuple of str
+        Effects that are looked for in the place of candidates, and rarer.
     """
 
     def __init__(
@@ -121,14 +123,16 @@ class SetFits:
         candidates: tuple[str, ...],
         own_effects: Mapping[str, Effect],
         scatter: float = SCATTER,
+        variants: tuple[str, ...] = (),
     ) -> None:
         self.batch, self.base, self.candidates, self.own_effects = batch, base, candidates, own_effects
+        self.variants = frozenset(variants)
         self.data: LevelData = level_data(batch.levels, base.mass)
         self.base_names = [effect.name for effect in base.effects if effect.name not in BASE_EFFECTS]
         self.scatter = scatter if self.data.count.size > 1 else 0.0
         self.layouts: dict[Set, Layout] = {}
         self.views: dict[Set, _View] = {}
-        self.effects: list[str] = [*self.base_names, *candidates]
+        self.effects: list[str] = [*self.base_names, *candidates, *variants]
         by_name = {effect.name: effect for effect in base.effects}
         self.atoms: list[Atoms] = []
         for name in self.effects:
@@ -366,7 +370,8 @@ class SetFits:
             scaled = 0.5 * (start.shared + start.shared.T) * np.outer(width, width)
             eigenvalues = np.linalg.eigvalsh(scaled)
             result -= 0.5 * float(np.log1p(np.maximum(eigenvalues, 0.0)).sum())
-        return result + evidence.log_prior(len(names), len(self.candidates))
+        rarer = np.log(evidence.VARIANT) * len(self.variants.intersection(names))
+        return float(result + rarer + evidence.log_prior(len(names), len(self.candidates)))
 
 
 def prior_widths(layout: Layout, eta: FloatArray) -> FloatArray:

@@ -135,6 +135,7 @@ def extract_cycles(record: Any, *, noise: float | ArrayLike | None = None) -> Cy
         notes=tuple(getattr(record, "notes", ())),
         zero_error=float(getattr(record, "baseline_error", 0.0)),
     )
+    cycles = _with_mid_line_errors(cycles, float(getattr(record, "mid_line_error", 0.0)))
     measured = getattr(record, "measured", None)
     if measured is None or measured.slow_noise is None or measured.order:
         return cycles
@@ -207,11 +208,24 @@ def extract_cycles_from_arrays(
 
 def _with_zero_errors(cycles: Cycles, modes: FloatArray) -> Cycles:
     """Return the cycles with errors of the zero in their offsets: columns (n, k), each of one independent error."""
-    errors = -modes / cycles.smoothed_amplitude[:, None]
-    row = QUANTITIES.index("offset")
+    return _with_shared_errors(cycles, "offset", -modes / cycles.smoothed_amplitude[:, None])
+
+
+def _with_mid_line_errors(cycles: Cycles, error: float) -> Cycles:
+    """Return the cycles with the error of a mid-line, over amplitude at the first cycle, in their damping."""
+    if error == 0.0:
+        return cycles
+    amplitude = cycles.smoothed_amplitude
+    return _with_shared_errors(cycles, "damping", (2.0 * error * cycles.damping * amplitude / amplitude[0])[:, None])
+
+
+def _with_shared_errors(cycles: Cycles, quantity: str, errors: FloatArray) -> Cycles:
+    """Return the cycles with errors that they share in one quantity: columns (n, k), each of one independent error."""
+    row, name = QUANTITIES.index(quantity), f"{quantity}_error"
     shared = np.concatenate([cycles.shared, np.zeros((*cycles.shared.shape[:2], errors.shape[1]))], axis=2)
     shared[row, :, cycles.shared.shape[2] :] = errors
-    return replace(cycles, shared=shared, offset_error=np.sqrt(cycles.offset_error**2 + (errors**2).sum(axis=1)))
+    whole = np.sqrt(getattr(cycles, name) ** 2 + (errors**2).sum(axis=1))
+    return replace(cycles, shared=shared, **{name: whole})
 
 
 def _autocovariance(noise: float | ArrayLike | None) -> FloatArray | None:

@@ -9,7 +9,14 @@ import numpy as np
 from ..._common.checks import FloatArray, InputError, check_motion, check_positive
 from ..._common.threads import with_one_thread
 from ..reading.record import MINIMUM_SAMPLES, Record
-from .asymmetry import SIGNIFICANT, MidLine, displacement_amplitude, restore_mid_line, second_harmonic
+from .asymmetry import (
+    SIGNIFICANT,
+    MidLine,
+    displacement_amplitude,
+    implied_mid_line,
+    restore_mid_line,
+    second_harmonic,
+)
 from .baseline import Baseline, find_baseline
 from .conditioned import ConditionedRecord, MeasuredSamples
 from .filters import BandPass, design_band_pass, integrate, integration_response
@@ -24,8 +31,6 @@ from .wander import Wander, find_wander
 
 __all__ = ["ConditionedRecord", "condition"]
 
-_TOLERATED_BIAS = 0.05
-"""Relative error of damping from a lost mid-line above which a warning is due."""
 _FEWEST_CYCLES = 8.0
 """Fewer are not given up to keep the end of forcing out of what a filter saw."""
 
@@ -167,7 +172,8 @@ class _Conditioning:
             baseline=baseline.value + self.free.reading if is_absolute else 0.0,
             baseline_error=baseline.error,
             rest_offset=baseline.rest,
-            offset_is_measured=is_absolute or mid_line is not None,
+            offset_is_measured=is_absolute or (mid_line is not None and mid_line.is_measured),
+            mid_line_error=0.0 if mid_line is None else mid_line.error,
             frequency=path.frequency,
             amplitude=largest,
             unit=self.record.unit.partition("/")[0],
@@ -367,7 +373,6 @@ class _Conditioning:
         share, error = (0.0, 1.0) if is_mode else second_harmonic(values, self.rate, path, self.integrations)
         share = share if abs(share) > SIGNIFICANT * error else 0.0
         found = restore_mid_line(path, share) if self.integrations == 1 and not is_filtered else None
-        bias = 6.0 * abs(share)
         if found is not None:
             amplitude = displacement_amplitude(path, self.integrations).amplitude[:1]
             offset = float(found.at(amplitude)[0] / amplitude[0])
@@ -375,15 +380,16 @@ class _Conditioning:
                 f"the mid-line, {offset:+.3f} +- {found.error:.3f} of the first amplitude, was restored from the mean "
                 "velocity of each cycle"
             )
-        elif bias < _TOLERATED_BIAS:
+            return found
+        found = implied_mid_line(path, self.integrations, share, is_filtered=is_filtered)
+        if found is None:
             self.notes.append("the mid-line was removed by filtering: the offset of this specimen is not measured")
-        else:
-            self.notes.append(
-                f"warning: a second harmonic of {abs(share):.1%} shows an asymmetric structure, but filtering "
-                f"removed its "
-                f"mid-line: offset is not measured and damping may be off by some {bias:.0%}; measure displacement, "
-                "unfiltered"
-            )
+            return None
+        self.notes.append(
+            f"warning: a second harmonic of {abs(share):.1%} shows an asymmetric structure, but filtering removed its "
+            f"mid-line: offset is not measured, and damping, with a mid-line as that harmonic implies it, is known to "
+            f"{2.0 * found.error:.0%} only at the first cycle; measure displacement, unfiltered"
+        )
         return found
 
     def _response(self, band_pass: BandPass | None, frequency: float) -> Callable[[FloatArray], FloatArray]:

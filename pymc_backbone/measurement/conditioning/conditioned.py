@@ -69,6 +69,9 @@ class ConditionedRecord:
     offset_is_measured : bool
         Whether the mid-line of the displacement is that of the structure. Integration and band-pass remove it; for
         velocity it is restored where it is significant.
+    mid_line_error : float
+        Standard error of a mid-line that was restored, or implied by the second harmonic, over amplitude at the first
+        cycle; damping has twice that, in proportion to amplitude.
     frequency : float
         Mean frequency of the dominant mode [Hz].
     amplitude : float
@@ -122,3 +125,4 @@ class ConditionedRecord:
     source: str
     measured: MeasuredSamples
     notes: tuple[str, ...] = field(default=())
+    mid_line_error: float = 0.0
