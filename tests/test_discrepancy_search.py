@@ -479,7 +479,8 @@ def test_search_over_backbones_alone():
 def test_a_search_ends_when_its_budget_does(cubic):
     search = Search(cubic.batch, Oscillator(MASS), CANDIDATES, 2, budget=0.0)
     search.run()
-    assert search.is_cut and set(search.fits) == {()}
+    # the base may take all the effort: the likeliest sets are fitted whatever it took
+    assert search.is_cut and set(search.fits) == {(), next(iter(search.proposals))}  # what adds to this is left aside
     assert {(name,) for name in CANDIDATES} < set(search.proposals)  # what the backbones say of all stays
 
 

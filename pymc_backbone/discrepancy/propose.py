@@ -26,8 +26,7 @@ from .scatter import SCATTER, WIDE_SCATTER
 from .set_fits import Point, Set, SetFits
 from .set_kernels import best_atoms
 
-WORTH_A_SECOND_LOOK = 1.5
-"""Reduced chi-square of the level values from which it is."""
+_SECOND_LOOK = 3.0  # standard deviations of chi-square above its mean from which effects may differ more
 _STARTS = 3
 _MOST_COMBINATIONS = 1500
 _FLOOR = (5e-5, 0.01, 5e-4)  # model error: of frequency and damping relative, of the mid-line over the amplitude
@@ -111,7 +110,7 @@ def propose(
     found = _Proposer(*arguments).run()
     values = sum(term.size for term in batch.levels)
     lowest = min((item.chi_square for item in found if item.is_exact), default=np.inf)
-    if len(batch.levels) > 1 and WORTH_A_SECOND_LOOK * values < lowest < np.inf:
+    if len(batch.levels) > 1 and values + _SECOND_LOOK * np.sqrt(2.0 * values) < lowest < np.inf:
         wider = _Proposer(*arguments, WIDE_SCATTER).run()
         if wider[0].log_evidence > found[0].log_evidence:
             return wider

@@ -20,6 +20,7 @@ CLOSE = 30.0
 _LOOKED_BACK = 3
 _SETTLED = 2
 _REFUTED = 100.0  # chi-square above one that explains, beyond which relatives are not asked
+_GAINED = 4.0  # chi-square by which a larger set may be better without having found a better way
 _CLOSE_TO_BASE = 1.0
 
 
@@ -59,7 +60,7 @@ class RevisitedSets(FittedSets):
                 continue
             for smaller in combinations(names, max(len(names) - 1, 0)):
                 known = self.fits.get(smaller)
-                close = CLOSE if smaller else _CLOSE_TO_BASE  # whether anything is missing hangs on the base
+                close = _GAINED if smaller else _CLOSE_TO_BASE  # whether anything is missing hangs on the base
                 if not names or known is None or known.cost < larger.cost + close or self._was_asked(smaller, larger):
                     continue
                 layout = self.layout(smaller)

@@ -20,6 +20,7 @@ from .set_fits import Set
 _KEPT_PARENTS = 2
 _ROUNDS = 2
 _MOST_FOLLOWED = 24  # sets that are followed from the backbones to the waveforms before anything explains these
+_LEAST_FOLLOWED = 2  # sets that are followed although a base with a law of its own has taken all the effort
 _FEW_FOLLOWED = 6  # the same where not even the backbones are explained
 _FLOOR = 1.1  # ratio of costs within which sets leave the same
 _MOST_EXTENDED = 4
@@ -135,7 +136,7 @@ class Search(RevisitedSets):
                 continue
             if proposal.log_evidence < likeliest - _REACH and self._is_floor():
                 continue
-            if self._is_spent:
+            if self._is_spent and fitted >= _LEAST_FOLLOWED:
                 self.is_cut = True
                 break
             if self._is_costly(names) and explained and self._is_settled():
