@@ -589,6 +589,9 @@ def test_what_made_up_for_the_lack_of_a_variant_is_left_out():
     candidates = ("quadratic_damping", "quadratic_stiffness", "cubic_stiffness")
     larger = Search(search.batch, Oscillator(MASS), candidates, 3, variants=("asymmetric_drag",))
     assert next(iter(larger.proposals)) == ("asymmetric_drag",)
+    spent = Search(search.batch, Oscillator(MASS), candidates, 3, variants=("asymmetric_drag",), budget=0.0)
+    spent.run()
+    assert spent.is_cut and spent.best() == ("asymmetric_drag",)
 
 
 def test_a_variant_is_kept_where_it_leaves_less():

@@ -17,7 +17,7 @@ _MINIMUM_POINTS = 8
 _RATIOS = (1.5, 7.0)
 """Mid-line over second harmonic, sign reversed: 3 for a quadratic stiffness, 4.5 for a bilinear one."""
 _RATIO, _RATIO_ERROR = 3.3, 1.0
-"""The same where the stiffness is not known."""
+"""The same where the stiffness is not known: 2.3 for x^4."""
 _TOLERATED = 0.008
 """Second harmonic up to which damping is off by 5 % without a mid-line: it changes what falls from peak to peak."""
 
@@ -111,36 +111,68 @@ def restore_mid_line(path: Track, harmonic: float) -> MidLine | None:
     return best
 
 
-def implied_mid_line(path: Track, integrations: int, harmonic: float, *, is_filtered: bool) -> MidLine | None:
-    """Return the mid-line at turning points that the second harmonic implies, where damping needs it.
+def implied_shift(harmonic: float, error: float) -> tuple[float, float]:
+    """Return the mid-line, over amplitude, that a second harmonic and its error imply, and its standard error.
+
+    The force that shifts the mid-line makes the second harmonic as well, several times smaller.
+    """
+    return -_RATIO * harmonic, float(np.hypot(_RATIO_ERROR * harmonic, _RATIO * error))
+
+
+def implied_mid_line(path: Track, integrations: int, harmonic: float, error: float, *, is_filtered: bool) -> MidLine:
+    """Return the mid-line at turning points that the second harmonic and its error imply.
+
+    From one peak to the next falls the amplitude and, with it, the mid-line: damping holds the rate of change of the
+    mid-line over amplitude. Of a filtered motion (``is_filtered``) turning points lack the harmonic as well.
+    """
+    first = float(displacement_amplitude(path, integrations).amplitude[0])
+    shift, error = implied_shift(harmonic, error)
+    return MidLine(0.0, (shift + is_filtered * harmonic) / first, error, is_measured=False)
+
+
+def find_mid_line(
+    values: FloatArray, sampling_rate: float, path: Track, integrations: int, *, is_filtered: bool, is_mode: bool
+) -> tuple[MidLine | None, str]:
+    """Return the mid-line that integration or a filter took, where it is known, and a sentence on it.
 
     Parameters
     ----------
+    values : (n,) array
+        What was measured, unfiltered.
+    sampling_rate : float
+        Samples per second.
     path : Track
-        Track of what was measured.
+        Its track.
     integrations : int
-        From that to a displacement.
-    harmonic : float
-        As in `restore_mid_line`.
+        From it to a displacement.
     is_filtered : bool
-        Whether the harmonic itself was removed as well: turning points lack both.
+        Whether a band was passed.
+    is_mode : bool
+        Whether another mode stands at twice the frequency, so that the second harmonic says nothing.
 
     Returns
     -------
-    MidLine or None
-        None where damping is hardly changed by it.
-
-    Notes
-    -----
-    From one peak to the next falls the amplitude and, with it, the mid-line: damping holds the rate of change of the
-    mid-line over amplitude. The force that shifts the mid-line makes the second harmonic, 2.3 (x^4), 3 (x^2) to 4.5
-    times smaller (bilinear).
+    MidLine or None, str
+        Restored from the mean velocity; else as the second harmonic implies it; None where that is next to nothing.
     """
-    if abs(harmonic) < _TOLERATED:
-        return None
-    first = float(displacement_amplitude(path, integrations).amplitude[0])
-    ratio = _RATIO - 1.0 if is_filtered else _RATIO
-    return MidLine(0.0, -ratio * harmonic / first, _RATIO_ERROR * abs(harmonic), is_measured=False)
+    share, error = (0.0, 1.0) if is_mode else second_harmonic(values, sampling_rate, path, integrations)
+    share = share if abs(share) > SIGNIFICANT * error else 0.0
+    found = restore_mid_line(path, share) if integrations == 1 and not is_filtered else None
+    if found is not None:
+        amplitude = displacement_amplitude(path, integrations).amplitude[:1]
+        offset = float(found.at(amplitude)[0] / amplitude[0])
+        return found, (
+            f"the mid-line, {offset:+.3f} +- {found.error:.3f} of the first amplitude, was restored from the mean "
+            "velocity of each cycle"
+        )
+    if abs(share) < _TOLERATED:
+        return None, "the mid-line was removed by filtering: the offset of this specimen is not measured"
+    found = implied_mid_line(path, integrations, share, error, is_filtered=is_filtered)
+    return found, (
+        f"warning: a second harmonic of {abs(share):.1%} shows an asymmetric structure, but filtering removed its "
+        "mid-line: offset is not measured, and damping, with a mid-line as that harmonic implies it, is known to "
+        f"{2.0 * found.error:.0%} only at the first cycle; measure displacement, unfiltered"
+    )
 
 
 def second_harmonic(values: FloatArray, sampling_rate: float, path: Track, integrations: int) -> tuple[float, float]:

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..._common.checks import FloatArray
+from .asymmetry import implied_shift
 from .tracking import Track
 
 _SIGNIFICANT = 4.0
 _FLOOR = 1e-4
-_RATIO, _RATIO_ERROR = 3.3, 1.0
-"""Mid-line over second harmonic, sign reversed: 2.3 for x^4, 3 for x^2, 4.5 for a bilinear stiffness."""
 _STOPPING = 2.0
 
 
@@ -98,8 +97,8 @@ def _extrapolated(
     relative = amplitude / highest
     sigma = noise * np.sqrt(2.0 * path.frequency / (3.0 * sampling_rate))
     sigma = max(float(sigma), 1e-6 * highest)
-    shift = -_RATIO * harmonic[0] * highest
-    shift_error = float(np.hypot(_RATIO_ERROR * harmonic[0], _RATIO * harmonic[1])) * highest + sigma
+    shift, shift_error = (highest * item for item in implied_shift(*harmonic))
+    shift_error += sigma
     misfits, counts, values, variances = [], [], [], []
     for powers in ((), (2,), (1,), (1, 2)):
         shape = np.column_stack([np.ones(relative.size), *(relative**power for power in powers)])

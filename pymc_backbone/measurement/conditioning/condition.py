@@ -9,14 +9,7 @@ import numpy as np
 from ..._common.checks import FloatArray, InputError, check_motion, check_positive
 from ..._common.threads import with_one_thread
 from ..reading.record import MINIMUM_SAMPLES, Record
-from .asymmetry import (
-    SIGNIFICANT,
-    MidLine,
-    displacement_amplitude,
-    implied_mid_line,
-    restore_mid_line,
-    second_harmonic,
-)
+from .asymmetry import MidLine, displacement_amplitude, find_mid_line, second_harmonic
 from .baseline import Baseline, find_baseline
 from .conditioned import ConditionedRecord, MeasuredSamples
 from .filters import BandPass, design_band_pass, integrate, integration_response
@@ -91,7 +84,8 @@ def condition(
     matters: a mid-line proportional to the k-th power of amplitude changes the logarithmic decrement of the
     package's definition by the factor 1 + k times mid-line over amplitude. The mean of a velocity over each cycle
     is the rate of change of the mid-line: where that is significant, the mid-line is restored from it. Otherwise a
-    second harmonic raises a warning.
+    second harmonic raises a warning: the mid-line that it implies is put in, and what that leaves open is an error of
+    the damping (`ConditionedRecord.mid_line_error`).
 
     *Band.* A linear-phase filter; only samples that depend on no sample before the release are kept. Harmonics
     outside the band are lost, and with them their share of the turning points (0.9 % for a third harmonic of a
@@ -366,30 +360,14 @@ class _Conditioning:
     def _mid_line(
         self, values: FloatArray, path: Track, second: SecondMode | None, *, is_filtered: bool
     ) -> MidLine | None:
-        """Return the mid-line where it can be restored; else say that it is lost, and warn where that matters."""
+        """Return the mid-line where it is known, and say what was done about it."""
         if is_filtered:
             second = find_second_mode(values, self.rate, path)
         is_mode = second is not None and abs(second.frequency / path.frequency - 2.0) < 0.1
-        share, error = (0.0, 1.0) if is_mode else second_harmonic(values, self.rate, path, self.integrations)
-        share = share if abs(share) > SIGNIFICANT * error else 0.0
-        found = restore_mid_line(path, share) if self.integrations == 1 and not is_filtered else None
-        if found is not None:
-            amplitude = displacement_amplitude(path, self.integrations).amplitude[:1]
-            offset = float(found.at(amplitude)[0] / amplitude[0])
-            self.notes.append(
-                f"the mid-line, {offset:+.3f} +- {found.error:.3f} of the first amplitude, was restored from the mean "
-                "velocity of each cycle"
-            )
-            return found
-        found = implied_mid_line(path, self.integrations, share, is_filtered=is_filtered)
-        if found is None:
-            self.notes.append("the mid-line was removed by filtering: the offset of this specimen is not measured")
-            return None
-        self.notes.append(
-            f"warning: a second harmonic of {abs(share):.1%} shows an asymmetric structure, but filtering removed its "
-            f"mid-line: offset is not measured, and damping, with a mid-line as that harmonic implies it, is known to "
-            f"{2.0 * found.error:.0%} only at the first cycle; measure displacement, unfiltered"
-        )
+        found, note = find_mid_line(
+            values, self.rate, path, self.integrations, is_filtered=is_filtered, is_mode=is_mode
+        )  # fmt: skip
+        self.notes.append(note)
         return found
 
     def _response(self, band_pass: BandPass | None, frequency: float) -> Callable[[FloatArray], FloatArray]:
