@@ -45,6 +45,7 @@ def candidates_of(search: Search, decision: Decision) -> tuple[Candidate, ...]:
                 parameters=estimates_of(found),
                 evidence_shift=float("nan") if shift is None else shift.shift,
                 pareto_k=float("nan") if shift is None else shift.pareto_k,
+                is_bridged=shift is not None and shift.is_bridged,
             )
         )
     rows.sort(key=lambda item: -item.probability)

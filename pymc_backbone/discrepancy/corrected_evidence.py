@@ -1,4 +1,4 @@
-"""By how much Laplace's method is off, for the sets between which the verdict lies: importance sampling says it."""
+"""By how much Laplace's method is off, for the sets between which the verdict lies: as sampling says it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .batch import Batch
 from .conditional import Conditional
 from .descent import PER_CYCLE, is_heavy
 from .evidence import Evidence, laplace, noise_scale
-from .importance import LARGEST_K, MOST_ROUNDS, integrate
+from .importance import LARGEST_K, MOST_ROUNDS, MOST_WALKS, WALK, integrate
 from .joint_fit import Fit
 
 SETTLED = 0.999
@@ -41,20 +41,23 @@ class Correction(NamedTuple):
     error : float
         Standard error of it.
     pareto_k : float
-        Shape of the tail of the weights: above 0.7 the shift is not trusted. NaN where nothing had to be sampled.
+        Shape of the tail of the weights: above 0.7 they cannot be summed. NaN where nothing had to be sampled.
     draws : int
         Points that were asked.
+    is_bridged : bool
+        Whether a bridge says it, which does without that tail.
     """
 
     shift: float
     error: float
     pareto_k: float
     draws: int
+    is_bridged: bool = False
 
     @property
     def is_trusted(self) -> bool:
-        """Whether the weights have a tail that can be summed."""
-        return bool(np.isfinite(self.shift)) and not self.pareto_k > LARGEST_K
+        """Whether the weights have a tail that can be summed, or a bridge does without."""
+        return bool(np.isfinite(self.shift)) and (self.is_bridged or not self.pareto_k > LARGEST_K)
 
 
 @dataclass(frozen=True)
@@ -123,16 +126,16 @@ def corrections(
     for names in chosen:
         conditional = Conditional(fits[names], batch.deciding, scale.sizes, scale.floor)
         spare = allowed - cycles - sum(draws * costs[other] for other in chosen if other not in found)
-        rounds = int(spare // max(draws * costs[names], 1.0))
+        rounds, walks = _rounds_and_walks(spare, draws, costs[names])
         middle, covariance = conditional.proposal
         layout = fits[names].layout
         integral = integrate(
             conditional.log_densities, middle, covariance, draws, low=layout.low, high=layout.high,
-            rounds=min(max(rounds, 0), MOST_ROUNDS), random_seed=_SEED,
+            rounds=rounds, walks=walks, random_seed=_SEED,
         )  # fmt: skip
         cycles += conditional.simulated * _weight(fits[names])
         shift = integral.log_value - laplace(fits[names], scale)
-        found[names] = Correction(float(shift), integral.error, integral.pareto_k, integral.draws)
+        found[names] = Correction(float(shift), integral.error, integral.pareto_k, integral.draws, integral.is_bridged)
     return Corrected(found, _reason(found, near, draws), cycles)
 
 
@@ -168,6 +171,14 @@ def _affordable(
     return (chosen, draws) if len(chosen) > 1 else ([], draws)
 
 
+def _rounds_and_walks(spare: float, draws: int, cost: float) -> tuple[int, int]:
+    """Return how many rounds, and walks after these, what is spared suffices for."""
+    cost = max(cost, 1.0)
+    rounds = int(np.clip(spare // (draws * cost), 0, MOST_ROUNDS))
+    left = spare - rounds * draws * cost
+    return rounds, int(np.clip(left // ((WALK + draws) * cost), 0, MOST_WALKS))
+
+
 def _reason(found: Mapping[tuple[str, ...], Correction], near: list[tuple[str, ...]], draws: int) -> str:
     """Return in one sentence what was done."""
     if not found:
@@ -177,6 +188,9 @@ def _reason(found: Mapping[tuple[str, ...], Correction], near: list[tuple[str, .
         said += f", that of {len(near) - len(found)} more is not, because that would cost more than it may"
     if draws < _MOST_DRAWS:
         said += f"; with {draws} draws for each instead of {_MOST_DRAWS}, for what they cost"
+    bridged = sum(item.is_bridged for item in found.values())
+    if bridged:
+        said += f"; a bridge says that of {bridged} where weights cannot be summed (Pareto k above {LARGEST_K:g})"
     lost = [names for names, item in found.items() if not item.is_trusted]
     if lost:
         sets = "; ".join(" + ".join(map(in_words, names)) or "the model as it is" for names in lost)

@@ -12,7 +12,7 @@ import numpy as np
 from .._common.checks import FloatArray
 from ..effects import LIBRARY, Effect
 from ..oscillator import Oscillator
-from . import starts
+from . import evidence, starts
 from .batch import Batch
 from .curves import level_chi_square
 from .descent import IN_REACH, Descent, Way
@@ -27,10 +27,10 @@ Progress = Callable[[str, float], None]
 
 BUDGET = 3e7
 """Simulated values after which the search ends; only what nothing explains takes as many."""
-EXPLAINED = 1.1
-"""Reduced chi-square up to which a set may be complete."""
 POSSIBLE_BACKBONE = 3.0
 """Reduced chi-square of the level values up to which a set could explain the backbones."""
+_EXPLAINED = 1.1  # reduced chi-square up to which a set may be complete, whatever its residuals look like
+_NOISE = 0.01  # p-value of the residuals from which they are taken for noise
 _POOR = 1.5  # reduced chi-square above which a fit may have lost its way
 _NOT_FAR = 2.0  # reduced chi-square of a smaller set up to which the records say where a further effect begins
 _UNTOLD = 1.0  # reduced chi-square of the backbones of a smaller set up to which they do not say what else is there
@@ -82,6 +82,7 @@ class FittedSets:
     asked: dict[tuple[Set, int], State] = field(default_factory=dict)
     varied: dict[Set, Proposal] = field(default_factory=dict)
     limited: tuple[Fit | None, float] = (None, np.inf)
+    noisy: dict[int, tuple[Fit, bool]] = field(default_factory=dict)
     refuted: set[Set] = field(default_factory=set)
     scatter: float = SCATTER
 
@@ -115,6 +116,7 @@ class FittedSets:
             return
         before, self.scatter = self.fits, asked
         self.fits, self.failed, self.layouts, self.asked, self.limited = {}, {}, {}, {}, (None, np.inf)
+        self.noisy = {}
         self.refuted.clear()
         if self.fit_set(()) is None:
             self.fits, self.scatter, self.layouts = before, SCATTER, {}
@@ -126,7 +128,24 @@ class FittedSets:
 
     def _is_explained(self) -> bool:
         """Return whether a set leaves hardly more than noise."""
-        return min(item.cost for item in self.fits.values()) < EXPLAINED * self.count
+        return self.is_any_exact(self.fits.values())
+
+    def explains(self, found: Fit) -> bool:
+        """Return whether a fit leaves hardly more than noise.
+
+        The size of the noise is an estimate, and short records hold more of it by chance: what leaves somewhat more
+        counts where it is no more along the harmonics of the motion than beside them.
+        """
+        if not _EXPLAINED * self.count <= found.cost < _POOR * self.count:
+            return found.cost < _EXPLAINED * self.count
+        if id(found) not in self.noisy:
+            self.noisy[id(found)] = (found, evidence.lack_of_fit(self.batch, found).p_value > _NOISE)
+        return self.noisy[id(found)][1]
+
+    def is_any_exact(self, fits: Iterable[Fit]) -> bool:
+        """Return whether the best of these fits explains the records."""
+        best = min(fits, key=lambda item: item.cost, default=None)
+        return best is not None and self.explains(best)
 
     @property
     def _limit(self) -> float:
@@ -137,7 +156,7 @@ class FittedSets:
         best = min(self.fits.values(), key=lambda item: item.cost, default=None)
         if best is None:
             return np.inf
-        if best.cost > EXPLAINED * self.count:
+        if not self.explains(best):
             return self.descent.unheard_of
         if best is not self.limited[0]:
             self.limited = (best, self.descent.hopeless(best))
@@ -211,7 +230,7 @@ class FittedSets:
             for scale in scales
         ]
         found = [fit for fit in (self.descent.from_afar(layout, state) for state in states) if fit is not None]
-        if eta.size and (not found or min(item.cost for item in found) > EXPLAINED * self.count):
+        if eta.size and not self.is_any_exact(found):
             found += self._proposed((), None)
         return found
 
@@ -221,7 +240,7 @@ class FittedSets:
         parents = [self.fits[rest] for rest in combinations(names, len(names) - 1) if rest in self.fits]
         parents.sort(key=lambda parent: parent.cost)
         rival = min((item.cost for item in self.fits.values()), default=None)
-        is_near = bool(parents) and parents[0].cost < EXPLAINED * self.count
+        is_near = self.is_any_exact(parents)
         found: list[Fit] = []
         if not is_near:
             found = self._beside(names, rival) or self._proposed(names, rival)
@@ -254,7 +273,7 @@ class FittedSets:
         if not promised:
             return []
         best = promised[0]
-        if parent.cost < EXPLAINED * self.count:
+        if self.explains(parent):
             promised = [best]
             if best.gain < _WORTH:
                 noted = self._noted(layout, best, parent)
@@ -287,7 +306,7 @@ class FittedSets:
         near = {
             other: item
             for other, item in self.fits.items()
-            if len(other) == len(names) and len({*other} - {*names}) == 1 and item.cost < EXPLAINED * self.count
+            if len(other) == len(names) and len({*other} - {*names}) == 1 and self.explains(item)
         }
         if proposal is None or not near:
             return []
@@ -334,7 +353,7 @@ class FittedSets:
             is_refuted = is_refuted and bool(ways) and ways[-1][1] > limit
             if not self._is_lost(reached, promised):
                 break
-        if not found or min(item.cost for item in found) > EXPLAINED * self.count:
+        if not self.is_any_exact(found):
             absent = self._without_base(layout, proposal, rival, ways)
             is_refuted = is_refuted and (not absent or ways[-1][1] > limit)
             found += absent

@@ -3,7 +3,8 @@
 The first draws are of Student-t distributions from the curvature at the mode, as wide and wider. Where their weights
 are uneven, the next are of a mixture of narrower ones around the draws that count, so that a bent or skewed integrand
 is followed. All draws are weighted by the mixture of all that was drawn from [1]_, and the tail of the weights is
-smoothed [2]_.
+smoothed [2]_. Where that tail cannot be summed, chains walk on from the draws that count; the next mixture is around
+where they were, and a bridge between both says the integral as soon as the weights agree with it (`bridge.py`).
 
 References
 ----------
@@ -23,18 +24,24 @@ import numpy as np
 from scipy.special import gammaincinv, gammaln, logsumexp, ndtri
 
 from .._common.checks import FloatArray
+from .bridge import CHAINS, STEPS, meet, walk
 
 LARGEST_K = 0.7
 """Shape of the Pareto tail up to which an estimate is trusted."""
 MOST_ROUNDS = 4
 """Rounds of mixtures after the first, where the weights stay uneven."""
+MOST_WALKS = 4
+"""Walks after these, where they do not suffice."""
+WALK = CHAINS * STEPS
+"""Points that the chains of a walk ask; a round of draws follows each."""
+_AGREED = 0.25  # difference between bridge and weights up to which they say the same
 _REACHED = 4.0  # standard deviations of a draw within which a limit is near
 _FEWEST = 25  # weights of which a fifth is a tail that can be fitted
 _FREEDOM = 6.0  # degrees of freedom of the proposals: tails heavier than any of the integrands'
 _FAR, _WIDER = 0.4, 3.0  # share of the first draws that looks further, and how much: what is not seen has no weight
 _FALLS = 4.0  # logarithm of the integrand by which it ends, instead of the half that a Gaussian falls by
 _NARROWEST = 1e-3  # share of the standard deviation along an axis down to which it is looked where it ends
-_KERNELS = 16
+_KERNELS, _WALKED_KERNELS = 16, 32
 _DEFENSIVE = 0.2  # share of the first proposal in a mixture
 _EVEN = 1e-9  # spread of the logarithm of weights below which they are equal: the integrand is the proposal
 
@@ -52,12 +59,20 @@ class Integral(NamedTuple):
         Shape of the tail of the weights; NaN where nothing had to be sampled.
     draws : int
         Points at which the integrand was asked.
+    is_bridged : bool
+        Whether it is of a bridge with which the weights agree, whatever the shape of their tail.
     """
 
     log_value: float
     error: float
     pareto_k: float
     draws: int
+    is_bridged: bool = False
+
+    @property
+    def is_trusted(self) -> bool:
+        """Whether the weights have a tail that can be summed, or a bridge does without."""
+        return bool(np.isfinite(self.log_value)) and (self.is_bridged or not self.pareto_k > LARGEST_K)
 
 
 class _Mirror(NamedTuple):
@@ -77,6 +92,55 @@ class _Kernels(NamedTuple):
     draws: int
 
 
+class _Draws:
+    """All draws so far, of all mixtures: points (n, q), logarithms of the integrand there (n,), how many were asked."""
+
+    def __init__(
+        self,
+        log_densities: Callable[[FloatArray], FloatArray],
+        mirrors: Sequence[_Mirror],
+        rng: np.random.Generator,
+    ) -> None:
+        self.log_densities, self.mirrors, self.rng = log_densities, mirrors, rng
+        self.mixtures: list[_Kernels] = []
+        self.points, self.values, self.walked = np.empty((0, 0)), np.empty(0), 0
+
+    def add(self, kernels: _Kernels) -> None:
+        """Draw from one more mixture."""
+        new = _reflected(_drawn(kernels, self.rng), self.mirrors)
+        values = np.asarray(self.log_densities(new))
+        self.points = np.concatenate([self.points, new]) if self.mixtures else new
+        self.values = np.concatenate([self.values, values])
+        self.mixtures.append(kernels)
+
+    @property
+    def log_weights(self) -> FloatArray:
+        """The logarithm of the weight of each, over the mixture of all mixtures."""
+        return _log_weights(self.points, self.values, self.mixtures, self.mirrors)
+
+    def estimate(self) -> Integral:
+        """Return the integral by the weights alone."""
+        found = _estimate(self.log_weights)
+        return found._replace(draws=self.values.size + self.walked)
+
+    def walk(self) -> Integral:
+        """Let chains walk from the draws that count, draw around where they were, and return what both say.
+
+        The integral is that of the bridge where the weights agree with it.
+        """
+        walked = walk(self.log_densities, self.points, self.values, self.log_weights, self.rng)
+        self.walked += WALK
+        self.add(_around(walked.points, self.mixtures[0]))
+        there = walked.points.reshape(-1, self.points.shape[1])
+        own = _log_weights(there, walked.values.ravel(), self.mixtures, self.mirrors).reshape(walked.values.shape)
+        log_value, error = meet(self.log_weights, own)
+        found = self.estimate()
+        apart = abs(found.log_value - log_value)
+        if not apart <= _AGREED:
+            return found
+        return found._replace(log_value=log_value, error=max(error, apart), is_bridged=True)
+
+
 def integrate(
     log_densities: Callable[[FloatArray], FloatArray],
     middle: FloatArray,
@@ -86,6 +150,7 @@ def integrate(
     low: FloatArray | None = None,
     high: FloatArray | None = None,
     rounds: int = MOST_ROUNDS,
+    walks: int = MOST_WALKS,
     random_seed: int = 0,
 ) -> Integral:
     """Return the integral of a function over all of its arguments.
@@ -104,8 +169,10 @@ def integrate(
         Limits of the arguments; by default none. Draws beyond the nearer one, where it is near, are reflected.
     rounds : int
         Of mixtures at most, after the first: where the tail of the weights asks for them.
+    walks : int
+        Of chains at most, each followed by a round: where the tail cannot be summed after all rounds.
     random_seed : int
-        Of the shift of the points, which fill the space evenly.
+        Of the shift of the points, which fill the space evenly, and of the chains.
 
     Returns
     -------
@@ -119,22 +186,21 @@ def integrate(
     q = middle.size
     if q == 0:
         return Integral(float(log_densities(np.zeros((1, 0)))[0]), 0.0, float("nan"), 1)
-    rng = np.random.default_rng(random_seed)
     mirrors = _mirrors(middle, np.sqrt(np.diag(covariance)), low, high)
-    covariance = _probed(log_densities, middle, covariance, mirrors)
-    factor = np.linalg.cholesky(covariance)
+    factor = np.linalg.cholesky(_probed(log_densities, middle, covariance, mirrors))
     first = _Kernels(np.array([1.0 - _FAR, _FAR]), np.array([middle, middle]), [factor, _WIDER * factor], draws)
-    asked = [first]
-    points = _reflected(_drawn(first, rng), mirrors)
-    values = np.asarray(log_densities(points))
-    found = _estimate(_log_weights(points, values, asked, mirrors))
+    asked = _Draws(log_densities, mirrors, np.random.default_rng(random_seed))
+    asked.add(first)
+    found = asked.estimate()
     for _ in range(rounds):
-        if not np.isfinite(found.log_value) or found.pareto_k < _good(values.size):
+        if not np.isfinite(found.log_value) or found.pareto_k < _good(asked.values.size):
             break
-        asked.append(_adapted(points, _log_weights(points, values, asked, mirrors), first))
-        new = _reflected(_drawn(asked[-1], rng), mirrors)
-        points, values = np.concatenate([points, new]), np.concatenate([values, np.asarray(log_densities(new))])
-        found = _estimate(_log_weights(points, values, asked, mirrors))
+        asked.add(_adapted(asked.points, asked.log_weights, first))
+        found = asked.estimate()
+    for _ in range(walks):
+        if not np.isfinite(found.log_value) or found.is_trusted:
+            break
+        found = asked.walk()
     return found
 
 
@@ -263,22 +329,34 @@ def _estimate(raw: FloatArray) -> Integral:
 
 def _adapted(points: FloatArray, log_weights: FloatArray, first: _Kernels) -> _Kernels:
     """Return a mixture around the draws that count, beside the first proposal."""
-    q = points.shape[1]
     # half the logarithm is flatter, so that one draw does not make them all
     weights = np.exp(0.5 * (log_weights - np.max(log_weights)))
     weights /= weights.sum()
     places = (np.arange(_KERNELS) + 0.5) / _KERNELS
     chosen = points[np.minimum(np.searchsorted(np.cumsum(weights), places), weights.size - 1)]
     centred = points - weights @ points
+    return _mixture(chosen, (weights[:, None] * centred).T @ centred, first)
+
+
+def _around(walked: FloatArray, first: _Kernels) -> _Kernels:
+    """Return a mixture around where chains (chains, steps, q) were, beside the first proposal."""
+    points = walked.reshape(-1, walked.shape[-1])
+    centred = points - points.mean(axis=0)
+    chosen = points[np.linspace(0, points.shape[0] - 1, _WALKED_KERNELS).astype(np.intp)]
+    return _mixture(chosen, centred.T @ centred / points.shape[0], first)
+
+
+def _mixture(middles: FloatArray, spread: FloatArray, first: _Kernels) -> _Kernels:
+    """Return kernels around middles (k, q), narrower than the spread of what they stand for (q, q)."""
+    count, q = middles.shape
     own = first.factors[0] @ first.factors[0].T
-    spread = (weights[:, None] * centred).T @ centred + 1e-3 * own
-    narrow = np.linalg.cholesky(spread) * _KERNELS ** (-1.0 / (q + 4.0))
+    narrow = np.linalg.cholesky(spread + 1e-3 * own) * count ** (-1.0 / (q + 4.0))
     return _Kernels(
-        np.array([*(_DEFENSIVE * first.weights), *[(1.0 - _DEFENSIVE) / _KERNELS] * _KERNELS]),
-        np.vstack([first.middles, chosen]),
-        [*first.factors, *[narrow] * _KERNELS],
+        np.array([*(_DEFENSIVE * first.weights), *[(1.0 - _DEFENSIVE) / count] * count]),
+        np.vstack([first.middles, middles]),
+        [*first.factors, *[narrow] * count],
         first.draws,
     )
 
 
-__all__ = ["LARGEST_K", "MOST_ROUNDS", "Integral", "integrate"]
+__all__ = ["LARGEST_K", "MOST_ROUNDS", "MOST_WALKS", "WALK", "Integral", "integrate"]

@@ -9,7 +9,7 @@ import numpy as np
 from . import evidence, starts
 from .curves import frequencies
 from .descent import is_heavy
-from .fitted_sets import EXPLAINED, FittedSets
+from .fitted_sets import FittedSets
 from .joint_fit import Fit, parameters_of
 from .layout import Layout
 from .normal_equations import State
@@ -53,9 +53,10 @@ class RevisitedSets(FittedSets):
     def _look_back(self) -> None:
         """Fit the subsets of the best sets again, from where these ended: a larger set may have found a better way."""
         lowest = min(item.cost for item in self.fits.values())
+        is_explained = self._is_explained()
         for names in self.ranked()[:_LOOKED_BACK]:
             larger = self.fits[names]
-            is_behind = lowest < EXPLAINED * self.count and larger.cost > lowest + _REFUTED
+            is_behind = is_explained and larger.cost > lowest + _REFUTED
             if is_behind or self.is_refuted(names):
                 continue
             for smaller in combinations(names, max(len(names) - 1, 0)):
@@ -73,7 +74,7 @@ class RevisitedSets(FittedSets):
         for names in [*self.fits]:
             for smaller in combinations(names, max(len(names) - 1, 0)):
                 known = self.fits.get(smaller)
-                is_behind = known is not None and known.cost < min(self.fits[names].cost, EXPLAINED * self.count)
+                is_behind = known is not None and known.cost < self.fits[names].cost and self.explains(known)
                 if names and known is not None and is_behind and not self._was_asked(names, known):
                     found = self._extended(names, self.layout(names), known, None)
                     self.fits[names] = min([self.fits[names], *found], key=lambda item: item.cost)

@@ -11,7 +11,7 @@ from ..effects import LIBRARY
 from . import evidence
 from .curves import relative_change
 from .descent import is_heavy
-from .fitted_sets import EXPLAINED, POSSIBLE_BACKBONE
+from .fitted_sets import POSSIBLE_BACKBONE
 from .joint_fit import Fit
 from .propose import Proposal, propose
 from .revisited_sets import CLOSE, RevisitedSets
@@ -21,6 +21,7 @@ _KEPT_PARENTS = 2
 _ROUNDS = 2
 _MOST_FOLLOWED = 24  # sets that are followed from the backbones to the waveforms before anything explains these
 _LEAST_FOLLOWED = 2  # sets that are followed although a base with a law of its own has taken all the effort
+_PASSED = 6  # less likely simple sets that are followed before one that costs much
 _FEW_FOLLOWED = 6  # the same where not even the backbones are explained
 _FLOOR = 1.1  # ratio of costs within which sets leave the same
 _MOST_EXTENDED = 4
@@ -127,7 +128,7 @@ class Search(RevisitedSets):
         fitted = 0
         reach = likeliest = -np.inf
         explained: list[Set] = []
-        for names, proposal in sorted(self.proposals.items(), key=self._order):
+        for names, proposal in self._queue():
             if not names or any(set(known) < set(names) for known in explained):
                 continue
             if fitted >= most:
@@ -147,7 +148,7 @@ class Search(RevisitedSets):
             if found is None:
                 continue
             likeliest = max(likeliest, proposal.log_evidence)
-            if found.cost < EXPLAINED * self.count:
+            if self.explains(found):
                 explained.append(names)
                 reach = max(reach, proposal.log_evidence - _REACH)
 
@@ -159,7 +160,7 @@ class Search(RevisitedSets):
         """
         if not self._is_explained() or not self.has_proposals:
             return False
-        explained = [names for names, found in self.fits.items() if names and found.cost < EXPLAINED * self.count]
+        explained = [names for names, found in self.fits.items() if names and self.explains(found)]
         known = [self.proposals[names].log_evidence for names in explained if names in self.proposals]
         is_settled = self._is_settled()
         least = max(known, default=np.inf) - (_COSTLY_REACH if is_settled else _REACH)
@@ -175,9 +176,24 @@ class Search(RevisitedSets):
                 fitted += 1
         return self.best() != before
 
-    def _order(self, item: tuple[Set, Proposal]) -> float:
-        """Return the place of a set: by its backbones, those that cost much behind the simple ones within reach."""
-        return _REACH * self._is_costly(item[0]) - item[1].log_evidence
+    def _queue(self) -> list[tuple[Set, Proposal]]:
+        """Return the sets by their backbones, those that cost much behind the simple ones within reach.
+
+        But behind some simple ones only that are less likely, so that the likeliest is asked whatever it costs.
+        """
+        simple = [item for item in self.proposals.items() if not self._is_costly(item[0])]
+        waiting = [item for item in self.proposals.items() if self._is_costly(item[0])]
+        ordered: list[tuple[Set, Proposal]] = []
+        less_likely = 0
+        for item in simple:
+            if waiting and item[1].log_evidence < waiting[0][1].log_evidence:
+                less_likely += 1
+            is_overdue = less_likely > _PASSED
+            if waiting and (is_overdue or item[1].log_evidence < waiting[0][1].log_evidence - _REACH):
+                ordered.append(waiting.pop(0))
+                less_likely = 0
+            ordered.append(item)
+        return [*ordered, *waiting]
 
     def _is_floor(self) -> bool:
         """Return whether several sets end at the same distance from the records: what is left is in none of them."""
@@ -187,7 +203,7 @@ class Search(RevisitedSets):
     def is_open(self, names: Set) -> bool:
         """Return whether the fit of a set did not come to rest although the set could explain the backbones."""
         found = self.fits[names]
-        if found.is_converged or found.cost < EXPLAINED * self.count or not names or not self.has_proposals:
+        if found.is_converged or self.explains(found) or not names or not self.has_proposals:
             return False
         proposal = self.proposals.get(names)
         values = sum(term.size for term in self.batch.levels)
@@ -200,9 +216,8 @@ class Search(RevisitedSets):
     def _parents(self, size: int) -> list[Set]:
         """Return the sets to extend: those that explain the records nearly as well as the best, else the best few."""
         ranked = self.ranked(size)
-        count = sum(w.size for w in self.batch.deciding)
-        lowest = min(item.cost for item in self.fits.values())
-        explained = [name for name in ranked if self.fits[name].cost < min(EXPLAINED * count, lowest + CLOSE)]
+        close = CLOSE + min(item.cost for item in self.fits.values())
+        explained = [name for name in ranked if self.fits[name].cost < close and self.explains(self.fits[name])]
         plain = [name for name in ranked if not is_heavy(self.layout(name))]
         light = plain[: _KEPT_PARENTS + 2 * (size == 1)]
         if explained:
@@ -231,7 +246,7 @@ class Search(RevisitedSets):
                 union = tuple(sorted({*parent, name}))
                 if len(union) == size and union not in sets:
                     sets.append(union)
-        if not any(self.fits[parent].cost < EXPLAINED * self.count for parent in parents):
+        if not any(self.explains(self.fits[parent]) for parent in parents):
             # far from the noise the backbones tell which sets are worth a closer look; the likeliest had theirs already
             known = self.proposals
             sets = [names for names in known if names in sets and names not in self.fits][:_MOST_EXTENDED]
@@ -279,7 +294,7 @@ class Search(RevisitedSets):
                     continue
                 self.progress("variants of effects", 0.5)
                 found = self._fit_varied(names)
-                if self._is_needed(names) and found is not None and found.cost < EXPLAINED * self.count:
+                if self._is_needed(names) and found is not None and self.explains(found):
                     for out in best:  # what stood beside the effect may have made up for its lack
                         if out != name:
                             self._fit_varied(tuple(other for other in names if other != out))

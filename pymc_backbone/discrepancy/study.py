@@ -61,7 +61,10 @@ class Candidate:
     evidence_shift : float
         What importance sampling adds to the logarithm of the evidence by Laplace's method; NaN where not asked.
     pareto_k : float
-        Shape of the tail of its weights: above 0.7 the shift is not trusted and not used. NaN where nothing was drawn.
+        Shape of the tail of its weights: above 0.7 the shift is not trusted and not used, but for that of a bridge.
+        NaN where nothing was drawn.
+    is_bridged : bool
+        Whether a bridge says the shift, which does without that tail.
     """
 
     effects: tuple[str, ...]
@@ -74,11 +77,12 @@ class Candidate:
     parameters: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     evidence_shift: float = float("nan")
     pareto_k: float = float("nan")
+    is_bridged: bool = False
 
     @property
     def is_doubtful(self) -> bool:
-        """Whether importance sampling was asked and does not confirm the probability."""
-        return bool(self.pareto_k > LARGEST_K)
+        """Whether importance sampling was asked and neither it nor a bridge confirms the probability."""
+        return bool(self.pareto_k > LARGEST_K) and not self.is_bridged
 
 
 @dataclass(frozen=True)

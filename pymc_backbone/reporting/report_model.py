@@ -45,7 +45,7 @@ def candidates(study: Study, figures: Mapping[str, Figure]) -> str:
         "\N{PLUS-MINUS SIGN} stands the standard error of the fit to all specimens, between which an effect is taken "
         "to differ by a tenth, or by a third where only so a set explains the backbones. Corrected by: what "
         "importance sampling adds to the evidence by Laplace's method, with the Pareto k of its weights; above 0.7 it "
-        "is not used.",
+        "is not used, but for that of a bridge between draws of both.",
         "soft",
     )
     if study.evidence_basis is not None:
@@ -120,6 +120,8 @@ def _shift(candidate: Candidate) -> str:
     if not np.isfinite(candidate.evidence_shift):
         return "-"
     said = f"{candidate.evidence_shift:+.2f}"
+    if candidate.is_bridged:
+        return f"{said} (bridge)"
     return said if np.isnan(candidate.pareto_k) else f"{said} (k {candidate.pareto_k:.1f})"
 
 
