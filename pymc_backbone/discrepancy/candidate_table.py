@@ -15,6 +15,7 @@ from .verdict import Status
 _LISTED_LEFT = 20  # sets in the table that were compared by their backbones only
 _POSSIBLE = 0.01  # probability from which a set is called possible
 _NOT_TRUSTED = "; its probability is not to be trusted: importance sampling does not confirm its evidence"
+_WITH_DRIFT = "; with a drift in time beside it"
 _AS_MUCH = 1.0  # chi-square of the backbones up to which a set leaves as much as the likeliest
 _ABOUT = 0.5  # of the best set's probability, from which a set explains the records about as well
 
@@ -41,6 +42,7 @@ def candidates_of(search: Search, decision: Decision) -> tuple[Candidate, ...]:
                 else float("nan"),
                 status=status,
                 reason=_reason(names, probability, best_cost - found.cost, decision, status)
+                + (_WITH_DRIFT if names in decision.drifts else "")
                 + ("" if shift is None or shift.is_trusted else _NOT_TRUSTED),
                 parameters=estimates_of(found),
                 evidence_shift=float("nan") if shift is None else shift.shift,
@@ -128,7 +130,7 @@ def _reason(names: Set, probability: float, gain: float, decision: Decision, sta
         return f"adds {', '.join(map(in_words, sorted(extra)))}, which improves chi-square by {max(gain, 0.0):.3g} only"
     if set(names) < set(decision.best) and np.isfinite(gain):
         lost = ", ".join(map(in_words, sorted(set(decision.best) - set(names))))
-        return f"without {lost} chi-square is larger by {-gain:.3g}"
+        return f"without {lost} chi-square is {'larger' if gain < 0.0 else 'smaller'} by {abs(gain):.3g}"
     if status is Status.POSSIBLE:
         chance = decision.probabilities.get(decision.best, 0.0)
         if probability > _ABOUT * chance:

@@ -112,14 +112,19 @@ class FittedSets:
     def _mind_scatter(self) -> None:
         """Begin again with effects that differ more between specimens, where only so a set explains the backbones."""
         asked = next(iter(self.proposals.values())).scatter
-        if asked == self.scatter or not self._is_any_possible(self.proposals.values()):
-            return
-        before, self.scatter = self.fits, asked
-        self.fits, self.failed, self.layouts, self.asked, self.limited = {}, {}, {}, {}, (None, np.inf)
-        self.noisy = {}
-        self.refuted.clear()
+        if asked != self.scatter and self._is_any_possible(self.proposals.values()):
+            self._begin_again(asked)
+
+    def _begin_again(self, scatter: float) -> bool:
+        """Forget all fits and fit the base with another scatter; return whether that can be simulated."""
+        before, self.scatter = (self.fits, self.failed, self.refuted, self.scatter), scatter
+        self.fits, self.failed, self.refuted = {}, {}, set()
+        self.layouts, self.asked, self.limited, self.noisy = {}, {}, (None, np.inf), {}
         if self.fit_set(()) is None:
-            self.fits, self.scatter, self.layouts = before, SCATTER, {}
+            self.fits, self.failed, self.refuted, self.scatter = before
+            self.layouts = {}
+            return False
+        return True
 
     @property
     def has_proposals(self) -> bool:

@@ -84,6 +84,7 @@ def propose(
     max_effects: int,
     own_effects: Mapping[str, Effect] | None = None,
     variants: Sequence[str] = (),
+    scatter: float | None = None,
 ) -> list[Proposal]:
     """Return every set of up to ``max_effects`` candidates, the one that explains the level values best first.
 
@@ -101,13 +102,18 @@ def propose(
         Candidates that the library does not hold, by name.
     variants : sequence of str, optional
         Effects that are looked for in the place of candidates, and rarer: sets of up to two effects hold them.
+    scatter : float, optional
+        How much effects differ between specimens, relative to their value; by default a tenth, or a third where only so
+        something explains the level values and that is likelier.
 
     Returns
     -------
     list of Proposal
     """
     arguments = batch, base, tuple(candidates), int(max_effects), dict(own_effects or {}), tuple(variants)
-    found = _Proposer(*arguments).run()
+    found = _Proposer(*arguments, SCATTER if scatter is None else scatter).run()
+    if scatter is not None:
+        return found
     values = sum(term.size for term in batch.levels)
     lowest = min((item.chi_square for item in found if item.is_exact), default=np.inf)
     if len(batch.levels) > 1 and values + _SECOND_LOOK * np.sqrt(2.0 * values) < lowest < np.inf:

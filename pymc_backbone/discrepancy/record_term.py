@@ -17,6 +17,8 @@ from .whitening import EDGE, means, of_means, whitener, with_slow_noise
 _DENSE = 24  # samples per cycle that hold all there is to know; more are averaged
 _PASSED_WINDOW = 8.0  # cycles; a band holds little more than the slowly varying motion itself
 _FITTED = 8  # turning points whose course tells those before them
+_FOUR = 4  # turning points that tell the swing before them
+_MOST_LONGER, _MOST_WIDER = 1.5, 1.8  # change of a swing from one cycle to the next
 _AT_RELEASE = 0.3  # of a half cycle: so close to its first sample a record begins at a turning point
 _MOST_LOST = 400
 
@@ -36,16 +38,21 @@ def first_turning_point(record: ConditionedRecord, cycles: Cycles) -> int:
 def release_of(record: ConditionedRecord, cycles: Cycles) -> tuple[int, float, float]:
     """Return how many turning points before the first of them the motion can be released, when, and at which value.
 
-    Unfiltered it is the one before. Behind a band-pass the samples begin earlier: the turning points that it lost are
-    added from the course of the first.
+    Unfiltered it is the one before: a swing away, which goes on from the swings of its own direction, because those of
+    an asymmetric structure take turns. Behind a band-pass the samples begin earlier: the turning points that it lost
+    are added from the course of the first.
     """
     first = first_turning_point(record, cycles)
     times, values = cycles.turning_times[first:], cycles.turning_values[first:]
     half = float(np.median(np.diff(times)))
     size = min(_FITTED, times.size)
     if record.band is None:
-        fall = 0.5 * max(float(np.median(cycles.damping)), 1e-6)
-        return 1, float(times[0]) - half, -float(values[0]) * float(np.exp(min(fall, 0.3)))
+        if times.size < _FOUR:
+            return 1, float(times[0]) - half, -float(values[0])
+        lasted, swung = np.diff(times[:_FOUR]), np.diff(values[:_FOUR])
+        lasted_before = lasted[1] * np.clip(lasted[0] / lasted[2], 1.0 / _MOST_LONGER, _MOST_LONGER)
+        swung_before = swung[1] * np.clip(swung[0] / swung[2], 1.0, _MOST_WIDER)
+        return 1, float(times[0] - lasted_before), float(values[0] - swung_before)
     course = np.polyfit(np.arange(size), times[:size], min(2, size - 1))
     decay = np.polyfit(np.arange(size - 1), np.log(np.abs(np.diff(values[:size]))), 1)
     begin = float(record.measured.time[0]) + _AT_RELEASE * half

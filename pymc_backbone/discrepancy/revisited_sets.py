@@ -22,6 +22,7 @@ _SETTLED = 2
 _REFUTED = 100.0  # chi-square above one that explains, beyond which relatives are not asked
 _GAINED = 4.0  # chi-square by which a larger set may be better without having found a better way
 _CLOSE_TO_BASE = 1.0
+_ASKED_FOR = 10.0  # fall of chi-square, as a linear step promises it, that no set in want of it can be named against
 
 
 class RevisitedSets(FittedSets):
@@ -96,6 +97,40 @@ class RevisitedSets(FittedSets):
             found = self._beside(names, None)
             if found:
                 self.fits[names] = found[0]
+
+    def _complete(self) -> None:
+        """Where the effort is spent, add to the best set what its score still asks for, as long as it does.
+
+        A set that one more effect would improve is not complete, however little time is left to say so.
+        """
+        best = self.best()
+        while self._is_explained() and not self.is_refuted(best) and len(best) < self.max_effects:
+            gains = {name: self._score(best, name) for name in self.candidates if name not in best}
+            name = max(gains, key=lambda key: gains[key], default=None)
+            if name is None or gains[name] < _ASKED_FOR:
+                break
+            self.progress("what the best set lacks", 0.5)
+            larger = tuple(sorted((*best, name)))
+            if self.fit_set(larger) is None:
+                break
+            for out in best:  # it may have made up for what was lacking
+                smaller = tuple(other for other in larger if other != out)
+                if smaller not in self.fits:
+                    state = self._smaller(self.layout(smaller), self.fits[larger])
+                    found = self.descent.from_near(self.layout(smaller), [state])
+                    if found is not None:
+                        self.fits[smaller] = found
+            if self.best() == best:
+                break
+            best = self.best()
+
+    def _score(self, names: Set, name: str) -> float:
+        """Return the fall of chi-square that a linear step promises for one effect more; none where it was fitted."""
+        larger = tuple(sorted((*names, name)))
+        if larger in self.fits:
+            return 0.0
+        promised = starts.by_score(self.layout(larger), name, self.fits[names], self.batch)
+        return max((item.gain for item in promised), default=0.0)
 
     def _smaller(self, layout: Layout, larger: Fit) -> State:
         """Return where a larger set ended as a start of a smaller one, whose springs replace what is left out."""

@@ -15,6 +15,7 @@ from .fitted_sets import POSSIBLE_BACKBONE
 from .joint_fit import Fit
 from .propose import Proposal, propose
 from .revisited_sets import CLOSE, RevisitedSets
+from .scatter import SCATTER, WIDE_SCATTER
 from .set_fits import Set
 
 _KEPT_PARENTS = 2
@@ -56,11 +57,14 @@ class Search(RevisitedSets):
                     self._vary()
                     return
             self._follow_backbones(_MOST_FOLLOWED)
+            self._look_wider()
         self._look_back()
         if self._is_answered() or (self.is_cut and self.is_refuted(self.best())):
             return
         self._enlarge()
         self._vary()
+        if self.is_cut:
+            self._complete()
         self._settle()
 
     def _ask_single_effects(self) -> None:
@@ -123,13 +127,17 @@ class Search(RevisitedSets):
         """Fit the sets in the order of their backbones until one explains the records and no rival is within reach.
 
         ``most`` of them before anything explains the records. A set that adds to one that explains already is left to
-        the stage after, which starts from there.
+        the stage after, which starts from there; unless another turned out to leave less.
         """
         fitted = 0
         reach = likeliest = -np.inf
         explained: list[Set] = []
+        left: list[Set] = []
         for names, proposal in self._queue():
-            if not names or any(set(known) < set(names) for known in explained):
+            if not names or names in self.fits:
+                continue
+            if any(set(known) < set(names) for known in explained):
+                left.append(names)
                 continue
             if fitted >= most:
                 break
@@ -151,6 +159,39 @@ class Search(RevisitedSets):
             if self.explains(found):
                 explained.append(names)
                 reach = max(reach, proposal.log_evidence - _REACH)
+        self._follow_left(left, explained, reach)
+
+    def _follow_left(self, left: Sequence[Set], explained: Sequence[Set], reach: float) -> None:
+        """Fit the likeliest of the sets that were left for what they add to, where that leaves more than another."""
+        close = min(item.cost for item in self.fits.values()) + CLOSE
+        near = [names for names in explained if self.fits[names].cost < close]
+        for names in left[:_PASSED]:
+            is_slow = self._is_costly(names) and self._is_settled()
+            is_relative = any(set(known) < set(names) for known in near)
+            if self.proposals[names].log_evidence > reach and not (is_slow or is_relative or self._is_spent):
+                self.fit_set(names)
+
+    def _look_wider(self) -> None:
+        """Where nothing explains the records, look at effects that differ more between specimens, if that is likelier.
+
+        Sets of several effects may imitate in the backbones what wide scatter makes of a simpler one.
+        """
+        if self._is_explained() or self.scatter != SCATTER or len(self.batch.specimens) < 2 or self._is_spent:
+            return
+        narrow, refused = self.proposals, (self.fits, self.failed, self.refuted)
+        likeliest = next(iter(narrow.values())).log_evidence
+        wide = propose(
+            self.batch, self.base, self.candidates, self.max_effects, self.own, self.variants, scatter=WIDE_SCATTER
+        )
+        if wide[0].log_evidence <= likeliest or not self._is_any_possible(wide):
+            return
+        self.proposals = {item.names: item for item in wide}
+        if self._begin_again(WIDE_SCATTER):
+            self._follow_backbones(_MOST_FOLLOWED)
+            if self._is_explained():
+                return
+        self.proposals, self.scatter, self.layouts = narrow, SCATTER, {}
+        self.fits, self.failed, self.refuted = refused
 
     def _ask_costly(self) -> bool:
         """Fit the costly sets that explain the backbones as well as what explains the records does.
@@ -298,17 +339,33 @@ class Search(RevisitedSets):
                     for out in best:  # what stood beside the effect may have made up for its lack
                         if out != name:
                             self._fit_varied(tuple(other for other in names if other != out))
+        self._ask_plain()
         for names in [names for names in self.fits if not self._is_needed(names)]:
             del self.fits[names]
 
+    def _plain(self, names: Set) -> list[Set]:
+        """Return the sets that hold what a variant in this one varies in its place."""
+        return [
+            tuple(sorted({*(other for other in names if other != variant), name}))
+            for variant in {*names}.intersection(self.variants)
+            for name in LIBRARY[variant].variant_of
+        ]
+
+    def _ask_plain(self) -> None:
+        """Fit what the variants of the best set vary once more, from there: their own fits may have lost their way."""
+        best = self.best()
+        for plain in self._plain(best) if not self.is_refuted(best) else ():
+            known = self.fits.get(plain)
+            if known is None or known.cost > self.fits[best].cost + _NEEDED:
+                self.progress("what variants vary", 0.5)
+                found = self._beside(plain, None)
+                if found and (known is None or found[0].cost < known.cost):
+                    self.fits[plain] = found[0]
+
     def _is_needed(self, names: Set) -> bool:
         """Return whether a fitted set leaves less than it does with what a variant in it varies in its place."""
-        for variant in {*names}.intersection(self.variants) if names in self.fits else ():
-            for name in LIBRARY[variant].variant_of:
-                plain = self.fits.get(tuple(sorted({*(other for other in names if other != variant), name})))
-                if plain is not None and plain.cost < self.fits[names].cost + _NEEDED:
-                    return False
-        return True
+        known = [self.fits[plain].cost for plain in self._plain(names) if plain in self.fits]
+        return names not in self.fits or not min(known, default=np.inf) < self.fits[names].cost + _NEEDED
 
     def _fit_varied(self, names: Set) -> Fit | None:
         """Return the fit of a set with a variant, begun from its own look in the backbones."""
