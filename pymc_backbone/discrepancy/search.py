@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import combinations
+from itertools import chain, combinations, zip_longest
 
 import numpy as np
 
@@ -148,7 +148,8 @@ class Search(RevisitedSets):
             if self._is_spent and fitted >= _LEAST_FOLLOWED:
                 self.is_cut = True
                 break
-            if self._is_costly(names) and explained and self._is_settled():
+            is_likeliest = all(proposal.log_evidence > self.proposals[known].log_evidence for known in explained)
+            if self._is_costly(names) and not is_likeliest and self._is_settled():
                 continue  # asked later, if at all: what is simple leaves noise
             self.progress("sets that the backbones propose", min(fitted / most, 1.0))
             found = self.fit_set(names)
@@ -220,7 +221,9 @@ class Search(RevisitedSets):
     def _queue(self) -> list[tuple[Set, Proposal]]:
         """Return the sets by their backbones, those that cost much behind the simple ones within reach.
 
-        But behind some simple ones only that are less likely, so that the likeliest is asked whatever it costs.
+        But behind some simple ones only that are less likely, so that the likeliest is asked whatever it costs. Single
+        effects, which are few and soon fitted, have every third turn: of strong ones, or of such that differ much
+        between specimens, backbones say too little.
         """
         simple = [item for item in self.proposals.items() if not self._is_costly(item[0])]
         waiting = [item for item in self.proposals.items() if self._is_costly(item[0])]
@@ -234,7 +237,13 @@ class Search(RevisitedSets):
                 ordered.append(waiting.pop(0))
                 less_likely = 0
             ordered.append(item)
-        return [*ordered, *waiting]
+        ordered += waiting
+        single = [item for item in simple if len(item[0]) == 1]
+        first: dict[Set, tuple[Set, Proposal]] = {}
+        for item in chain.from_iterable(zip_longest(ordered[::2], ordered[1::2], single)):
+            if item is not None:
+                first.setdefault(item[0], item)
+        return list(first.values())
 
     def _is_floor(self) -> bool:
         """Return whether several sets end at the same distance from the records: what is left is in none of them."""
