@@ -703,7 +703,7 @@ def test_the_base_begins_once_more_where_the_best_set_ended(gap, is_asked):
         fits={(): fit_of(100.0 + gap, 0), ("a",): fit_of(100.0, 1)}, count=100, ranked=lambda: [("a",), ()],
         layout=lambda names: layouts[len(names)], _was_asked=lambda names, other: False,
         _smaller=lambda layout, larger: larger.cost, descent=SimpleNamespace(from_near=from_near),
-        is_refuted=lambda names: False,
+        is_refuted=lambda names: False, _is_explained=lambda: True,
     )  # fmt: skip
     Search._look_back(search)
     assert asked == ([((), [100.0], 100.0 + gap)] if is_asked else [])

@@ -7,16 +7,16 @@ from itertools import chain, combinations, zip_longest
 
 import numpy as np
 
-from ..effects import LIBRARY
 from . import evidence
 from .curves import relative_change
 from .descent import is_heavy
 from .fitted_sets import POSSIBLE_BACKBONE
 from .joint_fit import Fit
 from .propose import Proposal, propose
-from .revisited_sets import CLOSE, RevisitedSets
+from .revisited_sets import CLOSE
 from .scatter import SCATTER, WIDE_SCATTER
 from .set_fits import Set
+from .varied_sets import NEEDED, VariedSets
 
 _KEPT_PARENTS = 2
 _ROUNDS = 2
@@ -28,13 +28,12 @@ _FLOOR = 1.1  # ratio of costs within which sets leave the same
 _MOST_EXTENDED = 4
 _REACH = 12.0  # difference of the logarithm of evidence by the backbones within which the waveforms are asked, too
 _COSTLY_SETTLED, _COSTLY_REACH = 2, 3.0  # costly sets that are asked although what is simple leaves noise, their reach
-_NEEDED = 5.0  # chi-square by which a less simple set of the same mechanisms must be better to be extended
 _SURELY = 0.5  # share of the tolerance within which further effects would not change the answer
 _NEAR = 1.5  # reduced chi-square of a fit to the samples from which its backbones were judged wrongly
 _NOISE = 0.01  # p-value of the residuals from which they are taken for noise
 
 
-class Search(RevisitedSets):
+class Search(VariedSets):
     """The search over sets: what is fitted, in which order, and when it is enough."""
 
     def run(self) -> None:
@@ -284,7 +283,7 @@ class Search(RevisitedSets):
             groups.setdefault(tuple(sorted(self.mechanism_of(name) for name in names)), []).append(names)
         chosen = set()
         for group in groups.values():
-            limit = min(self.fits[names].cost for names in group) + _NEEDED
+            limit = min(self.fits[names].cost for names in group) + NEEDED
             near = [names for names in group if self.fits[names].cost < limit]
             chosen.add(min(near, key=lambda names: (is_heavy(self.layout(names)), self.layout(names).free.size)))
         return [names for names in sets if names in chosen]
@@ -329,59 +328,6 @@ class Search(RevisitedSets):
         if len(best) < self.max_effects:
             self._extend([best], len(best) + 1)
         return self.best() != best
-
-    def _vary(self) -> None:
-        """Fit the best set with variants in the place of its effects, and keep no variant that explains no more.
-
-        What explains no more than the effect that it varies is said by that one.
-        """
-        best = self.best()
-        for name in best if not self.is_refuted(best) else ():
-            for variant in self.variants:
-                names = tuple(sorted({*(other for other in best if other != name), variant}))
-                is_asked = name in LIBRARY[variant].variant_of and len(names) == len(best) and names not in self.fits
-                if not is_asked or self._is_spent or (self._is_costly(names) and not self._is_costly(best)):
-                    continue
-                self.progress("variants of effects", 0.5)
-                found = self._fit_varied(names)
-                if self._is_needed(names) and found is not None and self.explains(found):
-                    for out in best:  # what stood beside the effect may have made up for its lack
-                        if out != name:
-                            self._fit_varied(tuple(other for other in names if other != out))
-        self._ask_plain()
-        for names in [names for names in self.fits if not self._is_needed(names)]:
-            del self.fits[names]
-
-    def _plain(self, names: Set) -> list[Set]:
-        """Return the sets that hold what a variant in this one varies in its place."""
-        return [
-            tuple(sorted({*(other for other in names if other != variant), name}))
-            for variant in {*names}.intersection(self.variants)
-            for name in LIBRARY[variant].variant_of
-        ]
-
-    def _ask_plain(self) -> None:
-        """Fit what the variants of the best set vary once more, from there: their own fits may have lost their way."""
-        best = self.best()
-        for plain in self._plain(best) if not self.is_refuted(best) else ():
-            known = self.fits.get(plain)
-            if known is None or known.cost > self.fits[best].cost + _NEEDED:
-                self.progress("what variants vary", 0.5)
-                found = self._beside(plain, None)
-                if found and (known is None or found[0].cost < known.cost):
-                    self.fits[plain] = found[0]
-
-    def _is_needed(self, names: Set) -> bool:
-        """Return whether a fitted set leaves less than it does with what a variant in it varies in its place."""
-        known = [self.fits[plain].cost for plain in self._plain(names) if plain in self.fits]
-        return names not in self.fits or not min(known, default=np.inf) < self.fits[names].cost + _NEEDED
-
-    def _fit_varied(self, names: Set) -> Fit | None:
-        """Return the fit of a set with a variant, begun from its own look in the backbones."""
-        if names not in self.fits and (not self.has_proposals or self._proposal(names) is None):
-            looks = propose(self.batch, self.base, names, len(names), self.own)
-            self.varied[names] = next(item for item in looks if set(item.names) == set(names))
-        return self.fit_set(names)
 
     def _within_reach(self, sets: Sequence[Set], best: Set) -> list[Set]:
         """Return those sets whose backbones are not much less likely than those of the best, the likeliest first."""

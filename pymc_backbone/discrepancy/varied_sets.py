@@ -1,0 +1,74 @@
+"""Sets with variants of their effects: each is kept where it leaves less than what it varies does in its place."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..effects import LIBRARY
+from .joint_fit import Fit
+from .propose import propose
+from .revisited_sets import RevisitedSets
+from .set_fits import Set
+
+NEEDED = 5.0
+"""Chi-square by which a less simple set of the same mechanisms must leave less."""
+
+
+class VariedSets(RevisitedSets):
+    """Fitted sets, and those that hold variants of their effects."""
+
+    def _vary(self) -> None:
+        """Fit the best set with variants in the place of its effects, and keep no variant that explains no more.
+
+        What explains no more than the effect that it varies is said by that one.
+        """
+        best = self.best()
+        for name in best if not self.is_refuted(best) else ():
+            for variant in self.variants:
+                names = tuple(sorted({*(other for other in best if other != name), variant}))
+                is_asked = name in LIBRARY[variant].variant_of and len(names) == len(best) and names not in self.fits
+                if not is_asked or self._is_spent or (self._is_costly(names) and not self._is_costly(best)):
+                    continue
+                self.progress("variants of effects", 0.5)
+                found = self._fit_varied(names)
+                if self._is_needed(names) and found is not None and self.explains(found):
+                    for out in best:  # what stood beside the effect may have made up for its lack
+                        if out != name:
+                            self._fit_varied(tuple(other for other in names if other != out))
+        self._ask_plain()
+        for names in [names for names in self.fits if not self._is_needed(names)]:
+            del self.fits[names]
+
+    def _plain(self, names: Set) -> list[Set]:
+        """Return the sets that hold what a variant in this one varies in its place."""
+        return [
+            tuple(sorted({*(other for other in names if other != variant), name}))
+            for variant in {*names}.intersection(self.variants)
+            for name in LIBRARY[variant].variant_of
+        ]
+
+    def _ask_plain(self) -> None:
+        """Fit what the variants of the best set vary once more, from there: their own fits may have lost their way."""
+        best = self.best()
+        for plain in self._plain(best) if not self.is_refuted(best) else ():
+            known = self.fits.get(plain)
+            if known is None or known.cost > self.fits[best].cost + NEEDED:
+                self.progress("what variants vary", 0.5)
+                found = self._beside(plain, None)
+                if found and (known is None or found[0].cost < known.cost):
+                    self.fits[plain] = found[0]
+
+    def _is_needed(self, names: Set) -> bool:
+        """Return whether a fitted set leaves less than it does with what a variant in it varies in its place."""
+        known = [self.fits[plain].cost for plain in self._plain(names) if plain in self.fits]
+        return names not in self.fits or not min(known, default=np.inf) < self.fits[names].cost + NEEDED
+
+    def _fit_varied(self, names: Set) -> Fit | None:
+        """Return the fit of a set with a variant, begun from its own look in the backbones."""
+        if names not in self.fits and (not self.has_proposals or self._proposal(names) is None):
+            looks = propose(self.batch, self.base, names, len(names), self.own)
+            self.varied[names] = next(item for item in looks if set(item.names) == set(names))
+        return self.fit_set(names)
+
+
+__all__ = ["NEEDED", "VariedSets"]

@@ -1,0 +1,221 @@
+"""Which sets the search fits, in which order and from where: what it passes over must not be what is true."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from pymc_backbone.discrepancy import rivals
+from pymc_backbone.discrepancy import search as search_module
+from pymc_backbone.discrepancy.normal_equations import DRIFTS
+from pymc_backbone.discrepancy.propose import Proposal
+from pymc_backbone.discrepancy.scatter import SCATTER, WIDE_SCATTER
+from pymc_backbone.discrepancy.search import Search
+from pymc_backbone.oscillator import Oscillator
+
+from .discrepancy_cases import (
+    AMPLITUDE,
+    DAMPING,
+    MASS,
+    RELEASE_TIME,
+    STIFFNESS,
+    TIME,
+    batch_of,
+    free_decay,
+    make_records,
+    noisy,
+)
+
+COSTLY = ("bouc_wen",)
+
+
+def proposal_of(names: tuple[str, ...], log_evidence: float, scatter: float = SCATTER) -> Proposal:
+    empty = np.zeros(0)
+    return Proposal(
+        names, empty, np.zeros((2, 2)), 10.0, True, log_evidence, ((10.0, empty, np.zeros((2, 2))),), scatter
+    )
+
+
+@pytest.fixture(scope="module")
+def batch():
+    return batch_of(make_records(np.random.default_rng(3), ("cubic_stiffness",)))
+
+
+def search_with(batch, evidences, costs, candidates=("cubic_stiffness", "quadratic_damping", "coulomb_friction"), **kw):
+    """A search whose proposals are given, and whose fits cost so many times the noise; what was asked is noted."""
+    search = Search(batch, Oscillator(MASS), (*candidates, "bouc_wen"), 3, **kw)
+    ranked = sorted(evidences.items(), key=lambda item: -item[1])
+    search.__dict__["proposals"] = {names: proposal_of(names, value) for names, value in ranked}
+    asked = []
+
+    def fit_set(names):
+        asked.append(names)
+        search.fits[names] = SimpleNamespace(cost=costs.get(names, 50.0) * search.count)
+        return search.fits[names]
+
+    search.fit_set = fit_set
+    search._is_settled = lambda: True
+    search.fits[()] = SimpleNamespace(cost=1e3 * search.count)
+    return search, asked
+
+
+def test_a_release_is_where_the_swings_of_its_own_direction_lead():
+    """A spring three times as stiff on one side, by SciPy: the first turning point lies farther out than the release."""
+
+    def force(x: float, v: float, direction: float) -> float:
+        friction = 0.004 * STIFFNESS * AMPLITUDE * direction
+        return STIFFNESS * (x if x < 0.0 else 3.0 * x) + DAMPING * v + friction
+
+    decay = free_decay(force, AMPLITUDE, TIME - RELEASE_TIME)
+    batch = batch_of([noisy(np.random.default_rng(1), "specimen 1", TIME, decay, 55.0)])
+    assert decay.min() < -1.6 * AMPLITUDE  # negative control: the other side is no measure of the release
+    offset = batch.records[0].baseline if hasattr(batch.records[0], "baseline") else 0.0
+    _, _, release, instant, _ = batch.own[0]
+    assert release == pytest.approx(AMPLITUDE - float(np.mean(offset)), rel=0.08)
+    assert instant == pytest.approx(RELEASE_TIME, abs=0.02 / 5.0)
+
+
+def test_single_effects_have_every_third_turn_and_nothing_is_asked_twice(batch):
+    pairs = {("cubic_stiffness", "quadratic_damping"): 9.0, ("coulomb_friction", "cubic_stiffness"): 8.0,
+             ("coulomb_friction", "quadratic_damping"): 7.0}  # fmt: skip
+    singles = {("cubic_stiffness",): -300.0, ("quadratic_damping",): -400.0, ("coulomb_friction",): -500.0}
+    search, _ = search_with(batch, pairs | singles, {})
+    order = [names for names, _ in search._queue()]
+    assert order[2] == ("cubic_stiffness",) and order[:2] == [*pairs][:2]
+    assert sorted(order) == sorted([*pairs, *singles])
+
+
+def test_the_likeliest_set_is_asked_whatever_it_costs(batch):
+    """Behind six simple ones at most; where these explain the records, only if its backbones are likelier."""
+    simple = {("cubic_stiffness", f"effect {k}"): -1.0 - k for k in range(20)}
+    search, _ = search_with(batch, {COSTLY: 0.0} | simple, {})
+    search._is_costly = lambda names: names == COSTLY
+    order = [names for names, _ in search._queue()]
+    assert 0 < order.index(COSTLY) <= 7
+    explaining = {("cubic_stiffness",): 1.0, ("quadratic_damping",): 1.0}
+    for log_evidence, is_asked in ((0.0, True), (-6.0, False)):
+        evidences = {("cubic_stiffness",): -3.0, ("quadratic_damping",): -4.0, COSTLY: log_evidence}
+        search, asked = search_with(batch, evidences, explaining)
+        search._follow_backbones(24)
+        assert (COSTLY in asked) == is_asked
+
+
+def test_what_adds_to_a_set_that_leaves_more_than_another_is_asked(batch):
+    """A pair explains the records about, another set better: what adds to the pair is no longer left for its sake."""
+    evidences = {
+        ("coulomb_friction", "cubic_stiffness"): 0.0,
+        ("coulomb_friction", "cubic_stiffness", "quadratic_damping"): -0.5,
+        ("quadratic_damping",): -0.6,
+    }
+    close = 10.0 / batch_size(batch)
+    for gap, is_asked in ((0.09, True), (close, False)):
+        costs = {("coulomb_friction", "cubic_stiffness"): 1.0 + gap, ("quadratic_damping",): 1.0}
+        search, asked = search_with(batch, evidences, costs)
+        search._follow_backbones(24)
+        assert (("coulomb_friction", "cubic_stiffness", "quadratic_damping") in asked) == is_asked
+
+
+def batch_size(batch) -> int:
+    return sum(term.size for term in batch.deciding)
+
+
+def test_noise_that_was_taken_for_too_small_explains_and_what_bends_does_not(batch):
+    """A fifth more than the noise: of white residuals it counts, of what the model lacks it does not."""
+    search = Search(batch, Oscillator(MASS), ("cubic_stiffness",), 1)
+    right, wrong = search.fit_set(("cubic_stiffness",)), search.fit_set(())
+    search.count = right.cost / 1.2
+    assert search.explains(right)
+    search.count, search.noisy = wrong.cost / 1.2, {}
+    assert not search.explains(wrong)
+    search.count, search.noisy = right.cost / 1.6, {}
+    assert not search.explains(right)  # so much more is no chance
+
+
+@pytest.mark.parametrize("is_explained", [True, False])
+def test_wide_scatter_is_looked_at_where_nothing_explains_and_left_where_it_does_not_either(
+    batch, monkeypatch, is_explained
+):
+    names = ("cubic_stiffness",)
+    search, _ = search_with(batch, {names: -5.0}, {names: 3.0})
+    search.fits[names] = SimpleNamespace(cost=3.0 * search.count)
+    before, narrow = dict(search.fits), search.proposals
+    wide = [proposal_of(names, -1.0, WIDE_SCATTER)]
+    monkeypatch.setattr(search_module, "propose", lambda *_, scatter, **__: wide if scatter == WIDE_SCATTER else None)
+    costs = {(): 1e3, names: 1.0 if is_explained else 2.0}
+
+    def fit_set(asked_for):
+        search.fits[asked_for] = SimpleNamespace(cost=costs[asked_for] * search.count)
+        return search.fits[asked_for]
+
+    search.fit_set = fit_set
+    search._look_wider()
+    if is_explained:
+        assert search.scatter == WIDE_SCATTER and search.fits[names].cost == search.count
+    else:
+        assert search.scatter == SCATTER and search.fits == before and search.proposals is narrow
+    wide[0] = replace(wide[0], log_evidence=-9.0)  # less likely: not even begun
+    search, _ = search_with(batch, {names: -5.0}, {})
+    search.fits[names] = SimpleNamespace(cost=3.0 * search.count)
+    search._look_wider()
+    assert search.scatter == SCATTER
+
+
+def test_what_the_best_set_still_asks_for_is_added_although_the_effort_is_spent(monkeypatch):
+    """A weak drag beside a cubic spring, of which the backbones proposed the spring alone."""
+    names = ("cubic_stiffness", "quadratic_damping")
+    batch = batch_of(make_records(np.random.default_rng(7), names, share=0.5))
+
+    def searched():
+        search = Search(batch, Oscillator(MASS), names, 2, budget=0.0)
+        known = search.proposals
+        search.__dict__["proposals"] = {(name,): known[(name,)] for name in names}
+        search.fits = {(): search.fit_set(()), names[:1]: search.fit_set(names[:1])}
+        search.count = search.fits[names[:1]].cost / 1.05  # it explains the records, about
+        return search
+
+    search = searched()
+    assert search._score(names[:1], "quadratic_damping") > 10.0
+    search._complete()
+    assert search.best() == names
+    asked = searched()
+    monkeypatch.setattr(asked, "_score", lambda *_: 9.0)  # negative control: what noise may gain is not asked
+    asked._complete()
+    assert names not in asked.fits
+
+
+def test_what_a_variant_varies_begins_again_from_the_variant():
+    """Plain drag whose fit was lost, and drag with two strengths that found it: the plain one is fitted from there."""
+    batch = batch_of(make_records(np.random.default_rng(4), ("quadratic_damping",)))
+    plain, variant = ("quadratic_damping",), ("asymmetric_drag",)
+    search = Search(batch, Oscillator(MASS), plain, 1, variants=variant)
+    search.fit_set(()), search.fit_set(plain), search.fit_set(variant)
+    reached = search.fits[plain].cost
+    lost = search.fits[plain]
+    search.fits[plain] = replace(lost, chi_square=lost.chi_square + 100.0)
+    assert search._is_needed(variant)  # what a lost fit makes of it
+    search._ask_plain()
+    assert search.fits[plain].cost == pytest.approx(reached, abs=0.5)
+    assert not search._is_needed(variant)
+
+
+def test_drifts_of_no_meaning_gain_no_more_than_they_cost():
+    """A fit that ended far from the records, at drifts of twenty prior widths of which the data say nothing."""
+
+    def of(values, variance):
+        own = np.zeros((4, 9))
+        own[:, DRIFTS] = np.asarray(values)[:, None]
+        covariance = np.ones((4, 9))
+        covariance[:, DRIFTS] = variance
+        return SimpleNamespace(state=SimpleNamespace(own=own), own_covariance=covariance)
+
+    absurd = np.array([25.0, 7.0, 16.0, 13.0])
+    assert rivals.drift_bonus(of(absurd, 0.999)) <= absurd @ absurd + 0.01
+    # what is alike in all records, and well measured, keeps what that is worth: more than drifts of any size each
+    alike, each = (
+        rivals.drift_bonus(of([1.0, 1.02, 0.98, 1.0], 1e-3)),
+        rivals.drift_bonus(of([1.0, -0.4, 0.1, -1.6], 1e-3)),
+    )
+    assert alike > 3.0 and each < alike
