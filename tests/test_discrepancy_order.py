@@ -63,7 +63,7 @@ def search_with(batch, evidences, costs, candidates=("cubic_stiffness", "quadrat
 
 
 def test_a_release_is_where_the_swings_of_its_own_direction_lead():
-    """A spring three times as stiff on one side, by SciPy: the first turning point lies farther out than the release."""
+    """A spring three times as stiff on one side, by SciPy: the first turning point lies beyond the release."""
 
     def force(x: float, v: float, direction: float) -> float:
         friction = 0.004 * STIFFNESS * AMPLITUDE * direction
@@ -105,15 +105,16 @@ def test_the_likeliest_set_is_asked_whatever_it_costs(batch):
 
 def test_what_adds_to_a_set_that_leaves_more_than_another_is_asked(batch):
     """A pair explains the records about, another set better: what adds to the pair is no longer left for its sake."""
+    candidates = ("coulomb_friction", "cubic_stiffness", "quadratic_damping", "quintic_stiffness")
     evidences = {
         ("coulomb_friction", "cubic_stiffness"): 0.0,
         ("coulomb_friction", "cubic_stiffness", "quadratic_damping"): -0.5,
-        ("quadratic_damping",): -0.6,
+        ("quintic_stiffness",): -0.6,
     }
     close = 10.0 / batch_size(batch)
     for gap, is_asked in ((0.09, True), (close, False)):
-        costs = {("coulomb_friction", "cubic_stiffness"): 1.0 + gap, ("quadratic_damping",): 1.0}
-        search, asked = search_with(batch, evidences, costs)
+        costs = {("coulomb_friction", "cubic_stiffness"): 1.0 + gap, ("quintic_stiffness",): 1.0}
+        search, asked = search_with(batch, evidences, costs, candidates)
         search._follow_backbones(24)
         assert (("coulomb_friction", "cubic_stiffness", "quadratic_damping") in asked) == is_asked
 
@@ -142,7 +143,7 @@ def test_wide_scatter_is_looked_at_where_nothing_explains_and_left_where_it_does
     search, _ = search_with(batch, {names: -5.0}, {names: 3.0})
     search.fits[names] = SimpleNamespace(cost=3.0 * search.count)
     before, narrow = dict(search.fits), search.proposals
-    wide = [proposal_of(names, -1.0, WIDE_SCATTER)]
+    wide = [proposal_of(names, 3.0, WIDE_SCATTER)]
     monkeypatch.setattr(search_module, "propose", lambda *_, scatter, **__: wide if scatter == WIDE_SCATTER else None)
     costs = {(): 1e3, names: 1.0 if is_explained else 2.0}
 
@@ -156,7 +157,7 @@ def test_wide_scatter_is_looked_at_where_nothing_explains_and_left_where_it_does
         assert search.scatter == WIDE_SCATTER and search.fits[names].cost == search.count
     else:
         assert search.scatter == SCATTER and search.fits == before and search.proposals is narrow
-    wide[0] = replace(wide[0], log_evidence=-9.0)  # less likely: not even begun
+    wide[0] = replace(wide[0], log_evidence=-1.0)  # hardly likelier: not even begun
     search, _ = search_with(batch, {names: -5.0}, {})
     search.fits[names] = SimpleNamespace(cost=3.0 * search.count)
     search._look_wider()

@@ -35,6 +35,7 @@ _POOR = 1.5  # reduced chi-square above which a fit may have lost its way
 _NOT_FAR = 2.0  # reduced chi-square of a smaller set up to which the records say where a further effect begins
 _UNTOLD = 1.0  # reduced chi-square of the backbones of a smaller set up to which they do not say what else is there
 _FOLLOWS = 30.0  # reduced chi-square of the first turning points from which a start does not follow them
+_MUCH_MORE = 10.0  # chi-square of the backbones above their lowest minimum, from which that is asked as well
 _LOST = 6.0  # reduced chi-square of the backbones, over what was promised, from which a fit ended elsewhere
 _NOTED = 1.0  # chi-square above that of the smaller set up to which one step is enough to note a set
 _WORTH = 5.0  # fall of chi-square by which one more effect begins to earn its place
@@ -356,7 +357,8 @@ class FittedSets:
                 continue
             found.append(reached)
             is_refuted = is_refuted and bool(ways) and ways[-1][1] > limit
-            if not self._is_lost(reached, promised):
+            is_likeliest = promised < proposal.starts[0][0] + _MUCH_MORE
+            if is_likeliest and not self._is_lost(reached, promised):
                 break
         if not self.is_any_exact(found):
             absent = self._without_base(layout, proposal, rival, ways)
@@ -370,7 +372,8 @@ class FittedSets:
         """Yield the starts of a set, each with what it promises; as the backbones rank them, if the first is one.
 
         Backbones of the mean specimen may rank a start first that does not follow the first cycles. Then all have to,
-        and those that do begin: a whole fit costs as much as twenty such looks.
+        and that which does best begins: a whole fit costs as much as twenty such looks. The first comes next, because
+        what the record says of the release may be at fault.
         """
         released = ((promised, self.descent.released(layout, eta, own)) for promised, eta, own in proposal.starts)
         if not self.batch.has_records or len(proposal.starts) < 2:
@@ -386,7 +389,9 @@ class FittedSets:
         for k, (promised, state) in enumerate(released, start=1):
             followed, miss = self.descent.first_look(layout, state)
             looks.append((miss, k, promised, followed))
-        for _, _, promised, followed in sorted(looks, key=lambda item: item[:2]):
+        ahead, *others = sorted(looks, key=lambda item: item[:2])
+        others.sort(key=lambda item: item[1] > 0)
+        for _, _, promised, followed in (ahead, *others):
             yield promised, followed
 
     def _without_base(self, layout: Layout, proposal: Proposal, rival: float | None, ways: list[Way]) -> list[Fit]:

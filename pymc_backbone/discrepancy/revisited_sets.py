@@ -145,7 +145,10 @@ class RevisitedSets(FittedSets):
         return state
 
     def _settle(self) -> None:
-        """Where nothing explains the records, carry the fits on that did not come to rest, the likeliest first."""
+        """Carry the fit of the best set on if it did not come to rest; and others where nothing explains the records."""
+        best = self.best()
+        if not (self.is_refuted(best) or self.fits[best].is_converged):
+            self._carry_on(best)
         if self._is_explained():
             return
         open_sets = (names for names in self.ranked() if not self.is_refuted(names))
@@ -154,10 +157,14 @@ class RevisitedSets(FittedSets):
             if self._is_spent:
                 self.is_cut = True
                 break
-            known = self.fits[names]
-            found = self.descent.from_near(known.layout, [known.state])
-            if found is not None and found.cost < known.cost:
-                self.fits[names] = found
+            self._carry_on(names)
+
+    def _carry_on(self, names: Set) -> None:
+        """Go on with the fit of a set from where it ended."""
+        known = self.fits[names]
+        found = self.descent.from_near(known.layout, [known.state])
+        if found is not None and found.cost < known.cost:
+            self.fits[names] = found
 
 
 __all__ = ["CLOSE", "RevisitedSets"]

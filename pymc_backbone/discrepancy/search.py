@@ -23,7 +23,8 @@ _ROUNDS = 2
 _MOST_FOLLOWED = 24  # sets that are followed from the backbones to the waveforms before anything explains these
 _LEAST_FOLLOWED = 2  # sets that are followed although a base with a law of its own has taken all the effort
 _PASSED = 6  # less likely simple sets that are followed before one that costs much
-_FEW_FOLLOWED = 6  # the same where not even the backbones are explained
+_CLEARLY = 5.0  # logarithm of evidence by which wider scatter must be likelier
+_FEW_FOLLOWED = 6  # sets that are followed where not even the backbones are explained
 _FLOOR = 1.1  # ratio of costs within which sets leave the same
 _MOST_EXTENDED = 4
 _REACH = 12.0  # difference of the logarithm of evidence by the backbones within which the waveforms are asked, too
@@ -183,7 +184,7 @@ class Search(VariedSets):
         wide = propose(
             self.batch, self.base, self.candidates, self.max_effects, self.own, self.variants, scatter=WIDE_SCATTER
         )
-        if wide[0].log_evidence <= likeliest or not self._is_any_possible(wide):
+        if wide[0].log_evidence < likeliest + _CLEARLY or not self._is_any_possible(wide):
             return
         self.proposals = {item.names: item for item in wide}
         if self._begin_again(WIDE_SCATTER):
