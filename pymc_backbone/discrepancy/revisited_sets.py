@@ -145,7 +145,7 @@ class RevisitedSets(FittedSets):
         return state
 
     def _settle(self) -> None:
-        """Carry the fit of the best set on if it did not come to rest; and others where nothing explains the records."""
+        """Carry the fit of the best set on if it did not come to rest; and others where nothing explains."""
         best = self.best()
         if not (self.is_refuted(best) or self.fits[best].is_converged):
             self._carry_on(best)
