@@ -37,6 +37,7 @@ _FIRST_WINDOW = 12  # turning points
 _TELLING = 100  # turning points from which a window refutes: over fewer a fit may not have come to rest
 _WINDOW_GROWTH = 3.0
 _PATIENT, _SHORT = 300, 80
+_EVALUATIONS, _LEAST = 2.0, 3  # of the model in an iteration, as a rule; iterations of a fit whatever was spent
 
 Way = tuple[int, float]
 """How many turning points were looked at, and the sum of squares over them."""
@@ -52,10 +53,13 @@ class Descent:
         The data.
     effort : float
         Simulated values so far.
+    limit : float
+        Of these, beyond which a fit ends after a few iterations and is left where it is.
     """
 
     batch: Batch
     effort: float = 0.0
+    limit: float = np.inf
 
     def released(self, layout: Layout, eta: FloatArray, own: FloatArray) -> State:
         """Return a start: effects and each specimen's stiffness and damping given, the release from the record.
@@ -212,14 +216,17 @@ class Descent:
         goal: float = 0.0,
     ) -> Fit | None:
         """Fit as `joint_fit.fit` does, and count the effort in simulated values."""
+        values = sum(max(term.size, PER_CYCLE * term.cycles) for term in terms)
+        each = (1.0 + 4.0 * is_heavy(layout)) * max(values, 1.0)
+        affordable = (self.limit - self.effort) / (_EVALUATIONS * each)
+        if affordable < iterations:
+            iterations = max(int(affordable), min(_LEAST, iterations))
         found = fit(
             layout, terms, state, iterations=iterations, tolerance=tolerance, nuisances=nuisances,
             has_scatter=has_scatter, rival=rival, goal=goal,
         )  # fmt: skip
         if found is not None:
-            weight = 1.0 + 4.0 * is_heavy(layout)
-            values = sum(max(term.size, PER_CYCLE * term.cycles) for term in terms)
-            self.effort += found.evaluations * values * weight
+            self.effort += found.evaluations * each
         return found
 
 

@@ -31,6 +31,7 @@ POSSIBLE_BACKBONE = 3.0
 """Reduced chi-square of the level values up to which a set could explain the backbones."""
 _EXPLAINED = 1.1  # reduced chi-square up to which a set may be complete, whatever its residuals look like
 _NOISE = 0.01  # p-value of the residuals from which they are taken for noise
+_LIMIT = 4.0  # of the budget, that a fit which began before it was spent may take
 _POOR = 1.5  # reduced chi-square above which a fit may have lost its way
 _NOT_FAR = 2.0  # reduced chi-square of a smaller set up to which the records say where a further effect begins
 _UNTOLD = 1.0  # reduced chi-square of the backbones of a smaller set up to which they do not say what else is there
@@ -88,7 +89,7 @@ class FittedSets:
     scatter: float = SCATTER
 
     def __post_init__(self) -> None:
-        self.descent = Descent(self.batch)
+        self.descent = Descent(self.batch, limit=_LIMIT * self.budget)
         spans = [w.levels[-1] / w.levels[0] if w.levels.size else 0.0 for w in self.batch.levels]
         self.reference = int(np.argmax(spans))
         self.count = sum(term.size for term in self.batch.deciding)
