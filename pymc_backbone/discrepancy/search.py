@@ -134,7 +134,7 @@ class Search(VariedSets):
         explained: list[Set] = []
         left: list[Set] = []
         for names, proposal in self._queue():
-            if not names or names in self.fits:
+            if not names:
                 continue
             if any(set(known) < set(names) for known in explained):
                 left.append(names)
@@ -152,8 +152,8 @@ class Search(VariedSets):
             if self._is_costly(names) and not is_likeliest and self._is_settled():
                 continue  # asked later, if at all: what is simple leaves noise
             self.progress("sets that the backbones propose", min(fitted / most, 1.0))
+            fitted += names not in self.fits
             found = self.fit_set(names)
-            fitted += 1
             if found is None:
                 continue
             likeliest = max(likeliest, proposal.log_evidence)
