@@ -568,6 +568,21 @@ def test_limits_hold_and_a_refused_start_says_nothing(cubic_batch):
     assert fit(layout, cubic_batch.waveform, start_state(layout, np.array([0.0]), unstable)) is None
 
 
+@pytest.mark.parametrize("name", EFFECTS)
+def test_a_shape_has_the_prior_of_its_bounds_inside_of_them_and_pays_beyond(name):
+    """Beyond them the prior is as dense as a log-uniform one of two decades; what is not looked for there is as it was."""
+    layout = make_layout(Oscillator(MASS, [name]), AMPLITUDE, OMEGA)
+    span = np.sqrt(12.0) * layout.width
+    np.testing.assert_array_equal(normal_equations.shape_width(layout, 0.999 * span), layout.width)
+    far = normal_equations.shape_width(layout, -50.0 * span)
+    is_open = layout.high - layout.low > 1.01 * span
+    np.testing.assert_array_equal(far[~is_open], layout.width[~is_open])
+    dense = 1.0 / (50.0 * span * np.log(100.0))  # of the log-uniform prior at that value
+    np.testing.assert_allclose(1.0 / (np.sqrt(2.0 * np.pi) * far[is_open]), dense[is_open], rtol=0.03)
+    near = normal_equations.shape_width(layout, 1.001 * span)
+    np.testing.assert_allclose(near, layout.width, rtol=0.01)  # no jump at the bounds
+
+
 def test_score_promises_what_the_full_fit_gains(rng):
     """The fall of chi-square by a linear step from the model without a weak effect is that of the full fit."""
     batch = batch_of(make_records(rng, ("cubic_stiffness",), share=0.05))

@@ -16,6 +16,7 @@ from .layout import Layout
 
 NUISANCES = 7  # stiffness, damping, release amplitude, release instant, offset, drift of frequency, of damping
 DRIFTS = (5, 6)
+_TWO_DECADES = np.log(1e2) / np.sqrt(2.0 * np.pi)  # width of a Gaussian as dense at its middle as log-uniform ones are
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,7 +202,7 @@ def information(layout: Layout, system: System, state: State, active: Any, noise
     own = float(sum(item[3] for item in solved))
     if q == 0:
         return own, np.empty((0, 0))
-    widths = layout.width
+    widths = np.where(layout.is_strength, layout.width, shape_width(layout, state.eta))
     try:
         covariance = np.outer(widths, widths) * np.linalg.inv(np.eye(q) + symmetric(shared) * np.outer(widths, widths))
     except np.linalg.LinAlgError:
@@ -216,10 +217,22 @@ def prior_width(layout: Layout, eta: FloatArray, spread: FloatArray) -> FloatArr
     """Return the standard deviation of the prior of each shared coordinate.
 
     The size of an effect is not known beforehand, not even its order of magnitude: the prior of a strength is as wide
-    as three times what is found, or what could just be seen. A shape has that of its default bounds.
+    as three times what is found, or what could just be seen.
     """
     own = np.minimum(3.0 * np.maximum(np.abs(eta), 3.0 * spread), 10.0 * layout.width)
-    return np.where(layout.is_strength, own, layout.width)
+    return np.where(layout.is_strength, own, shape_width(layout, eta))
+
+
+def shape_width(layout: Layout, eta: FloatArray) -> FloatArray:
+    """Return the standard deviation of the prior of each shared coordinate, taken for a shape.
+
+    That of its default bounds; but where it is looked for beyond these, a value far outside of them (of the Bouc-Wen
+    law, which slips at a hundredth of the amplitude then) is known by its order of magnitude only: log-uniform over
+    two decades. With the width of the bounds there it would come at no cost, and beside every other law be favoured.
+    """
+    span = np.sqrt(12.0) * layout.width
+    is_open = layout.high - layout.low > 1.01 * span
+    return np.where(is_open, layout.width + _TWO_DECADES * np.maximum(np.abs(eta) - span, 0.0), layout.width)
 
 
 def symmetric(matrix: FloatArray) -> FloatArray:
