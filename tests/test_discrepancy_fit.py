@@ -570,7 +570,7 @@ def test_limits_hold_and_a_refused_start_says_nothing(cubic_batch):
 
 @pytest.mark.parametrize("name", EFFECTS)
 def test_a_shape_has_the_prior_of_its_bounds_inside_of_them_and_pays_beyond(name):
-    """Beyond them the prior is as dense as a log-uniform one of two decades; what is not looked for there is as it was."""
+    """Beyond them the prior is as dense as a log-uniform one of two decades; what is not looked for there stays."""
     layout = make_layout(Oscillator(MASS, [name]), AMPLITUDE, OMEGA)
     span = np.sqrt(12.0) * layout.width
     np.testing.assert_array_equal(normal_equations.shape_width(layout, 0.999 * span), layout.width)
