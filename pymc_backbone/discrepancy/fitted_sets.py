@@ -37,6 +37,7 @@ _NOT_FAR = 2.0  # reduced chi-square of a smaller set up to which the records sa
 _UNTOLD = 1.0  # reduced chi-square of the backbones of a smaller set up to which they do not say what else is there
 _FOLLOWS = 30.0  # reduced chi-square of the first turning points from which a start does not follow them
 _MUCH_MORE = 10.0  # chi-square of the backbones above their lowest minimum, from which that is asked as well
+_MINIMA, _ALIKE = 2, 3.0  # fits of a single effect of several shapes; chi-square within which its minima are alike
 _LOST = 6.0  # reduced chi-square of the backbones, over what was promised, from which a fit ended elsewhere
 _NOTED = 1.0  # chi-square above that of the smaller set up to which one step is enough to note a set
 _WORTH = 5.0  # fall of chi-square by which one more effect begins to earn its place
@@ -344,7 +345,10 @@ class FittedSets:
         return found if found is not None and found.starts else None
 
     def _proposed(self, names: Set, rival: float | None) -> list[Fit]:
-        """Return fits from what the backbones propose for a set, until one keeps what they promise."""
+        """Return fits from what the backbones propose for a set, until one keeps what they promise.
+
+        A single effect of several shapes has minima that the backbones cannot tell apart: more than one begins.
+        """
         proposal = self._proposal(names)
         if proposal is None:
             return []
@@ -352,15 +356,17 @@ class FittedSets:
         found: list[Fit] = []
         ways: list[Way] = []
         limit, is_refuted = self._limit, True
+        lowest = min((promised for promised, _, _ in proposal.starts), default=0.0)
+        is_kept, is_alone = False, len(names) == 1 and np.count_nonzero(~layout.is_strength) > 1
         for promised, state in self._in_order(layout, proposal):
+            if is_kept and not (is_alone and len(found) < _MINIMA and promised < lowest + _ALIKE):
+                break
             reached = self.descent.from_afar(layout, state, rival, ways, limit)
             if reached is None:
                 continue
             found.append(reached)
             is_refuted = is_refuted and bool(ways) and ways[-1][1] > limit
-            is_likeliest = promised < proposal.starts[0][0] + _MUCH_MORE
-            if is_likeliest and not self._is_lost(reached, promised):
-                break
+            is_kept = is_kept or (promised < lowest + _MUCH_MORE and not self._is_lost(reached, promised))
         if not self.is_any_exact(found):
             absent = self._without_base(layout, proposal, rival, ways)
             is_refuted = is_refuted and (not absent or ways[-1][1] > limit)
