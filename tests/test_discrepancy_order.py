@@ -220,3 +220,32 @@ def test_drifts_of_no_meaning_gain_no_more_than_they_cost():
         rivals.drift_bonus(of([1.0, -0.4, 0.1, -1.6], 1e-3)),
     )
     assert alike > 3.0 and each < alike
+
+
+@pytest.mark.parametrize(
+    ("names", "promised", "asked"),
+    [
+        (("iwan",), (20.0, 20.5, 21.0), 2),  # two shapes, and minima that are alike
+        (("iwan",), (20.0, 26.0, 27.0), 1),
+        (("cubic_stiffness",), (20.0, 20.5, 21.0), 1),
+        (("cubic_stiffness", "iwan"), (20.0, 20.5, 21.0), 1),
+    ],
+)
+def test_a_single_effect_of_several_shapes_begins_from_minima_that_backbones_do_not_tell_apart(
+    batch, names, promised, asked
+):
+    search = Search(batch, Oscillator(MASS), ("cubic_stiffness", "iwan"), 2)
+    search.fit_set(())
+    layout = search.layout(names)
+    starts = tuple((value, np.full(layout.free.size, value), batch.own[:, :2]) for value in promised)
+    search.__dict__["proposals"] = {names: Proposal(names, starts[0][1], starts[0][2], 20.0, True, 0.0, starts)}
+    begun = []
+
+    def from_afar(_, state, *__):
+        begun.append(state)
+        return SimpleNamespace(cost=search.count * (1.0 + 0.05 * (len(begun) == 1)), layout=layout)
+
+    search._in_order = lambda _, proposal: iter([(value, eta) for value, eta, _ in proposal.starts])
+    search.descent.from_afar = from_afar
+    found = search._proposed(names, None)
+    assert len(begun) == len(found) == asked
