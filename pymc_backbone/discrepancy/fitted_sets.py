@@ -379,15 +379,15 @@ class FittedSets:
         """Yield the starts of a set, each with what it promises; as the backbones rank them, if the first is one.
 
         Backbones of the mean specimen may rank a start first that does not follow the first cycles. Then all have to,
-        and that which does best begins: a whole fit costs as much as twenty such looks. The first comes next, because
-        what the record says of the release may be at fault.
+        and that which does best begins: a whole fit costs as much as twenty such looks. The first comes next, as it was
+        before it followed them, because what the record says of the release may be at fault.
         """
         released = ((promised, self.descent.released(layout, eta, own)) for promised, eta, own in proposal.starts)
         if not self.batch.has_records or len(proposal.starts) < 2:
             yield from released
             return
-        promised, state = next(released)
-        followed, miss = self.descent.first_look(layout, state)
+        promised, begun = next(released)
+        followed, miss = self.descent.first_look(layout, begun)
         if miss < _FOLLOWS:
             yield promised, followed
             yield from released
@@ -398,8 +398,8 @@ class FittedSets:
             looks.append((miss, k, promised, followed))
         ahead, *others = sorted(looks, key=lambda item: item[:2])
         others.sort(key=lambda item: item[1] > 0)
-        for _, _, promised, followed in (ahead, *others):
-            yield promised, followed
+        for _, k, promised, followed in (ahead, *others):
+            yield promised, begun if k == 0 and ahead[1] > 0 else followed
 
     def _without_base(self, layout: Layout, proposal: Proposal, rival: float | None, ways: list[Way]) -> list[Fit]:
         """Return the fit of a set from where the effects of the model as it is are absent: they may imitate the set."""
