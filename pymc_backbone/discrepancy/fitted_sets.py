@@ -112,23 +112,6 @@ class FittedSets:
         """How many values the backbones hold."""
         return sum(term.size for term in self.batch.levels)
 
-    def _mind_scatter(self) -> None:
-        """Begin again with effects that differ more between specimens, where only so a set explains the backbones."""
-        asked = next(iter(self.proposals.values())).scatter
-        if asked != self.scatter and self._is_any_possible(self.proposals.values()):
-            self._begin_again(asked)
-
-    def _begin_again(self, scatter: float) -> bool:
-        """Forget all fits and fit the base with another scatter; return whether that can be simulated."""
-        before, self.scatter = (self.fits, self.failed, self.refuted, self.scatter), scatter
-        self.fits, self.failed, self.refuted = {}, {}, set()
-        self.layouts, self.asked, self.limited, self.noisy = {}, {}, (None, np.inf), {}
-        if self.fit_set(()) is None:
-            self.fits, self.failed, self.refuted, self.scatter = before
-            self.layouts = {}
-            return False
-        return True
-
     @property
     def has_proposals(self) -> bool:
         """Whether the backbones were asked for proposals."""

@@ -43,6 +43,23 @@ class RevisitedSets(FittedSets):
         """Return whether a set takes much longer than the base does."""
         return is_heavy(self.layout(names)) and not is_heavy(self.layout(()))
 
+    def _mind_scatter(self) -> None:
+        """Begin again with effects that differ more between specimens, where only so a set explains the backbones."""
+        asked = next(iter(self.proposals.values())).scatter
+        if asked != self.scatter and self._is_any_possible(self.proposals.values()):
+            self._begin_again(asked)
+
+    def _begin_again(self, scatter: float) -> bool:
+        """Forget all fits and fit the base with another scatter; return whether that can be simulated."""
+        before, self.scatter = (self.fits, self.failed, self.refuted, self.scatter), scatter
+        self.fits, self.failed, self.refuted = {}, {}, set()
+        self.layouts, self.asked, self.limited, self.noisy = {}, {}, (None, np.inf), {}
+        if self.fit_set(()) is None:
+            self.fits, self.failed, self.refuted, self.scatter = before
+            self.layouts = {}
+            return False
+        return True
+
     def _look_again(self) -> None:
         """Fit single effects that have a shape, and lag behind, from their look in the backbones as well."""
         lowest = min(item.cost for item in self.fits.values())
