@@ -13,6 +13,7 @@ from pymc_backbone.measurement.cycles import extract_cycles
 from pymc_backbone.measurement.harmonics import harmonic_decay, peaks_of
 from pymc_backbone.measurement.time_frequency import time_frequency
 from pymc_backbone.reporting.portrait_plots import plot_distortion, plot_force_sections, plot_time_frequency
+from pymc_backbone.reporting.report_portraits import portraits
 from pymc_backbone.reporting.study_plots import study_figures
 
 STIFFNESS, DAMPING, TOP = 1000.0, 0.3, 0.1
@@ -54,6 +55,24 @@ def test_second_harmonic_of_a_spring_stiffer_to_one_side():
     share = quadratic * found.amplitude / STIFFNESS
     held = share > 0.01
     np.testing.assert_allclose(found.ratios[held, 0], share[held] / 6.0, rtol=0.01)
+
+
+def test_a_mid_line_that_integration_lost_is_in_neither_force():
+    """First order, a quadratic force moves the mid-line by -a2 A^2 / (2 k); without it both sections stay."""
+    quadratic = 0.05 * STIFFNESS / TOP
+    x = decay("quadratic_stiffness", quadratic)
+    peaks = peaks_of(TIME, x)
+    envelope = np.interp(TIME, peaks, np.interp(peaks, TIME, x))
+    lost = x + quadratic * envelope**2 / (2.0 * STIFFNESS)
+    sections = [
+        beyond_spring(harmonic_decay(TIME, values, peaks, has_mid_line=False), 1.0, STIFFNESS) for values in (x, lost)
+    ]
+    top = quadratic * TOP**2
+    for exact, integrated in zip(*sections, strict=True):
+        np.testing.assert_allclose(integrated[1], exact[1], atol=0.03 * top)
+    plain = beyond_spring(harmonic_decay(TIME, x, peaks), 1.0, STIFFNESS)
+    moved = beyond_spring(harmonic_decay(TIME, lost, peaks), 1.0, STIFFNESS)
+    assert np.abs(moved[0][1] - plain[0][1]).max() > 0.3 * top  # negative control: counted from equilibrium they differ
 
 
 def test_noise_lies_below_its_floor_in_nineteen_of_twenty(rng):
@@ -174,3 +193,31 @@ def test_without_forces_the_figures_say_what_they_need():
     for draw in (plot_force_sections, plot_distortion):
         with pytest.raises(InputError, match="16 samples per cycle"):
             draw(bare)
+
+
+def test_of_a_velocity_the_right_model_meets_the_points_although_its_mid_line_is_lost():
+    rng = np.random.default_rng(12)
+    names = ["quadratic_stiffness"]
+    values = {"linear_stiffness": STIFFNESS, "viscous_damping": DAMPING, names[0]: 0.15 * STIFFNESS / TOP}
+    records = []
+    for k in range(2):
+        v = pb.simulate_waveform(
+            pb.Oscillator(1.0, names), values, TIME, TOP * (1.0 - 0.1 * k), quantity="velocity"
+        ).values
+        noise = 1e-4 * TOP * OMEGA * rng.standard_normal(TIME.size)
+        records.append(pb.Record(f"s{k}", TIME, v + noise, quantity="velocity", unit="m/s"))
+    study = pb.find_missing_effect(
+        pb.Oscillator(1.0), records, candidates=names, max_effects=1, quick=True, held_out=0, random_seed=1
+    )
+    shown = study.portraits
+    assert study.missing_effects == ("quadratic_stiffness",) and not shown.has_mid_line
+    for measured, named, base in zip(
+        *(beyond_spring(one, shown.mass, shown.stiffness) for one in (shown.measured, shown.named, shown.base)),
+        strict=True,
+    ):
+        span = float(np.ptp(measured[1]))
+        ends = measured[0, [0, -1]]
+        np.testing.assert_allclose(np.interp(ends, *named), measured[1, [0, -1]], atol=0.1 * span)
+        assert np.abs(np.interp(ends, *base) - measured[1, [0, -1]]).max() > 0.3 * span
+    page = portraits(study, {"force_sections": plot_force_sections(shown)})
+    assert "Integration of the record lost its mid-line" in page

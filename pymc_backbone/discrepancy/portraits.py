@@ -40,6 +40,8 @@ class Portraits:
         samples a cycle, a band that took the harmonics, or a model that takes too long.
     has_forces : bool
         Whether the noise leaves something to see of the force beyond the linear spring.
+    has_mid_line : bool
+        Whether displacements are counted from equilibrium, and not from a mid-line that integration lost.
     """
 
     spectra: tuple[TimeFrequency, ...]
@@ -50,6 +52,7 @@ class Portraits:
     base: HarmonicDecay | None
     named: HarmonicDecay | None
     has_forces: bool
+    has_mid_line: bool = True
 
 
 def portraits(batch: Batch, base: Fit, named: Fit | None, *, quick: bool = False) -> Portraits | None:
@@ -71,20 +74,21 @@ def portraits(batch: Batch, base: Fit, named: Fit | None, *, quick: bool = False
     shown = ([] if quick and batch.records[0].band is None else [0]) + ([worst] if share[worst] > _SECOND else [])
     spectra = tuple(time_frequency(batch.records[k], batch.cycles[k]) for k in dict.fromkeys(shown))
     record, cycles = batch.records[0], batch.cycles[0]
-    measured = None
+    measured, has_mid_line = None, record.measured.order == 0
     if record.band is None:
-        measured = harmonic_decay(record.time, record.displacement, cycles.turning_times[cycles.turning_signs > 0.0])
+        peaks = cycles.turning_times[cycles.turning_signs > 0.0]
+        measured = harmonic_decay(record.time, record.displacement, peaks, has_mid_line=has_mid_line)
     of_base = of_named = None
     if measured is not None:
         # a fit is of the cycles after a release: the models are released as much higher as they lose until then
         top = 1.05 * float(np.abs(measured.turning[:, :, 0]).max()) * float(np.exp(_HIGHER * cycles.damping[:3].mean()))
-        of_base = _simulated(base, measured, top)
-        of_named = None if named is None else _simulated(named, measured, top)
+        of_base = _simulated(base, measured, top, has_mid_line)
+        of_named = None if named is None else _simulated(named, measured, top, has_mid_line)
     stiffness = float(base.parameters(0)[0])
     mass = base.layout.oscillator.mass
     return Portraits(
         spectra, record.specimen, mass, stiffness, measured, of_base, of_named,
-        measured is not None and _shows_forces(measured, mass, stiffness),
+        measured is not None and _shows_forces(measured, mass, stiffness), has_mid_line,
     )  # fmt: skip
 
 
@@ -118,7 +122,7 @@ def _shows_forces(decay: HarmonicDecay, mass: float, stiffness: float) -> bool:
     return decay.amplitude.size >= _AT_LEAST and error < _SEEN * max(ranges)
 
 
-def _simulated(found: Fit, measured: HarmonicDecay, top: float) -> HarmonicDecay | None:
+def _simulated(found: Fit, measured: HarmonicDecay, top: float, has_mid_line: bool) -> HarmonicDecay | None:
     """Return the harmonics of a model over the measured amplitudes; None where it cannot be simulated soon."""
     if is_heavy(found.layout):
         return None
@@ -143,7 +147,7 @@ def _simulated(found: Fit, measured: HarmonicDecay, top: float) -> HarmonicDecay
     peaks = peaks_of(time, values)
     height = np.interp(peaks, time, values)
     peaks = peaks[height > bottom]
-    return harmonic_decay(time, values, peaks) if peaks.size else None
+    return harmonic_decay(time, values, peaks, has_mid_line=has_mid_line) if peaks.size else None
 
 
 __all__ = ["LEAST_PER_CYCLE", "Portraits", "beyond_spring", "portraits"]

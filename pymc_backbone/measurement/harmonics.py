@@ -20,6 +20,7 @@ LEAST_PER_CYCLE = 16.0
 """Samples of a cycle below which the fifth harmonic is not safely below half the sampling rate."""
 _CYCLES = 3  # of one fit
 _MOST = 40  # fits of a decay
+_MID_LINE = 2  # last columns of a fit
 _POINTS = 256  # of the cycle in the middle of a fit
 _CHANCE = 2.448  # 95 % of the modulus of two independent standard normal numbers
 
@@ -53,7 +54,9 @@ class HarmonicDecay:
 
 
 @with_one_thread
-def harmonic_decay(time: FloatArray, displacement: FloatArray, peaks: FloatArray) -> HarmonicDecay | None:
+def harmonic_decay(
+    time: FloatArray, displacement: FloatArray, peaks: FloatArray, *, has_mid_line: bool = True
+) -> HarmonicDecay | None:
     """Return the harmonics of a decay.
 
     Parameters
@@ -62,6 +65,9 @@ def harmonic_decay(time: FloatArray, displacement: FloatArray, peaks: FloatArray
         Seconds, uniform; metres or radians from equilibrium.
     peaks : (p,) array
         Instants of its positive peaks [s].
+    has_mid_line : bool
+        Whether the mid-line is the structure's. Integration of a velocity or an acceleration loses it: displacements
+        are then counted from it, wherever it is.
 
     Returns
     -------
@@ -75,7 +81,7 @@ def harmonic_decay(time: FloatArray, displacement: FloatArray, peaks: FloatArray
     if period / step < LEAST_PER_CYCLE:
         return None
     starts = np.unique(np.linspace(0, peaks.size - _CYCLES - 1, _MOST).round().astype(int))
-    found = [one for s in starts if (one := _fit(time, displacement, peaks, int(s))) is not None]
+    found = [one for s in starts if (one := _fit(time, displacement, peaks, int(s), has_mid_line)) is not None]
     if len(found) < 3:
         return None
     return HarmonicDecay(*(np.array(part) for part in zip(*found, strict=True)))
@@ -91,7 +97,7 @@ def peaks_of(time: FloatArray, displacement: FloatArray) -> FloatArray:
 
 
 def _fit(
-    time: FloatArray, x: FloatArray, peaks: FloatArray, first: int
+    time: FloatArray, x: FloatArray, peaks: FloatArray, first: int, has_mid_line: bool
 ) -> tuple[float, FloatArray, FloatArray, FloatArray, FloatArray, float] | None:
     """Return what `HarmonicDecay` holds of the cycles from one peak on."""
     last = first + _CYCLES
@@ -112,6 +118,8 @@ def _fit(
     residual = x[held] - design @ coefficients
     variance = float(residual @ residual) / (residual.size - coefficients.size)
     covariance = variance * (inverse @ inverse.T)
+    if not has_mid_line:
+        coefficients[-_MID_LINE:] = 0.0
 
     pairs = coefficients[: 2 * ORDERS[-1]].reshape(-1, 2)
     sizes = np.hypot(pairs[:, 0], pairs[:, 1])

@@ -9,6 +9,11 @@ from matplotlib.figure import Figure
 from ..discrepancy.study import Study
 from .html import image, paragraph, section
 
+_FROM_MID_LINE = (
+    " Integration of the record lost its mid-line, and displacement is counted from that, in the models as well: a "
+    "spring that differs between the two sides bends both pictures."
+)
+
 
 def portraits(study: Study, figures: Mapping[str, Figure]) -> str:
     """Show what single records tell beside their backbones, each picture with what to read from it."""
@@ -19,7 +24,8 @@ def portraits(study: Study, figures: Mapping[str, Figure]) -> str:
         figures.get("force_sections"),
         f"measured force of {shown.specimen} beyond the linear spring over displacement and over speed, and the models",
         caption="Force beyond the base model's linear spring, from the measured acceleration (bars: 95 % of its "
-        "error). A model whose line misses the points above lacks a spring, one that misses them below lacks damping.",
+        "error). A model whose line misses the points above lacks a spring, one that misses them below lacks damping."
+        + ("" if shown.has_mid_line else _FROM_MID_LINE),
     )
     distortion = image(
         figures.get("distortion"),
