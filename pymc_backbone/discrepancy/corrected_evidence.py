@@ -12,7 +12,7 @@ from .._common.text import in_words
 from .batch import Batch
 from .conditional import Conditional
 from .descent import PER_CYCLE, is_heavy
-from .evidence import Evidence, laplace, noise_scale
+from .evidence import Evidence, NoiseScale, laplace, noise_scale
 from .importance import LARGEST_K, MOST_ROUNDS, MOST_WALKS, WALK, integrate
 from .joint_fit import Fit
 
@@ -23,6 +23,8 @@ ASKED = 5e-3
 """Probability by Laplace's method from which a set is asked."""
 SHARE_OF_EFFORT = 0.5
 """Of what the search may simulate."""
+SHARE_OF_WALKS = 1.0
+"""Of the same, for sets whose weights could not be summed within that."""
 _MOST_ASKED = 6
 _STEPS = 3.0  # simulations of a specimen for each draw, as a rule
 _MOST_DRAWS, _FEWEST_DRAWS = 128, 64
@@ -124,19 +126,39 @@ def corrections(
     chosen, draws = _affordable(near, costs, allowed)
     found: dict[tuple[str, ...], Correction] = {}
     for names in chosen:
-        conditional = Conditional(fits[names], batch.deciding, scale.sizes, scale.floor)
         spare = allowed - cycles - sum(draws * costs[other] for other in chosen if other not in found)
-        rounds, walks = _rounds_and_walks(spare, draws, costs[names])
-        middle, covariance = conditional.proposal
-        layout = fits[names].layout
-        integral = integrate(
-            conditional.log_densities, middle, covariance, draws, low=layout.low, high=layout.high,
-            rounds=rounds, walks=walks, random_seed=_SEED,
-        )  # fmt: skip
-        cycles += conditional.simulated * _weight(fits[names])
-        shift = integral.log_value - laplace(fits[names], scale)
-        found[names] = Correction(float(shift), integral.error, integral.pareto_k, integral.draws, integral.is_bridged)
+        affordable = _rounds_and_walks(spare, draws, costs[names])
+        found[names], taken = _integrated(fits[names], batch, scale, draws, affordable)
+        cycles += taken
+    spare = SHARE_OF_WALKS * effort / PER_CYCLE
+    for names in [names for names, item in found.items() if not item.is_trusted]:
+        affordable = _rounds_and_walks(spare, draws, costs[names])
+        if affordable.walks:
+            found[names], taken = _integrated(fits[names], batch, scale, draws, affordable)
+            spare, cycles = spare - taken, cycles + taken
     return Corrected(found, _reason(found, near, draws), cycles)
+
+
+class _Affordable(NamedTuple):
+    """Rounds of draws after the first, and walks after these."""
+
+    rounds: int
+    walks: int
+
+
+def _integrated(
+    found: Fit, batch: Batch, scale: NoiseScale, draws: int, affordable: _Affordable
+) -> tuple[Correction, float]:
+    """Return by how much Laplace's method is off for one set, and the cycles that it took to say so."""
+    conditional = Conditional(found, batch.deciding, scale.sizes, scale.floor)
+    middle, covariance = conditional.proposal
+    integral = integrate(
+        conditional.log_densities, middle, covariance, draws, low=found.layout.low, high=found.layout.high,
+        rounds=affordable.rounds, walks=affordable.walks, random_seed=_SEED,
+    )  # fmt: skip
+    shift = integral.log_value - laplace(found, scale)
+    said = Correction(float(shift), integral.error, integral.pareto_k, integral.draws, integral.is_bridged)
+    return said, conditional.simulated * _weight(found)
 
 
 def _weight(found: Fit) -> float:
@@ -171,12 +193,12 @@ def _affordable(
     return (chosen, draws) if len(chosen) > 1 else ([], draws)
 
 
-def _rounds_and_walks(spare: float, draws: int, cost: float) -> tuple[int, int]:
+def _rounds_and_walks(spare: float, draws: int, cost: float) -> _Affordable:
     """Return how many rounds, and walks after these, what is spared suffices for."""
     cost = max(cost, 1.0)
     rounds = int(np.clip(spare // (draws * cost), 0, MOST_ROUNDS))
     left = spare - rounds * draws * cost
-    return rounds, int(np.clip(left // ((WALK + draws) * cost), 0, MOST_WALKS))
+    return _Affordable(rounds, int(np.clip(left // ((WALK + draws) * cost), 0, MOST_WALKS)))
 
 
 def _reason(found: Mapping[tuple[str, ...], Correction], near: list[tuple[str, ...]], draws: int) -> str:
