@@ -62,15 +62,9 @@ def walk(
     Walk
     """
     q = points.shape[1]
-    weights = np.exp(log_weights - logsumexp(log_weights))
-    places = (np.arange(CHAINS) + rng.random()) / CHAINS
-    chosen = np.minimum(np.searchsorted(np.cumsum(weights), places), weights.size - 1)
-    at, value = points[chosen], values[chosen]
-    # half the logarithm is flatter, so that one draw does not make all of the spread
-    flat = np.exp(0.5 * (log_weights - np.max(log_weights)))
-    flat /= flat.sum()
-    centred = points - flat @ points
-    spread = (flat[:, None] * centred).T @ centred
+    begun = at_even_places(np.exp(log_weights - logsumexp(log_weights)), CHAINS, rng.random())
+    at, value = points[begun], values[begun]
+    spread = spread_of(points, flattened(log_weights))
     factor = np.linalg.cholesky(spread + 1e-9 * np.diag(np.diag(spread))) * 2.38 / np.sqrt(q)
     where, known = [], []
     for step in range(STEPS):
@@ -82,6 +76,25 @@ def walk(
             where.append(at)
             known.append(value)
     return Walk(np.stack(where, axis=1), np.stack(known, axis=1))
+
+
+def flattened(log_weights: FloatArray) -> FloatArray:
+    """Return weights (n,) of half the logarithm, which sum to one: flatter, so that one draw does not make them all."""
+    weights = np.exp(0.5 * (log_weights - np.max(log_weights)))
+    normed: FloatArray = weights / weights.sum()
+    return normed
+
+
+def spread_of(points: FloatArray, weights: FloatArray) -> FloatArray:
+    """Return the covariance (q, q) of weighted points (n, q)."""
+    centred = points - weights @ points
+    return np.asarray((weights[:, None] * centred).T @ centred)
+
+
+def at_even_places(weights: FloatArray, count: int, shift: float = 0.5) -> np.ndarray:
+    """Return which points (count,) are at even places of the sum of their weights."""
+    places = (np.arange(count) + shift) / count
+    return np.minimum(np.searchsorted(np.cumsum(weights), places), weights.size - 1)
 
 
 def meet(ratio: FloatArray, own: FloatArray) -> tuple[float, float]:
@@ -113,4 +126,4 @@ def meet(ratio: FloatArray, own: FloatArray) -> tuple[float, float]:
     return log_value, float(np.sqrt(variance))
 
 
-__all__ = ["CHAINS", "STEPS", "Walk", "meet", "walk"]
+__all__ = ["CHAINS", "STEPS", "Walk", "at_even_places", "flattened", "meet", "spread_of", "walk"]

@@ -23,13 +23,12 @@ _ABOUT = 0.5  # of the best set's probability, from which a set explains the rec
 def candidates_of(search: Search, decision: Decision) -> tuple[Candidate, ...]:
     """Return the table of all sets, most probable first, each with what became of it and why."""
     rows = []
-    count = sum(w.size for w in search.batch.deciding)
     # out of phase the sum of squares over the samples compares nothing
     best_cost = float("nan") if search.is_refuted(decision.best) else search.fits[decision.best].cost
     for names, found in search.fits.items():
         probability = decision.probabilities.get(names, 0.0)
         weighed, shift = decision.evidences.get(names), decision.corrected.sets.get(names)
-        reduced = float(found.chi_square.sum() / count)
+        reduced = search.reduced(found)
         status = status_of(names, probability, decision, is_open=search.is_open(names))
         rows.append(
             Candidate(

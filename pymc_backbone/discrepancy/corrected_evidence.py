@@ -13,7 +13,7 @@ from .batch import Batch
 from .conditional import Conditional
 from .descent import PER_CYCLE, is_heavy
 from .evidence import Evidence, NoiseScale, laplace, noise_scale
-from .importance import LARGEST_K, MOST_ROUNDS, MOST_WALKS, WALK, integrate
+from .importance import LARGEST_K, MOST_ROUNDS, MOST_WALKS, WALK, integrate, is_trusted
 from .joint_fit import Fit
 
 SETTLED = 0.999
@@ -59,7 +59,7 @@ class Correction(NamedTuple):
     @property
     def is_trusted(self) -> bool:
         """Whether the weights have a tail that can be summed, or a bridge does without."""
-        return bool(np.isfinite(self.shift)) and (self.is_bridged or not self.pareto_k > LARGEST_K)
+        return is_trusted(self.shift, self.pareto_k, is_bridged=self.is_bridged)
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ import numpy as np
 from scipy.special import gammaincinv, gammaln, logsumexp, ndtri
 
 from .._common.checks import FloatArray
-from .bridge import CHAINS, STEPS, meet, walk
+from .bridge import CHAINS, STEPS, at_even_places, flattened, meet, spread_of, walk
 
 LARGEST_K = 0.7
 """Shape of the Pareto tail up to which an estimate is trusted."""
@@ -44,6 +44,11 @@ _NARROWEST = 1e-3  # share of the standard deviation along an axis down to which
 _KERNELS, _WALKED_KERNELS = 16, 32
 _DEFENSIVE = 0.2  # share of the first proposal in a mixture
 _EVEN = 1e-9  # spread of the logarithm of weights below which they are equal: the integrand is the proposal
+
+
+def is_trusted(log_value: float, pareto_k: float, *, is_bridged: bool) -> bool:
+    """Return whether an integral is to be believed: its weights have a tail that can be summed, or a bridge says it."""
+    return bool(np.isfinite(log_value)) and (is_bridged or not pareto_k > LARGEST_K)
 
 
 class Integral(NamedTuple):
@@ -72,7 +77,7 @@ class Integral(NamedTuple):
     @property
     def is_trusted(self) -> bool:
         """Whether the weights have a tail that can be summed, or a bridge does without."""
-        return bool(np.isfinite(self.log_value)) and (self.is_bridged or not self.pareto_k > LARGEST_K)
+        return is_trusted(self.log_value, self.pareto_k, is_bridged=self.is_bridged)
 
 
 class _Mirror(NamedTuple):
@@ -329,21 +334,15 @@ def _estimate(raw: FloatArray) -> Integral:
 
 def _adapted(points: FloatArray, log_weights: FloatArray, first: _Kernels) -> _Kernels:
     """Return a mixture around the draws that count, beside the first proposal."""
-    # half the logarithm is flatter, so that one draw does not make them all
-    weights = np.exp(0.5 * (log_weights - np.max(log_weights)))
-    weights /= weights.sum()
-    places = (np.arange(_KERNELS) + 0.5) / _KERNELS
-    chosen = points[np.minimum(np.searchsorted(np.cumsum(weights), places), weights.size - 1)]
-    centred = points - weights @ points
-    return _mixture(chosen, (weights[:, None] * centred).T @ centred, first)
+    weights = flattened(log_weights)
+    return _mixture(points[at_even_places(weights, _KERNELS)], spread_of(points, weights), first)
 
 
 def _around(walked: FloatArray, first: _Kernels) -> _Kernels:
     """Return a mixture around where chains (chains, steps, q) were, beside the first proposal."""
     points = walked.reshape(-1, walked.shape[-1])
-    centred = points - points.mean(axis=0)
-    chosen = points[np.linspace(0, points.shape[0] - 1, _WALKED_KERNELS).astype(np.intp)]
-    return _mixture(chosen, centred.T @ centred / points.shape[0], first)
+    middles = points[np.linspace(0, points.shape[0] - 1, _WALKED_KERNELS).astype(np.intp)]
+    return _mixture(middles, spread_of(points, np.full(points.shape[0], 1.0 / points.shape[0])), first)
 
 
 def _mixture(middles: FloatArray, spread: FloatArray, first: _Kernels) -> _Kernels:
@@ -359,4 +358,4 @@ def _mixture(middles: FloatArray, spread: FloatArray, first: _Kernels) -> _Kerne
     )
 
 
-__all__ = ["LARGEST_K", "MOST_ROUNDS", "MOST_WALKS", "WALK", "Integral", "integrate"]
+__all__ = ["LARGEST_K", "MOST_ROUNDS", "MOST_WALKS", "WALK", "Integral", "integrate", "is_trusted"]

@@ -15,6 +15,8 @@ from .layout import Layout
 from .normal_equations import State
 from .set_fits import Set
 
+Kept = tuple[dict[Set, Fit], dict[Set, str], set[Set], float]
+"""Fits, failures, refuted sets and the scatter that they were made with."""
 CLOSE = 30.0
 """Chi-square within which a smaller set rivals the best."""
 _LOOKED_BACK = 3
@@ -51,14 +53,22 @@ class RevisitedSets(FittedSets):
 
     def _begin_again(self, scatter: float) -> bool:
         """Forget all fits and fit the base with another scatter; return whether that can be simulated."""
-        before, self.scatter = (self.fits, self.failed, self.refuted, self.scatter), scatter
+        before, self.scatter = self._kept(), scatter
         self.fits, self.failed, self.refuted = {}, {}, set()
         self.layouts, self.asked, self.limited, self.noisy = {}, {}, (None, np.inf), {}
         if self.fit_set(()) is None:
-            self.fits, self.failed, self.refuted, self.scatter = before
-            self.layouts = {}
+            self._return_to(before)
             return False
         return True
+
+    def _kept(self) -> Kept:
+        """Return what was found, to return to it."""
+        return self.fits, self.failed, self.refuted, self.scatter
+
+    def _return_to(self, kept: Kept) -> None:
+        """Take up what was found before the search began again."""
+        self.fits, self.failed, self.refuted, self.scatter = kept
+        self.layouts = {}
 
     def _look_again(self) -> None:
         """Fit single effects that have a shape, and lag behind, from their look in the backbones as well."""

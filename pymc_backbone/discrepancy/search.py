@@ -179,7 +179,7 @@ class Search(VariedSets):
         """
         if self._is_explained() or self.scatter != SCATTER or len(self.batch.specimens) < 2 or self._is_spent:
             return
-        narrow, refused = self.proposals, (self.fits, self.failed, self.refuted)
+        narrow, before = self.proposals, self._kept()
         likeliest = next(iter(narrow.values())).log_evidence
         wide = propose(
             self.batch, self.base, self.candidates, self.max_effects, self.own, self.variants, scatter=WIDE_SCATTER
@@ -191,8 +191,8 @@ class Search(VariedSets):
             self._follow_backbones(_MOST_FOLLOWED)
             if self._is_explained():
                 return
-        self.proposals, self.scatter, self.layouts = narrow, SCATTER, {}
-        self.fits, self.failed, self.refuted = refused
+        self.proposals = narrow
+        self._return_to(before)
 
     def _ask_costly(self) -> bool:
         """Fit the costly sets that explain the backbones as well as what explains the records does.
@@ -256,12 +256,11 @@ class Search(VariedSets):
         if found.is_converged or self.explains(found) or not names or not self.has_proposals:
             return False
         proposal = self.proposals.get(names)
-        values = sum(term.size for term in self.batch.levels)
-        return proposal is None or proposal.chi_square < POSSIBLE_BACKBONE * values
+        return proposal is None or proposal.chi_square < POSSIBLE_BACKBONE * self._level_values
 
     def reduced(self, found: Fit) -> float:
         """Return the reduced chi-square of a fit."""
-        return float(found.chi_square.sum() / sum(w.size for w in self.batch.deciding))
+        return float(found.chi_square.sum() / self.count)
 
     def _parents(self, size: int) -> list[Set]:
         """Return the sets to extend: those that explain the records nearly as well as the best, else the best few."""
