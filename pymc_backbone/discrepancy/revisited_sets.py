@@ -24,6 +24,7 @@ _SETTLED = 2
 _REFUTED = 100.0  # chi-square above one that explains, beyond which relatives are not asked
 _GAINED = 4.0  # chi-square by which a larger set may be better without having found a better way
 _CLOSE_TO_BASE = 1.0
+_HARDLY = 0.05  # share of what a refuted set leaves, which one more effect has to promise (it keeps ten times as much)
 _ASKED_FOR = 10.0  # fall of chi-square, as a linear step promises it, that no set in want of it can be named against
 
 
@@ -158,6 +159,21 @@ class RevisitedSets(FittedSets):
             return 0.0
         promised = starts.by_score(self.layout(larger), name, self.fits[names], self.batch)
         return max((item.gain for item in promised), default=0.0)
+
+    def _is_hopeless(self, names: Set) -> bool:
+        """Return whether the samples refute a set without one of its effects, and this would hardly bring it nearer.
+
+        What a linear step promises there. Backbones ask for such sets where they do not see what the samples do.
+        """
+        lowest = min(item.cost for item in self.fits.values())
+        for name in names:
+            smaller = tuple(other for other in names if other != name)
+            known = self.fits.get(smaller)
+            if not smaller or known is None or not known.is_converged or known.cost < lowest + _REFUTED:
+                continue
+            if self._score(smaller, name) < _HARDLY * (known.cost - lowest):
+                return True
+        return False
 
     def _smaller(self, layout: Layout, larger: Fit) -> State:
         """Return where a larger set ended as a start of a smaller one, whose springs replace what is left out."""

@@ -151,6 +151,8 @@ class Search(VariedSets):
             is_likeliest = all(proposal.log_evidence > self.proposals[known].log_evidence for known in explained)
             if self._is_costly(names) and not is_likeliest and self._is_settled():
                 continue  # asked later, if at all: what is simple leaves noise
+            if explained and self._is_hopeless(names):
+                continue
             self.progress("sets that the backbones propose", min(fitted / most, 1.0))
             fitted += names not in self.fits
             found = self.fit_set(names)
