@@ -53,8 +53,10 @@ def _advance(
     while part < parts:
         h = step / parts
         at = angle + (part + 0.5) * h
-        x = offset + a1 * math.cos(at) + a2 * math.cos(2.0 * at) + a3 * math.cos(3.0 * at)
-        v = -omega * (a1 * math.sin(at) + 2.0 * a2 * math.sin(2.0 * at) + 3.0 * a3 * math.sin(3.0 * at))
+        cosine, sine = math.cos(at), math.sin(at)
+        double = 2.0 * cosine * cosine - 1.0
+        x = offset + a1 * cosine + a2 * double + a3 * cosine * (2.0 * double - 1.0)
+        v = -omega * (a1 * sine + 4.0 * a2 * sine * cosine + 3.0 * a3 * sine * (2.0 * double + 1.0))
         state_rates(model, x, v, side, z, rates)
         stiffest = 0.0
         for j in range(n):

@@ -33,6 +33,7 @@ _FLOOR = (5e-5, 0.01, 5e-4)  # model error: of frequency and damping relative, o
 _REACH = 400.0  # chi-square above the best within which a set gets its own defect, at least ...
 _REACH_SHARE = 0.5  # ... or this share of the largest fall that any set brings
 _CORRECTIONS = 5
+_TURNS, _ADDED = 6, 4.0  # of a look from a smaller set, and the chi-square by which a costly set must leave less than that
 _HEAVY_WEIGHT = 6
 _EFFORTS = (250, 120, 60)  # fits by the exact simulator in turn, heavy ones by their weight
 _PENALTY, _RARER = 10.0, 7.0  # chi-square by which an effect, and one that is a variant, has to be worth it
@@ -146,6 +147,7 @@ class _Proposer:
             self.sets += [names for names in pairs if not {*names}.isdisjoint(variants)]
         self.points: dict[Set, list[Point]] = {}
         self.asked: set[tuple[Set, Set]] = set()
+        self.needless: set[Set] = set()
 
     def run(self) -> list[Proposal]:
         """Look at all sets, correct those within reach, rank."""
@@ -248,7 +250,7 @@ class _Proposer:
         if not known:
             return
         tried: set[tuple[Set, int]] = set()
-        for budget in _EFFORTS:
+        for k, budget in enumerate(_EFFORTS):
             lowest = min(self._cost(names) for names in self.sets)
             reach = max(_REACH, _REACH_SHARE * (max(known) - lowest))
             order = sorted(self.sets, key=lambda names: _TRUST * self._cost(names) + self._penalty(names))
@@ -257,26 +259,51 @@ class _Proposer:
             for names in order:
                 for t, start in enumerate(self.points[names]):
                     is_far = start.cost - lowest > reach and len(names) > 1
-                    if (names, t) in tried or is_far or (t > 0 and start.cost > 2.0 * self._cost(names) + 30.0):
+                    if (names, t) in tried or names in self.needless or is_far or (t > 0 and start.cost > 2.0 * self._cost(names) + 30.0):
                         continue
-                    cost = _HEAVY_WEIGHT if self.fits.layout(names).simulator.needs_decay else 1
-                    cost *= 2 if self.fits.layout(names).simulator.has_own_equation else 1
+                    cost = self._weight(names)
+                    if k == 0 and cost > 1 and len(names) > 1:
+                        continue  # first the smaller ones, from which these may be looked at
                     if effort + cost > budget:
                         continue
                     effort += cost
                     jobs.append((names, t))
             tried.update(jobs)
 
-            def work(names: Set, t: int) -> None:
+            def work(names: Set, t: int, smaller: Set | None) -> None:
+                if smaller is not None and self._is_needless(names, smaller):
+                    return
                 better = self.fits.improve(names, self.points[names][t].copy(), self.sharp, _CORRECTIONS)
                 if better is not None:
                     self.points[names][t] = better
 
-            in_threads([partial(work, n, t) for n, t in jobs])
+            in_threads([partial(work, n, t, self._best_part(n)) for n, t in jobs])
             self._ask_relatives()
         for starts in self.points.values():
             starts.sort(key=lambda item: (not item.is_exact, item.cost))
         self._polish()
+
+    def _weight(self, names: Set) -> int:
+        """Return how much the exact simulation of a set costs, that of a simple one being 1."""
+        simulator = self.fits.layout(names).simulator
+        return (_HEAVY_WEIGHT if simulator.needs_decay else 1) * (2 if simulator.has_own_equation else 1)
+
+    def _best_part(self, names: Set) -> Set | None:
+        """Return the best of the sets that a costly one extends, of those that were simulated."""
+        if len(names) < 2 or self._weight(names) == 1:
+            return None
+        parts = [part for part in combinations(names, len(names) - 1) if self.points[part]]
+        return min((part for part in parts if self.points[part][0].is_exact), key=self._cost, default=None)
+
+    def _is_needless(self, names: Set, smaller: Set) -> bool:
+        """Return whether a costly set, looked at from where a smaller one was simulated, adds nothing to that."""
+        start = self.fits.transferred(self.points[smaller][0], smaller, names)
+        self.fits.refine(names, start, self.sharp, _TURNS)
+        if start.cost < self._cost(smaller) - _ADDED or not np.isfinite(start.cost):
+            return False
+        self.needless.add(names)
+        self.points[names] = [start]
+        return True
 
     def _polish(self) -> None:
         """Bring the likeliest sets to the exact values of every specimen, not of the mean one only."""
@@ -304,11 +331,14 @@ class _Proposer:
             for name in self.candidates:
                 more = tuple(sorted({*leader, name}))
                 is_known = len(more) == len(leader) or more not in self.points or (leader, more) in self.asked
+                is_known = is_known or more in self.needless
                 if not is_known and self._cost(more) > cost + 0.5:
                     jobs.setdefault(more, leader)
         self.asked.update((leader, names) for names, leader in jobs.items())
 
         def work(names: Set, leader: Set) -> None:
+            if len(names) > len(leader) and self._weight(names) > 1 and self._is_needless(names, leader):
+                return
             better = self.fits.improve(
                 names, self.fits.transferred(self.points[leader][0], leader, names), self.sharp, _CORRECTIONS
             )
