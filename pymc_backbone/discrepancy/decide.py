@@ -97,17 +97,19 @@ def _weighed(search: Search, drifting: Mapping[Set, Drifting]) -> Decision:
     if corrected.sets:
         leading = max(evidences, key=lambda names: evidences[names].log_posterior)
         evidences = evidence.probabilities(*arguments, corrected.shifts(leading))
-    drifts = tuple(
+    likelier = [
         names
         for names in drifting
         if names and evidences[(*names, *DRIFT)].log_posterior > evidences[names].log_posterior
-    )
+    ]
     for names in drifting:
         if names:
             evidences[names] = _either(evidences[names], evidences[(*names, *DRIFT)])
-    search.fits.update({names: drifting[names].fit for names in drifts})
     ranked = tuple(sorted(search.fits, key=lambda names: -evidences[names].log_posterior))
     best = ranked[0]
+    # where the most probable set holds one more effect and no drift, a drift beside the smaller set imitates that
+    drifts = tuple(names for names in likelier if best in likelier or not set(names) < set(best))
+    search.fits.update({names: drifting[names].fit for names in drifts})
     lack = evidence.lack_of_fit(search.batch, search.fits[best])
     left, drift_probability = lack, 0.0
     if () in drifting:

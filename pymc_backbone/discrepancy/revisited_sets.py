@@ -9,7 +9,7 @@ import numpy as np
 from . import evidence, starts
 from .curves import frequencies
 from .descent import is_heavy
-from .fitted_sets import FittedSets
+from .fitted_sets import POSSIBLE_BACKBONE, FittedSets
 from .joint_fit import Fit, parameters_of
 from .layout import Layout
 from .normal_equations import State
@@ -25,6 +25,7 @@ _REFUTED = 100.0  # chi-square above one that explains, beyond which relatives a
 _GAINED = 4.0  # chi-square by which a larger set may be better without having found a better way
 _CLOSE_TO_BASE = 1.0
 _HARDLY = 0.05  # share of what a refuted set leaves, which one more effect has to promise (it keeps ten times as much)
+_FAR = 1000.0  # chi-square of the backbones above those of the best set, from which they are not doubted
 _ASKED_FOR = 10.0  # fall of chi-square, as a linear step promises it, that no set in want of it can be named against
 
 
@@ -120,7 +121,7 @@ class RevisitedSets(FittedSets):
         asked = [part for names in near if len(names) > 1 for part in combinations(names, len(names) - 1)]
         for names in dict.fromkeys(asked):
             is_slow = self._is_costly(names) and not self._is_costly(best)
-            if names in self.fits or is_slow or self._is_spent:
+            if names in self.fits or is_slow or self._is_spent or self._is_far(names) or self._is_hopeless(names):
                 continue
             found = self._beside(names, None)
             if found:
@@ -159,6 +160,13 @@ class RevisitedSets(FittedSets):
             return 0.0
         promised = starts.by_score(self.layout(larger), name, self.fits[names], self.batch)
         return max((item.gain for item in promised), default=0.0)
+
+    def _is_far(self, names: Set) -> bool:
+        """Return whether a set is so far behind the best by its backbones that no better start would bring it near."""
+        best, known = self._proposal(self.best()), self._proposal(names)
+        if best is None or known is None or not (best.is_exact and known.is_exact):
+            return False
+        return best.chi_square < POSSIBLE_BACKBONE * self._level_values and known.chi_square > best.chi_square + _FAR
 
     def _is_hopeless(self, names: Set) -> bool:
         """Return whether the samples refute a set without one of its effects, and this would hardly bring it nearer.

@@ -64,11 +64,11 @@ class VariedSets(RevisitedSets):
         return names not in self.fits or not min(known, default=np.inf) < self.fits[names].cost + NEEDED
 
     def _fit_varied(self, names: Set) -> Fit | None:
-        """Return the fit of a set with a variant, begun from its own look in the backbones."""
+        """Return the fit of a set with a variant, begun from its look in the backbones; None where that is far off."""
         if names not in self.fits and (not self.has_proposals or self._proposal(names) is None):
             looks = propose(self.batch, self.base, names, len(names), self.own)
             self.varied[names] = next(item for item in looks if set(item.names) == set(names))
-        return self.fit_set(names)
+        return None if self._is_far(names) else self.fit_set(names)
 
 
 __all__ = ["NEEDED", "VariedSets"]
