@@ -15,6 +15,8 @@ from ..measurement.cycles import Cycles
 from .data_term import DataTerm, LevelTerm, TurningTerm, WaveformTerm, level_term, with_frequency
 from .record_term import release_of, turning_term, waveform_term
 
+_ABOVE = 1.25  # release over the highest level, where none is known
+
 
 @dataclass(frozen=True, eq=False)
 class Batch:
@@ -110,6 +112,7 @@ def batch_of_records(
     turning = tuple(turning_term(record, item) for record, item in zip(records, cycles, strict=True))
     waveform = tuple(waveform_term(record, item) for record, item in zip(records, cycles, strict=True))
     own = np.array([_rough(mass, record, item) for record, item in zip(records, cycles, strict=True)])
+    levels = [replace(term, release=abs(float(row[2]))) for term, row in zip(levels, own, strict=True)]
     amplitude = float(max(np.abs(item.values).max() for item in turning))
     frequency = float(np.median(np.concatenate([item.frequency for item in cycles])))
     return Batch(
@@ -144,6 +147,7 @@ def batch_of_backbones(mass: float, backbones: xr.Dataset) -> Batch:
         own[row] = (mass * omega**2, mass * omega * damping / np.pi, 0.0, 0.0, 0.0)
     amplitude = float(np.asarray(backbones["level"])[-1])
     terms = tuple(term if known is None else with_frequency(term, known) for _, term in held)
+    terms = tuple(replace(term, release=_ABOVE * float(term.levels[-1])) for term in terms)
     return Batch(
         backbones, (), (), terms, (), (), tuple(names[i] for i, _ in held), own,
         amplitude, float(np.sqrt(np.median(own[:, 0]) / mass)),

@@ -84,7 +84,9 @@ def simulate(batch: Batch, found: Fit, levels: FloatArray | None = None) -> xr.D
     names = [str(name) for name in batch.backbones["observable"].values]
     chosen = np.asarray(batch.backbones["level"]) if levels is None else np.asarray(levels, dtype=np.float64)
     rows = [OBSERVABLES.index(name) for name in names]
-    values = np.array([curve(found, found.parameters(r), chosen)[rows] for r in range(len(batch.specimens))])
+    values = np.array(
+        [curve(found, found.parameters(r), chosen, term.release)[rows] for r, term in enumerate(batch.levels)]
+    )
     dims = ("specimen", "observable", "level")
     return xr.Dataset(
         {"value": (dims, values), "standard_error": (dims, np.zeros_like(values))},
@@ -93,21 +95,25 @@ def simulate(batch: Batch, found: Fit, levels: FloatArray | None = None) -> xr.D
     )
 
 
-def curve(found: Fit, parameters: FloatArray, levels: FloatArray) -> FloatArray:
-    """Return frequency, damping and offset (3, l) of one parameter vector; NaN where a level cannot be simulated."""
-    return _simulated(found.layout, parameters, levels)
+def curve(found: Fit, parameters: FloatArray, levels: FloatArray, release: float) -> FloatArray:
+    """Return frequency, damping and offset (3, l) of one parameter vector; NaN where a level cannot be simulated.
+
+    ``release`` is that of the specimen, for what remembers; 0 where any will do.
+    """
+    return _simulated(found.layout, parameters, levels, release)
 
 
-def frequencies(layout: Layout, parameters: FloatArray, levels: FloatArray) -> FloatArray:
-    """Return the frequencies (l,) [Hz] of one parameter vector; NaN where a level cannot be simulated."""
-    return np.asarray(_simulated(layout, parameters, levels)[0])
+def frequencies(layout: Layout, parameters: FloatArray, term: LevelTerm) -> FloatArray:
+    """Return the frequencies (l,) [Hz] at the levels of a specimen; NaN where a level cannot be simulated."""
+    return np.asarray(_simulated(layout, parameters, term.levels, term.release)[0])
 
 
-def _simulated(layout: Layout, parameters: FloatArray, levels: FloatArray) -> FloatArray:
+def _simulated(layout: Layout, parameters: FloatArray, levels: FloatArray, release: float) -> FloatArray:
     values, status = np.empty((3, levels.size)), np.zeros(levels.size, dtype=np.int64)
     layout.simulator.backbone(
-        np.ascontiguousarray(parameters), np.ascontiguousarray(levels), 0.0, True, values, np.zeros((0, 0, 0)), status
-    )
+        np.ascontiguousarray(parameters), np.ascontiguousarray(levels), release, True, values, np.zeros((0, 0, 0)),
+        status, whole=False,
+    )  # fmt: skip
     values[:, status != 0] = np.nan
     return values
 
@@ -120,7 +126,7 @@ def relative_change(batch: Batch, larger: Fit, smaller: Fit) -> dict[str, float]
     worst = {"frequency": 0.0, "damping": 0.0}
     for r, term in enumerate(batch.levels):
         inside = levels[(levels >= term.levels[0] * 0.999) & (levels <= term.levels[-1] * 1.001)]
-        a, b = (curve(item, item.parameters(r), inside) for item in (first, second))
+        a, b = (curve(item, item.parameters(r), inside, term.release) for item in (first, second))
         for row, key in ((0, "frequency"), (1, "damping")):
             with np.errstate(invalid="ignore", divide="ignore"):
                 change = np.abs(a[row] - b[row]) / np.abs(a[row])
@@ -168,7 +174,8 @@ def prediction_errors(found: Fit, terms: list[LevelTerm], levels: FloatArray) ->
         values, status = np.empty((3, levels.size)), np.zeros(levels.size, dtype=np.int64)
         vector = found.parameters(r)
         jacobian = np.zeros((3, levels.size, vector.size))
-        found.layout.simulator.backbone(vector, levels, 0.0, True, values, jacobian, status)
+        release = terms[r].release
+        found.layout.simulator.backbone(vector, levels, release, True, values, jacobian, status, whole=False)
         own = found.state.own[r]
         _, slopes = found.layout.physical(found.state.eta, own[NUISANCES:], scatter)
         effects = jacobian[:, :, found.layout.free] @ slopes

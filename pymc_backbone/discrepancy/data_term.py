@@ -69,12 +69,16 @@ class LevelTerm:
         Observable and level of each value.
     whitening : (m, m) array
         Takes differences to independent standard normal ones.
+    release : float
+        Amplitude from which the specimen was released [m or rad]: what remembers has not forgotten it at the highest
+        levels. 0 where it is not known.
     """
 
     levels: FloatArray
     values: FloatArray
     rows: IntArray
     whitening: FloatArray
+    release: float = 0.0
 
     @property
     def size(self) -> int:
@@ -108,7 +112,7 @@ class LevelTerm:
         """Return residuals (m,), and write the derivatives of the simulated values, where they are wanted."""
         n = self.levels.size
         values, status = np.empty((3, n)), np.zeros(n, dtype=np.int64)
-        simulator.backbone(parameters, self.levels, 0.0, sensitivities, values, jacobian, status)
+        simulator.backbone(parameters, self.levels, self.release, True, values, jacobian, status, whole=False)
         return None if status.any() else self.whitening @ (self.values - values[self.rows[:, 0], self.rows[:, 1]])
 
 
@@ -152,9 +156,8 @@ def with_frequency(term: LevelTerm, frequency: float) -> LevelTerm:
     whitening[0, 0] = 1.0 / (KNOWN * frequency)
     whitening[1:, 1:] = term.whitening
     first = np.array([[OBSERVABLES.index("frequency"), term.levels.size // 2]])
-    return LevelTerm(
-        term.levels, np.concatenate([[frequency], term.values]), np.concatenate([first, term.rows]), whitening
-    )
+    values, rows = np.concatenate([[frequency], term.values]), np.concatenate([first, term.rows])
+    return replace(term, values=values, rows=rows, whitening=whitening)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,8 @@ import numpy as np
 
 from . import evidence
 from .corrected_evidence import Corrected, corrections
-from .decision import DRIFT_POSSIBLE, NAMED, Decision, listed
+from .curves import level_chi_square
+from .decision import AGREE, DRIFT_POSSIBLE, NAMED, Decision, listed
 from .estimates import estimates_of
 from .evidence import DRIFT, UNEXPLAINED, Drifting, Evidence, is_unexplained
 from .harmonic_odds import odds_behind_bands
@@ -34,7 +35,7 @@ def decide(search: Search, drifting: Mapping[Set, Drifting], tolerance: Mapping[
     """
     _complete(search)
     base = drifting[()].fit if () in drifting else None
-    decision = _judged(search, _weighed(search, drifting), tolerance, base)
+    decision = _mind_backbones(search, _judged(search, _weighed(search, drifting), tolerance, base))
     if decision.verdict is Verdict.AMBIGUOUS and decision.best not in decision.listed and not decision.unfinished:
         decision = replace(decision, listed=(decision.best, *decision.listed))
     if decision.verdict is Verdict.ADEQUATE or decision.mechanisms:
@@ -203,6 +204,19 @@ def is_none_other(search: Search, names: Set, has_drift: bool = False) -> float:
     imitates = _IMITATES[size] * min(1.0, _HARDLY / max(gap, 1.0))
     prior = evidence.PRIOR_OF_SIZE[size]
     return prior / (prior + evidence.PRIOR_NONE * imitates)
+
+
+def _mind_backbones(search: Search, decision: Decision) -> Decision:
+    """Return no name where the set that explains the samples leaves the backbones far from what was measured.
+
+    An explanation of the samples has to hold at every amplitude; with a drift in time beside it, it may hold nowhere.
+    """
+    if decision.named_level is not NamedLevel.LAW or not search.batch.has_records:
+        return decision
+    left = level_chi_square(search.batch, search.fits[decision.ranked[0]])
+    if left < AGREE:
+        return decision
+    return replace(decision, verdict=Verdict.AMBIGUOUS, named_level=None, listed=(decision.best,), against=left)
 
 
 def mind_second_mode(decision: Decision) -> Decision:

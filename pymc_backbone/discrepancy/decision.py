@@ -12,6 +12,8 @@ from .search import Set
 from .study import MissingMechanism, Remainder
 from .verdict import AdequateBy, NamedLevel, Verdict
 
+AGREE = 5.0
+"""Reduced chi-square of the backbones up to which they agree with the samples."""
 NAMED = 0.88
 """Probability from which a set is named."""
 LISTED = 0.95
@@ -54,6 +56,8 @@ class Decision:
         Sets whose fit holds a drift in time beside their effects.
     has_second_mode : bool
         Whether a second mode beats in the records.
+    against : float
+        Reduced chi-square at which the best set leaves the backbones, where these speak against it; else NaN.
     unfinished : tuple of tuple of str
         Sets that could explain the backbones, but whose fit to the records did not come to rest.
     is_approximate : bool
@@ -86,6 +90,7 @@ class Decision:
     drift_probability: float = 0.0
     drifts: tuple[Set, ...] = ()
     has_second_mode: bool = False
+    against: float = float("nan")
     unfinished: tuple[Set, ...] = ()
     is_approximate: bool = False
     mechanisms: tuple[MissingMechanism, ...] = ()

@@ -174,7 +174,8 @@ class DepartingSets(Departures):
             values, status = np.empty((3, reached.size)), np.zeros(reached.size, dtype=np.int64)
             derivatives = np.zeros((3, reached.size, vector.size))
             levels = np.ascontiguousarray(self.levels[reached])
-            layout.simulator.backbone(vector, levels, 0.0, True, values, derivatives, status)
+            release = self.batch.levels[r].release
+            layout.simulator.backbone(vector, levels, release, True, values, derivatives, status, whole=False)
             pick = (observable, np.searchsorted(reached, level))
             if status.any() or not np.isfinite(derivatives).all():
                 return None

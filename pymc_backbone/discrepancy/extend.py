@@ -41,9 +41,10 @@ def mean_specimen(batch: Batch, found: Fit) -> tuple[xr.Dataset, FloatArray]:
     mean = vectors.mean(axis=0)
     delta = np.zeros(found.layout.free.size)
     mean[found.layout.free] = found.layout.physical(found.centre, delta, 0.0)[0]
-    reference = curve(found, mean, levels)[rows]
+    reference = curve(found, mean, levels, 0.0)[rows]  # as the sampled model begins
     values, errors = measured(batch)
-    moved = np.array([values[r] - curve(found, vectors[r], levels)[rows] + reference for r in range(len(vectors))])
+    own_curves = [curve(found, vectors[r], levels, term.release)[rows] for r, term in enumerate(batch.levels)]
+    moved = values - np.array(own_curves) + reference
     held = np.isfinite(moved) & np.isfinite(errors)
     count = held.sum(axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -55,6 +55,8 @@ class LevelData:
         Of the values of each specimen.
     mass : float
         Mass [kg].
+    releases : (r,) array
+        Release amplitudes; 0 where not known.
     """
 
     levels: FloatArray
@@ -65,6 +67,7 @@ class LevelData:
     values: FloatArray
     covariance: list[FloatArray]
     mass: float
+    releases: FloatArray
 
     def whitening(self, frequency: FloatArray, damping: float, offset: float) -> FloatArray:
         """Return (r, m, m) matrices that whiten the values, with errors of a model added to those of the values.
@@ -107,6 +110,7 @@ def level_data(terms: Sequence[LevelTerm], mass: float) -> LevelData:
     return LevelData(
         levels, 2.0 * np.pi * mean[0], np.maximum(mean[1], 1e-7),
         np.array([w.size for w in terms], dtype=np.int64), rows, values, covariance, mass,
+        np.array([w.release for w in terms]),
     )  # fmt: skip
 
 

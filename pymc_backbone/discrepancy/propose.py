@@ -33,7 +33,7 @@ _FLOOR = (5e-5, 0.01, 5e-4)  # model error: of frequency and damping relative, o
 _REACH = 400.0  # chi-square above the best within which a set gets its own defect, at least ...
 _REACH_SHARE = 0.5  # ... or this share of the largest fall that any set brings
 _CORRECTIONS = 5
-_TURNS, _ADDED = 6, 4.0  # of a look from a smaller set, and the chi-square by which a costly set must leave less than that
+_TURNS, _ADDED = 6, 4.0  # of a look from a smaller set, and the chi-square by which a costly one must leave less
 _HEAVY_WEIGHT = 6
 _EFFORTS = (250, 120, 60)  # fits by the exact simulator in turn, heavy ones by their weight
 _PENALTY, _RARER = 10.0, 7.0  # chi-square by which an effect, and one that is a variant, has to be worth it
@@ -259,7 +259,8 @@ class _Proposer:
             for names in order:
                 for t, start in enumerate(self.points[names]):
                     is_far = start.cost - lowest > reach and len(names) > 1
-                    if (names, t) in tried or names in self.needless or is_far or (t > 0 and start.cost > 2.0 * self._cost(names) + 30.0):
+                    is_worse = t > 0 and start.cost > 2.0 * self._cost(names) + 30.0
+                    if (names, t) in tried or names in self.needless or is_far or is_worse:
                         continue
                     cost = self._weight(names)
                     if k == 0 and cost > 1 and len(names) > 1:

@@ -188,8 +188,8 @@ class RevisitedSets(FittedSets):
         state = starts.restricted(layout, larger.layout, larger.state)
         own = state.own
         for r, term in enumerate(self.batch.levels):
-            before = frequencies(larger.layout, larger.parameters(r), term.levels)
-            after = frequencies(layout, parameters_of(layout, state, r), term.levels)
+            before = frequencies(larger.layout, larger.parameters(r), term)
+            after = frequencies(layout, parameters_of(layout, state, r), term)
             change = self.base.mass * (2.0 * np.pi) ** 2 * np.mean(before**2 - after**2)
             if np.isfinite(change) and own[r, 0] + change > 0.0:
                 own[r, 0] += change

@@ -227,7 +227,8 @@ class SetFits:
         vector[layout.free] = effects
         vector[:2] = start.own.mean(axis=0)
         values, jacobian, status = np.empty((3, n)), np.zeros((3, n, vector.size)), np.zeros(n, dtype=np.int64)
-        layout.simulator.backbone(vector, data.levels, 0.0, True, values, jacobian, status)
+        release = float(data.releases.max())
+        layout.simulator.backbone(vector, data.levels, release, True, values, jacobian, status, whole=False)
         room = np.zeros((n, 8))
         seen = [observe(start.look, k, data.mass, 0.0, 0.0, room[k]) for k in range(n)]
         stiff, damp, turn, middle = start.slopes.transpose(2, 0, 1)
@@ -266,8 +267,9 @@ class SetFits:
             vector[:2] = start.own[r]
             reached = np.ascontiguousarray(data.levels[held])
             layout.simulator.backbone(
-                vector, reached, 0.0, True, values[:, : held.size], np.zeros((0, 0, 0)), status[: held.size]
-            )
+                vector, reached, float(data.releases[r]), True, values[:, : held.size], np.zeros((0, 0, 0)),
+                status[: held.size], whole=False,
+            )  # fmt: skip
             if status[: held.size].any():
                 return False
             for i, k in enumerate(held):

@@ -111,6 +111,12 @@ def _of_ambiguous(decision: Decision) -> str:
         told = [*told, "a second mode"]
     if decision.is_approximate and not decision.unfinished:
         return _of_inexact(decision, told[len(listed) :])
+    if np.isfinite(decision.against):
+        beside = " with a drift in time beside it" if decision.best in decision.drifts else ""
+        return (
+            f"Something is missing; {named(decision.best)}{beside} explains the samples, but leaves the backbones at a "
+            f"reduced chi-square of {decision.against:.3g}: what does not hold at every amplitude is no name."
+        )
     if len(told) == 1 and decision.best and not decision.unfinished:
         return (
             f"Something is missing; of the known effects {named(decision.best)} is the only explanation that remains, "

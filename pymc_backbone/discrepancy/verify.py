@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -85,7 +85,11 @@ def held_out_levels(batch: Batch, before: Fit, after: Fit | None) -> HeldOut | N
     for k in np.unique(np.linspace(0, levels.size - 1, min(most, levels.size)).round().astype(int)):
         keep = np.arange(levels.size) != k
         found = [level_term(batch.backbones, i, keep) for i in index]
-        terms = [term for term in found if term is not None and term.levels.size >= 3]
+        terms = [
+            replace(term, release=whole.release)
+            for term, whole in zip(found, batch.levels, strict=True)
+            if term is not None and term.levels.size >= 3
+        ]
         if len(terms) < len(index):
             continue
         for m, model in enumerate((before, after)):
@@ -95,7 +99,12 @@ def held_out_levels(batch: Batch, before: Fit, after: Fit | None) -> HeldOut | N
             if solved is None:
                 continue
             own = prediction_errors(solved, terms, levels[[k]])[:, rows, 0]
-            predicted = np.array([curve(solved, solved.parameters(r), levels[[k]])[rows, 0] for r in range(len(terms))])
+            predicted = np.array(
+                [
+                    curve(solved, solved.parameters(r), levels[[k]], term.release)[rows, 0]
+                    for r, term in enumerate(terms)
+                ]
+            )
             results[m, k] = _reduced(values[:, :, k] - predicted, errors[:, :, k], own)
     if not np.isfinite(results[0]).any():
         return None
@@ -142,15 +151,16 @@ def held_out_specimens(
             own = one_on_levels(solved, batch.levels[r], alone, 0)
             predicted_state = State(alone.eta, own[None])
             vector = parameters_of(model.layout, predicted_state, 0)
-            predicted = curve(model, vector, levels)[rows]
-            spread = _spread(solved, len(rest), own, levels)[rows]
+            release = batch.levels[r].release
+            predicted = curve(model, vector, levels, release)[rows]
+            spread = _spread(solved, len(rest), own, levels, release)[rows]
             results[m, c] = _reduced(values[r] - predicted, errors[r], spread)
     if not np.isfinite(results[0]).any():
         return None
     return _held_out(results, tuple(batch.specimens[r] for r in chosen))
 
 
-def _spread(solved: Fit, count: int, own: FloatArray, levels: FloatArray) -> FloatArray:
+def _spread(solved: Fit, count: int, own: FloatArray, levels: FloatArray, release: float) -> FloatArray:
     """Return standard errors (3, l) of a specimen's curves from what the others leave open about the effects.
 
     What stiffness and damping can make up for is no error: they are fitted.
@@ -166,7 +176,7 @@ def _spread(solved: Fit, count: int, own: FloatArray, levels: FloatArray) -> Flo
     state = State(solved.state.eta, own[None])
     vector = parameters_of(solved.layout, state, 0)
     jacobian = np.zeros((3, levels.size, vector.size))
-    solved.layout.simulator.backbone(vector, levels, 0.0, True, values, jacobian, status)
+    solved.layout.simulator.backbone(vector, levels, release, True, values, jacobian, status, whole=False)
     _, slopes = solved.layout.physical(solved.state.eta, own[NUISANCES:], 0.0)
     effects = np.nan_to_num(jacobian[:, :, solved.layout.free] @ slopes)
     for o, column in ((0, 0), (1, 1)):

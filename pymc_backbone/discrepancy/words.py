@@ -74,7 +74,7 @@ def _power_law(batch: Batch, found: Fit, name: str, row: int) -> str:
     values, errors = measured(batch)
     excess, variance = [], []
     for r in range(len(batch.specimens)):
-        excess.append(values[r, o] - curve(off, off.parameters(r), levels)[row])
+        excess.append(values[r, o] - curve(off, off.parameters(r), levels, batch.levels[r].release)[row])
         variance.append(errors[r, o] ** 2)
     gap, spread = np.array(excess), np.array(variance)
     held = np.isfinite(gap) & np.isfinite(spread) & (spread > 0.0)
@@ -139,10 +139,12 @@ def detectable(search: Search) -> tuple[Detectable, ...]:
         eta[where[0]] = _DETECTED * error
         strong = State(eta, found.state.own)
         values, _ = found.layout.physical(eta, np.zeros(eta.size), 0.0)
-        on = curve(found, parameters_of(found.layout, strong, search.reference), levels)
+        release = search.batch.levels[search.reference].release
+        on = curve(found, parameters_of(found.layout, strong, search.reference), levels, release)
         eta_off = eta.copy()
         eta_off[where[0]] = 0.0
-        off = curve(found, parameters_of(found.layout, State(eta_off, found.state.own), search.reference), levels)
+        weak = State(eta_off, found.state.own)
+        off = curve(found, parameters_of(found.layout, weak, search.reference), levels, release)
         with np.errstate(invalid="ignore", divide="ignore"):
             change = np.abs(on / off - 1.0)
         place = where[0]
@@ -218,7 +220,7 @@ def _distance(search: Search, ours: Fit, theirs: Fit, outside: FloatArray, error
     with np.errstate(all="ignore"):
         typical = np.nanmedian(errors, axis=(0, 2))
     for r in range(len(search.batch.specimens)):
-        a, b = (curve(item, item.parameters(r), outside) for item in (ours, theirs))
+        a, b = (curve(item, item.parameters(r), outside, 0.0) for item in (ours, theirs))
         for o, name in enumerate(search.batch.backbones["observable"].values):
             row = OBSERVABLES.index(str(name))
             difference = (a[row] - b[row]) / max(float(typical[o]), 1e-300)

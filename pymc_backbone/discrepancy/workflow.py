@@ -24,7 +24,7 @@ from .candidate_table import candidates_of
 from .curve_records import ForceCurves
 from .curves import simulate
 from .decide import decide, is_none_other, mind_second_mode
-from .decision import Decision
+from .decision import AGREE, Decision
 from .descent import is_heavy
 from .design import Contender, Plan, contender, present_design
 from .extend import Inference, infer
@@ -40,7 +40,6 @@ from .study import Check, EvidenceBasis, Study
 from .verdict import NamedLevel, Verdict
 from .verify import MOST_HELD_OUT, Verification, verify
 
-_AGREE = 5.0  # reduced chi-square of the backbones up to which they agree with the waveforms
 _QUICK_BUDGET = 0.5
 
 
@@ -258,7 +257,7 @@ def _checks(question: Question, outcome: Outcome, verification: Verification) ->
         ),
         outcome.second_mode,
         rivals.alike_check(batch, outcome.model),
-        rivals.data_terms_check(outcome.judged, verification.reduced, _AGREE),
+        rivals.data_terms_check(outcome.judged, verification.reduced, AGREE),
     )
 
 

@@ -11,7 +11,7 @@ from .curves import compiled, curve_at, cycles_of_decay
 from .halfcycle import COMPLETED, OUT_OF_REACH
 from .instants import DISPLACEMENT
 from .jumps import jump_down, walk_to
-from .memory import MAXIMUM, N_NUMBERS, RELEASE, VIRGIN, Turns, Waveform
+from .memory import BY_DECAY, BY_WHOLE_DECAY, MAXIMUM, N_NUMBERS, RELEASE, VIRGIN, Turns, Waveform
 from .pointers import address
 from .run import Run, prepare, release_from
 from .symmetry import is_symmetric
@@ -50,8 +50,8 @@ def backbone_by_decay(
 
     Where that is many cycles, those between the levels are jumped over, and what is left is run as a whole.
 
-    Without a release (0) it is raised in fixed steps, so that it does not slide with the parameters, until the first
-    cycle reaches the highest level.
+    Without a release (0), or where the whole decay is not asked for and the release is too low, it is raised in fixed
+    steps, so that it does not slide with the parameters, until the first cycle reaches the highest level.
     """
     levels = numbers[N_NUMBERS:]
     maximum = integers[MAXIMUM]
@@ -66,20 +66,20 @@ def backbone_by_decay(
     )
     none = Waveform(np.empty(0), np.empty(0), np.empty((0, 0)), DISPLACEMENT)
     count, found, code = 0, 0, COMPLETED
-    given = release > 0.0
-    if not given:
+    is_whole = integers[BY_DECAY] == BY_WHOLE_DECAY
+    if not release > 0.0:
         release = _RELEASE_GROWTH * levels[-1]
     stop = 0.8 * levels[0]  # and one cycle more: the local cubic wants two below the lowest level
-    for _ in range(1 if given else 12):
+    for _ in range(1 if is_whole else 12):
         release_from(run, release)
         count, code = run_decay(run, stop, 0, 3, turns, none)
         first = turns.values
-        if given or code != COMPLETED or 0.25 * (first[0] + first[2] - 2.0 * first[1]) >= levels[-1]:
+        if is_whole or code != COMPLETED or 0.25 * (first[0] + first[2] - 2.0 * first[1]) >= levels[-1]:
             break
         release *= _RELEASE_GROWTH
     left = levels.size
     if (
-        not given
+        not is_whole
         and code == COMPLETED
         and integers[VIRGIN] != 0
         and _go_to_highest(run, levels, release, turns, sensitivities)

@@ -213,6 +213,7 @@ class Simulator:
         rows: tuple[int, ...] = ALL_ROWS,
         stop: float = 0.0,
         tolerance: float | None = None,
+        whole: bool = True,
     ) -> Description:
         """Return a simulation in the layout that compiled code reads.
 
@@ -230,9 +231,13 @@ class Simulator:
             Amplitude at which a decay ends [m or rad]; 0 for never.
         tolerance : float, optional
             Of one step; default `TOLERANCE`.
+        whole : bool, default True
+            Whether all of the decay from a given release is run: the reference. Otherwise what can be jumped over is.
         """
         integers = self._integers.copy()
-        integers[layout.BY_DECAY] = self.needs_decay or release > 0.0
+        integers[layout.BY_DECAY] = layout.BY_JUMPS if self.needs_decay else layout.BY_CYCLES
+        if whole and release > 0.0:
+            integers[layout.BY_DECAY] = layout.BY_WHOLE_DECAY
         integers[layout.VIRGIN] = virgin
         if rows != ALL_ROWS:
             integers[layout.ROWS] = sum(1 << row for row in rows)
@@ -256,9 +261,11 @@ class Simulator:
         values: FloatArray,
         jacobian: FloatArray,
         status: NDArray[np.int64],
+        *,
+        whole: bool = True,
     ) -> None:
         """Run the compiled backbone into ``values``, ``jacobian`` (empty: not wanted) and ``status``."""
-        kernels.backbone(*self.describe(levels, release, virgin), parameters, values, jacobian, status)
+        kernels.backbone(*self.describe(levels, release, virgin, whole=whole), parameters, values, jacobian, status)
 
     def decay(
         self,

@@ -17,6 +17,7 @@ from .curves import carry_jacobian, compiled, cycle_quantities, cycle_slope, her
 from .halfcycle import COMPLETED, NO_RETURN, OUT_OF_REACH, RUNAWAY
 from .instants import ACCELERATION
 from .memory import (
+    BY_CYCLES,
     BY_DECAY,
     HAS_REGIME,
     LARGEST_STEP,
@@ -209,7 +210,7 @@ def backbone(
     status: IntArray,
 ) -> None:  # fmt: skip
     """Write the backbone that is described into ``values`` (3, l), ``jacobian`` (3, l, p or all 0), ``status`` (l,)."""
-    if integers[BY_DECAY] != 0:
+    if integers[BY_DECAY] != BY_CYCLES:
         backbone_by_decay(integers, numbers, p, values, jacobian, status)
     else:
         _backbone_by_cycles(integers, numbers, p, values, jacobian, status)

@@ -17,8 +17,10 @@ VALUE, SENSITIVITY, OWN_STATES = range(3)  # which stepper; with OWN_STATES as m
 
 # The integers: of the oscillator ...
 USER, N_EFFECTS, STIFFNESS, DAMPING, N_STATES, N_PARAMETERS, HAS_REGIME = range(7)
-# ... what is asked: whole decay or one cycle per level, states loaded from rest or relaxed, most turning points, number
-# of levels, and of the rows frequency, damping, offset those that are judged, a bit each ...
+# ... what is asked: one cycle per level, a decay with jumps where these are possible, or the whole decay; states loaded
+# from rest or relaxed, most turning points, number of levels, and of the rows frequency, damping, offset those that are
+# judged, a bit each ...
+BY_CYCLES, BY_JUMPS, BY_WHOLE_DECAY = range(3)
 BY_DECAY, VIRGIN, MAXIMUM, N_LEVELS, ROWS = range(7, 12)
 # ... and of a run under way, 0 before; the rows of the table of effects follow.
 MODE, COLUMNS, N_SAMPLES, CURSOR, SAMPLE_SLOPES, QUANTITY, TABLE = range(12, 19)
