@@ -57,11 +57,11 @@ def _judged(search: Search, weighed: Decision, tolerance: Mapping[str, float], d
     named = _pruned(search, weighed, tolerance) if any(tolerance.values()) else weighed
     if named.verdict is Verdict.ADEQUATE:
         return named
-    if named.drift_probability > 0.5 and drifting is not None and _is_exact(search, drifting):
+    if named.drift_probability > NAMED and drifting is not None and _is_exact(search, drifting):
         return replace(named, verdict=Verdict.UNEXPLAINED, below=())
     if named.lack.p_value < UNEXPLAINED:
         return departing(search, named)
-    if named.drift_probability > 0.5:
+    if named.drift_probability > NAMED:
         return replace(named, verdict=Verdict.UNEXPLAINED, below=())
     if named.probability >= NAMED and named.drift_probability < DRIFT_POSSIBLE:
         return replace(named, verdict=Verdict.FOUND, named_level=NamedLevel.LAW)

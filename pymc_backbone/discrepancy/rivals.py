@@ -7,6 +7,7 @@ from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
+from scipy.special import logsumexp
 
 from .._common.checks import FloatArray
 from . import evidence
@@ -110,8 +111,8 @@ def drift_fit(batch: Batch, base: Fit, limit: float = np.inf) -> Fit | None:
 def drift_bonus(drifting: Fit) -> float:
     """Return by how much the drift's evidence grows where it may be alike in all records, or of one kind only.
 
-    The fit gives every record drifts of its own. Here, given these with their errors, each kind is taken as absent,
-    as common to all records up to a scatter of a fifth, or as independent, whichever is most probable. No way to see
+    The fit gives every record drifts of its own. Here, given these with their errors, each kind is absent, common to all
+    records up to a scatter of a fifth, or independent, each as probable as the others beforehand. No way to see
     drifts takes away more than they cost: a fit that ended far from the records, at drifts of no meaning, gains that.
     """
     bonus = 0.0
@@ -130,7 +131,7 @@ def drift_bonus(drifting: Fit) -> float:
             _log_normal(measured_drift, noise + 1.0),
         ]
         cost = 0.5 * float(value @ value) - 0.5 * float(np.log(variance).sum())
-        bonus += min(max(logs) - logs[-1], cost)
+        bonus += min(float(logsumexp(logs)) - np.log(len(logs)) - logs[-1], cost)
     return bonus
 
 
