@@ -112,7 +112,11 @@ def batch_of_records(
     turning = tuple(turning_term(record, item) for record, item in zip(records, cycles, strict=True))
     waveform = tuple(waveform_term(record, item) for record, item in zip(records, cycles, strict=True))
     own = np.array([_rough(mass, record, item) for record, item in zip(records, cycles, strict=True)])
-    levels = [replace(term, release=abs(float(row[2]))) for term, row in zip(levels, own, strict=True)]
+    # a band-pass loses the first cycles, and with them what was remembered of the release
+    releases = [
+        0.0 if record.band is not None else abs(float(row[2])) for record, row in zip(records, own, strict=True)
+    ]
+    levels = [replace(term, release=release) for term, release in zip(levels, releases, strict=True)]
     amplitude = float(max(np.abs(item.values).max() for item in turning))
     frequency = float(np.median(np.concatenate([item.frequency for item in cycles])))
     return Batch(

@@ -20,6 +20,8 @@ _FITTED = 8  # turning points whose course tells those before them
 _FOUR = 4  # turning points that tell the swing before them
 _MOST_LONGER, _MOST_WIDER = 1.5, 1.8  # change of a swing from one cycle to the next
 _AT_RELEASE = 0.3  # of a half cycle: so close to its first sample a record begins at a turning point
+_AROUND = 0.25  # of a half cycle
+_CLEARLY = 4.0  # standard deviations of the noise
 _MOST_LOST = 400
 
 
@@ -48,11 +50,12 @@ def release_of(record: ConditionedRecord, cycles: Cycles) -> tuple[int, float, f
     size = min(_FITTED, times.size)
     if record.band is None:
         if times.size < _FOUR:
-            return 1, float(times[0]) - half, -float(values[0])
+            return 1, float(times[0]) - half, _as_seen(record, float(times[0]) - half, half, -float(values[0]))
         lasted, swung = np.diff(times[:_FOUR]), np.diff(values[:_FOUR])
         lasted_before = lasted[1] * np.clip(lasted[0] / lasted[2], 1.0 / _MOST_LONGER, _MOST_LONGER)
         swung_before = swung[1] * np.clip(swung[0] / swung[2], 1.0, _MOST_WIDER)
-        return 1, float(times[0] - lasted_before), float(values[0] - swung_before)
+        begin = float(times[0] - lasted_before)
+        return 1, begin, _as_seen(record, begin, half, float(values[0] - swung_before))
     course = np.polyfit(np.arange(size), times[:size], min(2, size - 1))
     decay = np.polyfit(np.arange(size - 1), np.log(np.abs(np.diff(values[:size]))), 1)
     begin = float(record.measured.time[0]) + _AT_RELEASE * half
@@ -61,6 +64,16 @@ def release_of(record: ConditionedRecord, cycles: Cycles) -> tuple[int, float, f
         back += 1
     fall = min(max(-float(decay[0]), 0.0), 0.6) * back
     return back, float(np.polyval(course, -back)), float(values[0]) * (-1.0) ** back * float(np.exp(fall))
+
+
+def _as_seen(record: ConditionedRecord, begin: float, half: float, release: float) -> float:
+    """Return the release, or what the samples around it say where they are clearly beyond.
+
+    What is loaded for the first time loses more in its first swing than the later ones tell.
+    """
+    around = np.abs(record.time - begin) < _AROUND * half
+    seen = float((np.sign(release) * record.displacement[around]).max(initial=0.0))
+    return float(np.sign(release)) * seen if seen > abs(release) + _CLEARLY * record.noise else release
 
 
 def turning_term(record: ConditionedRecord, cycles: Cycles) -> TurningTerm:

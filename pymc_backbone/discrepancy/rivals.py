@@ -111,8 +111,8 @@ def drift_fit(batch: Batch, base: Fit, limit: float = np.inf) -> Fit | None:
 def drift_bonus(drifting: Fit) -> float:
     """Return by how much the drift's evidence grows where it may be alike in all records, or of one kind only.
 
-    The fit gives every record drifts of its own. Here, given these with their errors, each kind is absent, common to all
-    records up to a scatter of a fifth, or independent, each as probable as the others beforehand. No way to see
+    The fit gives every record drifts of its own. Here, given these with their errors, each kind is absent, common to
+    all records up to a scatter of a fifth, or independent, each as probable as the others beforehand. No way to see
     drifts takes away more than they cost: a fit that ended far from the records, at drifts of no meaning, gains that.
     """
     bonus = 0.0
