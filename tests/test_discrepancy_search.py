@@ -370,7 +370,7 @@ def test_errors_of_prediction_cover_what_they_should(cubic):
     levels = np.asarray(batch.backbones["level"])
     errors = prediction_errors(brought, list(batch.levels), levels)
     assert errors.shape == (3, 3, levels.size) and np.all(errors[:, :2] > 0.0)
-    exact = curve(found, found.layout.oscillator.pack(truth_of(("cubic_stiffness",))), levels)[0]
+    exact = curve(found, found.layout.oscillator.pack(truth_of(("cubic_stiffness",))), levels, 0.0)[0]
     for r in range(3):
         simulated = curve(brought, brought.parameters(r), levels)[0]
         # stiffness differs between specimens by one per cent: compare how the curves bend

@@ -15,9 +15,9 @@ from ..simulation.memory import MASS, N_EFFECTS, TABLE
 from ..simulation.memory import STIFFNESS as STIFFNESS_PLACE
 from .layout import MOST_OPPOSED
 from .look_kernels import AT_TURN, DAMPING, MIDDLE, N_LOOK, STIFFNESS, averaged
+from .small_systems import solve_in_place
 
 _LONGEST = 1.0  # step of the logarithm of a shape
-_LEAST_PIVOT = 1e-12  # of a system whose diagonal is 1
 _LARGEST_PART = 0.5  # step of any other shape, in parts of its size
 
 
@@ -67,38 +67,6 @@ def observe(look: FloatArray, level: int, mass: float, stiffer: float, damper: f
     out[6] = math.pi * omega / turn - 0.25 * out[1] * damp / (mass * mass * square)
     out[7] = -out[1] / turn
     return True
-
-
-@compiled
-def _solve(block: FloatArray, right: FloatArray) -> float:
-    """Solve a small symmetric positive system in place, by Cholesky; return the logarithm of its determinant.
-
-    A tenth of the time that the libraries take for a few unknowns.
-    """
-    n, columns = right.shape
-    logarithm = 0.0
-    for i in range(n):
-        for j in range(i + 1):
-            total = block[i, j]
-            for k in range(j):
-                total -= block[i, k] * block[j, k]
-            if i == j:
-                block[i, i] = math.sqrt(max(total, _LEAST_PIVOT))
-                logarithm += 2.0 * math.log(block[i, i])
-            else:
-                block[i, j] = total / block[j, j]
-        for c in range(columns):
-            total = right[i, c]
-            for k in range(i):
-                total -= block[i, k] * right[k, c]
-            right[i, c] = total / block[i, i]
-    for i in range(n - 1, -1, -1):
-        for c in range(columns):
-            total = right[i, c]
-            for k in range(i + 1, n):
-                total -= block[k, i] * right[k, c]
-            right[i, c] = total / block[i, i]
-    return logarithm
 
 
 @compiled
@@ -181,7 +149,7 @@ def _equations(
             for j in range(q + 1):
                 right[i, j] *= scale[i]
         reduced = right.copy()
-        log_determinant += _solve(block, reduced) - 2.0 * np.log(scale).sum()
+        log_determinant += solve_in_place(block, reduced) - 2.0 * np.log(scale).sum()
         cost += (residual * residual).sum() - (right[:, q] * reduced[:, q]).sum()
         shared += mixed.T @ mixed - np.ascontiguousarray(right[:, :q].T) @ np.ascontiguousarray(reduced[:, :q])
         gradient += mixed.T @ residual - np.ascontiguousarray(right[:, :q].T) @ np.ascontiguousarray(reduced[:, q])
@@ -323,7 +291,7 @@ def refine(
                 for j in range(where.size):
                     block[i, j] = shared[where[i], where[j]] * scale[i] * scale[j]
                 block[i, i] += marquardt + 1e-10
-            _solve(block, right)
+            solve_in_place(block, right)
             for i in range(where.size):
                 step[where[i]] = right[i, 0] * scale[i]
         moved = eta.copy()
