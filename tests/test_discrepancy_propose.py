@@ -14,6 +14,7 @@ from pymc_backbone.discrepancy.looks import STIFFNESS, atoms_of, level_data
 from pymc_backbone.discrepancy.propose import Proposal, _Proposer, propose
 from pymc_backbone.discrepancy.question import looked_for
 from pymc_backbone.discrepancy.refine_kernels import observe
+from pymc_backbone.discrepancy.small_systems import solve_in_place
 from pymc_backbone.effects import BASE_EFFECTS, LIBRARY
 from pymc_backbone.oscillator import Oscillator
 from pymc_backbone.simulation.backbones import simulate_population
@@ -200,6 +201,37 @@ def test_hard_cases_are_among_the_first_ten(case):
             Oscillator(MASS, ["coulomb_friction", "freeplay"]), batch.amplitude, batch.angular_frequency
         )
         assert abs(true.eta[layout.names.index("friction_force")]) < 3e-4 * SPRING * AMPLITUDE
+
+
+@pytest.mark.parametrize("is_hysteretic", [False, True])
+def test_costly_sets_are_simulated_where_they_add_something(is_hysteretic):
+    cubic = {"cubic_stiffness": 0.2 * SPRING / AMPLITUDE**2}
+    slip = 0.3 * AMPLITUDE
+    joint = {"bouc_wen_stiffness": 0.3 * SPRING, "bouc_wen_amplitude": 1.0, "bouc_wen_beta": 0.7 / slip,
+             "bouc_wen_gamma": 0.3 / slip, "bouc_wen_exponent": 1.0}  # fmt: skip
+    names = ("bouc_wen", "cubic_stiffness")
+    batch = _batch(
+        Oscillator(MASS, names if is_hysteretic else names[1:]), {**cubic, **(joint if is_hysteretic else {})}
+    )
+    proposer = _Proposer(batch, Oscillator(MASS), IN_METRES, 2, {})
+    found = proposer.run()
+    assert (names in proposer.needless) != is_hysteretic
+    true = found[_rank(found, names)]
+    assert true.is_exact == is_hysteretic
+    if not is_hysteretic:  # it leaves what the smaller one does
+        assert true.chi_square == pytest.approx(found[_rank(found, names[1:])].chi_square, abs=4.0)
+
+
+@pytest.mark.parametrize(("size", "columns"), [(1, 1), (4, 2), (9, 3)])
+def test_small_systems_are_solved_as_by_lapack(size, columns, rng):
+    root = rng.standard_normal((size, size + 2))
+    block = root @ root.T
+    scale = 1.0 / np.sqrt(np.diag(block))
+    block *= np.outer(scale, scale)
+    right = rng.standard_normal((size, columns))
+    expected, logarithm = np.linalg.solve(block, right), np.linalg.slogdet(block)[1]
+    assert solve_in_place(block, right) == pytest.approx(logarithm, rel=1e-9, abs=1e-9)
+    np.testing.assert_allclose(right, expected, rtol=1e-8, atol=1e-10)
 
 
 def test_specimens_that_differ_much_are_looked_at_with_a_wider_scatter():

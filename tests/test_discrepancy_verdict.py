@@ -18,6 +18,7 @@ import pymc_backbone as pb
 from pymc_backbone._common.text import capitalised, in_words
 from pymc_backbone.discrepancy import candidate_table, decide, inexact, rivals, shares, verdict_words, words
 from pymc_backbone.discrepancy.decision import Decision
+from pymc_backbone.discrepancy.evidence import Evidence
 from pymc_backbone.discrepancy.question import TOLERANCE
 from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.discrepancy.study import LawProbability, MissingMechanism
@@ -452,6 +453,33 @@ def test_words_of_each_verdict():
         decision = decision_of(verdict, **{"best": ("cubic_stiffness",), **options})
         text = verdict_words.sentence(decision)
         assert said in text and "_" not in text
+
+
+@pytest.mark.parametrize(("chance", "verdict"), [(0.7, "ambiguous"), (0.95, "unexplained")])
+def test_a_drift_that_is_not_certain_is_told_beside_the_sets(chance, verdict):
+    evidences = {("a",): Evidence(10.0, 3.0, 1.0 - chance)}
+    lack = SimpleNamespace(share=0.01, p_value=0.4)
+    weighed = replace(
+        decision_of("ambiguous", p_missing=1e-6, drift_probability=chance, evidences=evidences, ranked=(("a",),)),
+        lack=lack,
+    )
+    judged = decide._judged(None, weighed, {}, None)
+    assert judged.verdict == verdict
+    assert ("a drift with time" in verdict_words.sentence(judged)) and (judged.listed == (("a",),)) == (chance < 0.88)
+
+
+@pytest.mark.parametrize(("left", "is_named"), [(0.9, True), (4.9, True), (5.1, False), (np.inf, False)])
+def test_no_name_is_given_against_the_backbones(left, is_named, monkeypatch):
+    monkeypatch.setattr(decide, "level_chi_square", lambda batch, found: left)
+    search = SimpleNamespace(batch=SimpleNamespace(has_records=True), fits={("a",): None, ("a", "b"): None})
+    named = decision_of("found", named_level=NamedLevel.LAW, ranked=(("a", "b"), ("a",)), drifts=(("a",),))
+    minded = decide._mind_backbones(search, named)
+    assert (minded.verdict == "found") == (minded.named_level == "law") == is_named
+    if not is_named:
+        assert minded.listed == (("a",),)
+        assert "with a drift in time beside it explains the samples, but leaves" in verdict_words.sentence(minded)
+    by_mechanism = replace(named, named_level=NamedLevel.MECHANISM)
+    assert decide._mind_backbones(search, by_mechanism) is by_mechanism
 
 
 def test_what_no_known_set_holds_of_the_probability_is_said():

@@ -74,6 +74,38 @@ def test_a_few_cycles_at_each_level_are_the_whole_decay(beside, rng):
     assert other > 0 or beside == "jenkins"  # a slider that slips is left to the whole decay
 
 
+def test_a_known_release_is_where_it_begins_and_one_too_low_is_raised():
+    """SciPy from the release: little above the highest level the first loading is not forgotten there."""
+    oscillator = Oscillator(MASS, "bouc_wen")
+    p = np.array(bouc_wen(1e-4, 0.23, 1.3, 1.62, 0.34))
+    simulator = Simulator(oscillator)
+    levels = AMPLITUDE * np.array([0.4, 0.55, 0.75, 1.0])
+
+    def backbone(release):
+        values, status = np.empty((3, levels.size)), np.zeros(levels.size, dtype=np.int64)
+        simulator.backbone(p, levels, release, True, values, np.zeros((0, 0, 0)), status, whole=False)
+        assert np.all(status == 0)
+        return values
+
+    release = 1.2 * AMPLITUDE
+    row = cycles(*Decay(oscillator, p).turning_points(release, 200))[:, ::-1]
+    assert row[0, 0] < levels[0] and row[0, -1] > levels[-1]
+    expected = CubicSpline(np.log(row[0]), row[2])(np.log(levels))
+    # the first cycles are few for a spline: it is read where three of them lie above
+    inner = levels < row[0, -4]
+    np.testing.assert_allclose(backbone(release)[1][inner], expected[inner], rtol=1e-4)
+    whole = simulate_backbone(oscillator, p, levels, release_amplitude=release).values
+    np.testing.assert_allclose(backbone(release)[1], whole[1], rtol=1e-4)
+    default = simulate_backbone(oscillator, p, levels).values
+    # negative control: from another release it is another mid-line and another damping
+    assert abs(default[2, -1] - whole[2, -1]) > 0.2 * abs(whole[2, -1])
+    assert abs(default[1, -1] / whole[1, -1] - 1.0) > 5.0 * 1e-4
+    np.testing.assert_array_equal(backbone(0.0), default)
+    low = backbone(0.9 * AMPLITUDE)  # no cycle of it reaches the highest level
+    assert np.all(simulate_backbone(oscillator, p, levels, release_amplitude=0.9 * AMPLITUDE).status[-1:] != 0)
+    assert np.isfinite(low).all()
+
+
 @pytest.mark.parametrize(("slip", "exponent", "ratio"), [(0.02, 1.0, 0.6), (0.5, 1.5, -0.5), (3.0, 2.0, 0.3)])
 def test_jumps_agree_with_scipy(slip, exponent, ratio):
     """SciPy runs every cycle from the release; a spline between its cycles is read at the levels."""

@@ -36,6 +36,7 @@ _COMPILED_MODULES = (
     "discrepancy/look_kernels.py",
     "discrepancy/refine_kernels.py",
     "discrepancy/set_kernels.py",
+    "discrepancy/small_systems.py",
     "likelihood/density_kernel.py",
     "simulation/by_decay.py",
     "simulation/closing.py",
