@@ -281,6 +281,9 @@ def test_shifts_move_differences_only_and_what_fails_moves_nothing():
     }
     shifts = Corrected(asked, "").shifts(("a",))
     assert shifts == {("a",): 0.0, ("b",): -0.5}
+    # one that fails keeps Laplace's evidence, so those beside it keep theirs on average: none gains by failing
+    assert Corrected(asked, "").shifts(("c",)) == {("a",): 0.25, ("b",): -0.25}
+    assert Corrected({("c",): asked[("c",)]}, "").shifts(("c",)) == {}
 
 
 def test_corrections_enter_the_probabilities(weak):

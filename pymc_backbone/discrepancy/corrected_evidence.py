@@ -83,10 +83,13 @@ class Corrected:
     def shifts(self, leading: tuple[str, ...]) -> dict[tuple[str, ...], float]:
         """Return what is added to the logarithm of each evidence, relative to that of the leading set.
 
-        Sets that were not asked are taken to be off by as much as the leading one is, so only differences are moved.
+        Sets that were not asked are taken to be off by as much as the leading one is, so only differences are moved;
+        and where that of the leading one is not to be trusted, by as much as those that are on average.
         """
         trusted = {names: item.shift for names, item in self.sets.items() if item.is_trusted}
-        common = trusted.get(leading, 0.0)
+        if not trusted:
+            return {}
+        common = trusted.get(leading, sum(trusted.values()) / len(trusted))
         return {names: shift - common for names, shift in trusted.items()}
 
 
