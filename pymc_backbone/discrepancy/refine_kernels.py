@@ -277,9 +277,7 @@ def refine(
         if not np.isfinite(cost) or iteration == iterations:
             break
         step = np.zeros(q)
-        where = np.flatnonzero(
-            ~(((eta <= low) & (gradient < 0.0)) | ((eta >= high) & (gradient > 0.0)))
-        )  # fmt: skip
+        where = np.flatnonzero(~(((eta <= low) & (gradient < 0.0)) | ((eta >= high) & (gradient > 0.0))))
         if where.size > 0:
             block = np.zeros((where.size, where.size))
             right = np.zeros((where.size, 1))
