@@ -112,11 +112,7 @@ def batch_of_records(
     turning = tuple(turning_term(record, item) for record, item in zip(records, cycles, strict=True))
     waveform = tuple(waveform_term(record, item) for record, item in zip(records, cycles, strict=True))
     own = np.array([_rough(mass, record, item) for record, item in zip(records, cycles, strict=True)])
-    # a band-pass loses the first cycles, and with them what was remembered of the release
-    releases = [
-        0.0 if record.band is not None else abs(float(row[2])) for record, row in zip(records, own, strict=True)
-    ]
-    levels = [replace(term, release=release) for term, release in zip(levels, releases, strict=True)]
+    levels = [_released(term, record, row[2]) for term, record, row in zip(levels, records, own, strict=True)]
     amplitude = float(max(np.abs(item.values).max() for item in turning))
     frequency = float(np.median(np.concatenate([item.frequency for item in cycles])))
     return Batch(
@@ -151,11 +147,17 @@ def batch_of_backbones(mass: float, backbones: xr.Dataset) -> Batch:
         own[row] = (mass * omega**2, mass * omega * damping / np.pi, 0.0, 0.0, 0.0)
     amplitude = float(np.asarray(backbones["level"])[-1])
     terms = tuple(term if known is None else with_frequency(term, known) for _, term in held)
-    terms = tuple(replace(term, release=_ABOVE * float(term.levels[-1])) for term in terms)
+    terms = tuple(_released(term) for term in terms)
     return Batch(
         backbones, (), (), terms, (), (), tuple(names[i] for i, _ in held), own,
         amplitude, float(np.sqrt(np.median(own[:, 0]) / mass)),
     )  # fmt: skip
+
+
+def _released(term: LevelTerm, record: ConditionedRecord | None = None, amplitude: float = 0.0) -> LevelTerm:
+    """Return a term with its release; behind a band-pass, which loses the first cycles, it is not known."""
+    known = abs(float(amplitude)) if record is not None and record.band is None else 0.0
+    return replace(term, release=known or _ABOVE * float(term.levels[-1]))
 
 
 def _rough(mass: float, record: ConditionedRecord, cycles: Cycles) -> tuple[float, ...]:

@@ -70,8 +70,8 @@ class LevelTerm:
     whitening : (m, m) array
         Takes differences to independent standard normal ones.
     release : float
-        Amplitude from which the specimen was released [m or rad]: what remembers has not forgotten it at the highest
-        levels. 0 where it is not known.
+        Amplitude from which the specimen is released [m or rad]: what remembers has not forgotten it at the highest
+        levels. 0 lets the simulation choose.
     """
 
     levels: FloatArray
