@@ -99,6 +99,8 @@ def test_what_is_loaded_for_the_first_time_is_released_where_the_samples_say():
     for term, values in zip(batch.levels, parameters, strict=True):
         for name, used in (("as seen", term), ("anywhere", replace(term, release=0.0))):
             residuals = used.residuals(layout.simulator, case.data.pack(values), np.zeros(5))
+            compared = used.compare(layout.simulator, case.data.pack(values), np.zeros(5))
+            np.testing.assert_allclose(residuals, compared[0], rtol=1e-3, atol=0.02)
             left[name] += float(residuals @ residuals)
     count = sum(term.size for term in batch.levels)
     assert left["as seen"] < count < 2.0 * left["anywhere"] and left["anywhere"] > 3.0 * left["as seen"]

@@ -95,7 +95,7 @@ class LevelTerm:
     ) -> tuple[FloatArray, FloatArray] | None:
         """Return residuals (m,) and derivatives (m, p + 5)."""
         jacobian = np.zeros((3, self.levels.size, parameters.size))
-        residuals = self._simulated(simulator, parameters, jacobian, sensitivities=True)
+        residuals = self._simulated(simulator, parameters, jacobian)
         if residuals is None:
             return None
         slopes = np.zeros((self.size, parameters.size + 5))
@@ -104,12 +104,10 @@ class LevelTerm:
 
     def residuals(self, simulator: Simulator, parameters: FloatArray, nuisances: FloatArray) -> FloatArray | None:
         """Return residuals (m,)."""
-        return self._simulated(simulator, parameters, np.zeros((3, self.levels.size, 0)), sensitivities=False)
+        return self._simulated(simulator, parameters, np.zeros((3, self.levels.size, 0)))
 
-    def _simulated(
-        self, simulator: Simulator, parameters: FloatArray, jacobian: FloatArray, *, sensitivities: bool
-    ) -> FloatArray | None:
-        """Return residuals (m,), and write the derivatives of the simulated values, where they are wanted."""
+    def _simulated(self, simulator: Simulator, parameters: FloatArray, jacobian: FloatArray) -> FloatArray | None:
+        """Return residuals (m,), and write the derivatives of the simulated values, where there is room for them."""
         n = self.levels.size
         values, status = np.empty((3, n)), np.zeros(n, dtype=np.int64)
         simulator.backbone(parameters, self.levels, self.release, True, values, jacobian, status, whole=False)
