@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from pymc_backbone.discrepancy.importance import LARGEST_K, integrate
 from pymc_backbone.discrepancy.joint_fit import Fit, fit
 from pymc_backbone.discrepancy.layout import make_layout
 from pymc_backbone.discrepancy.normal_equations import NUISANCES, start_state
+from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.oscillator import Oscillator
 
 from .discrepancy_cases import AMPLITUDE, DAMPING, MASS, OMEGA, STIFFNESS, batch_of, make_records
@@ -284,6 +286,41 @@ def test_shifts_move_differences_only_and_what_fails_moves_nothing():
     # one that fails keeps Laplace's evidence, so those beside it keep theirs on average: none gains by failing
     assert Corrected(asked, "").shifts(("c",)) == {("a",): 0.25, ("b",): -0.25}
     assert Corrected({("c",): asked[("c",)]}, "").shifts(("c",)) == {}
+
+
+@pytest.mark.parametrize(
+    ("error", "found", "expected"),
+    [
+        (1e-5, 0.0, 0.05),  # nearly everything would have been seen
+        (2e-4, 0.0, 0.25),  # five of these are three decades below the bound
+        (2e-2, 0.0, 0.75),
+        (0.5, 1.0, 0.95),  # hardly anything
+        (2e-4, 1.0, evidence.UNSEEN),  # it is there
+        (np.nan, 0.0, evidence.UNSEEN),
+    ],
+)
+def test_what_is_too_small_to_be_seen_goes_with_what_the_records_show(error, found, expected):
+    layout = make_layout(Oscillator(1.0, ["cubic_stiffness"]), 0.01, 30.0)
+    bound = layout.width[0] * np.sqrt(12.0)
+    fit = SimpleNamespace(
+        layout=layout,
+        covariance=np.array([[(error * bound) ** 2]]),
+        state=SimpleNamespace(eta=np.array([found * bound])),
+    )
+    assert evidence.unseen(fit, "cubic_stiffness") == pytest.approx(expected, abs=1e-9)
+    assert evidence.unseen(fit, "quadratic_damping") == evidence.UNSEEN  # of what was not fitted nothing is known
+
+
+def test_quiet_records_say_more_of_nothing_being_missing():
+    """The same structure with 60 and with 30 dB, each single effect fitted."""
+    chances = []
+    for noise in (60.0, 30.0):
+        batch = batch_of(make_records(np.random.default_rng(11), decibels=noise))
+        search = Search(batch, Oscillator(MASS), ("cubic_stiffness", "quadratic_damping"), 1)
+        for names in ((), ("cubic_stiffness",), ("quadratic_damping",)):
+            search.fit_set(names)
+        chances.append(evidence.probabilities(search.fits, batch, 2)[()].probability)
+    assert chances[0] > chances[1] + 0.05
 
 
 def test_corrections_enter_the_probabilities(weak):

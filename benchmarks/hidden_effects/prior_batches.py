@@ -5,8 +5,8 @@
     python benchmarks/hidden_effects/sbc.py DIR
 
 Sets, bounds and scatter are the package's; the motion is the generator's. A set has the prior probability of its size,
-shared evenly, and 0.03 of that for each variant in the place of what it varies; one effect alone is too small to be
-seen in half of the batches; in one of twenty a law acts that the library does not hold. Shapes are uniform within
+shared evenly, and 0.03 of that for each variant in the place of what it varies; in one of twenty a law acts that the
+library does not hold. Shapes are uniform within
 their default bounds. The package's prior of a strength is as wide as what is found, which is the density of one that
 is log-uniform over three to four decades: it is drawn so over four, up to the default bound, of either sign where both
 are allowed. What cannot be recorded (a motion that stops, a spring that gives way) is drawn again with the same set.
@@ -29,7 +29,7 @@ from strengths import draw_parameters, draw_strength, log_uniform
 from systems import LIBRARY_NAMES_OF_OUTSIDE, OUTSIDE
 from tiers import Plan
 
-from pymc_backbone.discrepancy.evidence import PRIOR_NONE, PRIOR_OF_SIZE, UNSEEN, VARIANT
+from pymc_backbone.discrepancy.evidence import PRIOR_NONE, PRIOR_OF_SIZE, VARIANT
 from pymc_backbone.discrepancy.question import looked_for
 from pymc_backbone.discrepancy.scatter import NARROWEST
 from pymc_backbone.effects import LIBRARY, Parameter
@@ -37,8 +37,6 @@ from pymc_backbone.effects import LIBRARY, Parameter
 TIER = "prior"
 DECADES = 4.0
 """Of the strength, below its default bound."""
-INVISIBLE = 1e-9
-"""Strength over its bound of an effect that is too small to be seen."""
 SLIPS = (0.02, 1.5)
 """Displacement over the amplitude at which a slider slips; the package fits this instead of its stiffness."""
 _WIDEST = 0.3
@@ -116,8 +114,7 @@ def _draw_batch(present: tuple[str, ...], outside: str | None, plan: Plan, rng: 
     nominal = {"mass": mass, "linear_stiffness": stiffness, "viscous_damping": damping}
     strength: dict[str, float] = {}
     for effect in present:
-        is_seen = len(present) > 1 or rng.random() >= UNSEEN
-        strength[effect] = 10.0 ** -(DECADES * rng.random()) if is_seen else INVISIBLE
+        strength[effect] = 10.0 ** -(DECADES * rng.random())
         nominal |= draw_values(effect, rng, amplitude, {"mass": mass, "omega": omega}, strength[effect])
     if outside:
         wanted = draw_strength(outside, rng)

@@ -16,6 +16,7 @@ from .batch import Batch
 from .data_term import DataTerm, WaveformTerm
 from .joint_fit import Fit
 from .normal_equations import NUISANCES, information
+from .starts import positions
 from .whitening import EDGE
 
 PRIOR_OF_SIZE = (0.5, 0.445, 0.05, 0.005)
@@ -25,7 +26,12 @@ PRIOR_NONE = 0.05
 VARIANT = 0.03
 """Prior probability of a variant of an effect over that of the effect."""
 UNSEEN = 0.5
-"""Prior probability that a missing effect is too small to be seen: then the records are as probable as without it."""
+"""Prior probability that a missing effect is too small to be seen, where nothing is known of the records."""
+DETECTED = 5.0
+"""Standard deviations at which an effect is named nine times in ten."""
+_DECADES = 4.0  # over which a strength is log-uniform beforehand, up to the default bound
+_LEAST_UNSEEN = 0.05
+_PRESENT = 4.0  # standard errors of a strength from which an effect is no longer one that may be too small
 
 MISSING = 0.01
 """p-value of "nothing is missing" below which something is."""
@@ -107,9 +113,10 @@ def probabilities(
         for names, found in fits.items()
     }
     base = logs.get((), 0.0)
-    for names in logs:
+    for names, found in fits.items():
         if len(names) == 1 and names not in (bonus or {}):
-            logs[names] = float(np.logaddexp(np.log(UNSEEN) + base, np.log1p(-UNSEEN) + logs[names]))
+            hidden = unseen(found, names[0])
+            logs[names] = float(np.logaddexp(np.log(hidden) + base, np.log1p(-hidden) + logs[names]))
     rarer = {names: sum(name in variants for name in names) * np.log(VARIANT) for names in logs}
     others = odds or {}
     posterior = {
@@ -120,6 +127,23 @@ def probabilities(
     return {
         names: Evidence(logs[names] - base, posterior[names], float(np.exp(posterior[names] - total))) for names in fits
     }
+
+
+def unseen(found: Fit, name: str) -> float:
+    """Return the prior probability that an effect is there and too small to be seen: then it is as without it.
+
+    By what these records would show: strengths are log-uniform over four decades up to their default bounds, and seen
+    from `DETECTED` standard errors on. Of an effect that is clearly there nothing is to be said.
+    """
+    where = positions(found.layout, name)
+    if not where or not np.isfinite(found.covariance).all():
+        return UNSEEN
+    error = float(np.sqrt(max(found.covariance[where[0], where[0]], 0.0)))
+    if not error > 0.0 or abs(found.state.eta[where[0]]) > _PRESENT * error:
+        return UNSEEN
+    bound = float(found.layout.width[where[0]] * np.sqrt(12.0))
+    below = 1.0 + np.log10(DETECTED * error / bound) / _DECADES
+    return float(np.clip(below, _LEAST_UNSEEN, 1.0 - _LEAST_UNSEEN))
 
 
 def noise_scale(fits: Mapping[tuple[str, ...], Fit], batch: Batch) -> NoiseScale:

@@ -11,13 +11,13 @@ from .batch import Batch
 from .curves import curve, measured, on_levels
 from .decision import Decision
 from .estimates import without
+from .evidence import DETECTED
 from .joint_fit import Fit, parameters_of
 from .normal_equations import State
 from .search import Search, Set
 from .study import Detectable, ScatterOfEffects
 from .verdict_words import is_drift_possible, named
 
-_DETECTED = 5.0  # standard deviations at which an effect is named nine times in ten
 _VANISHING = 0.3  # power of the amplitude below which a departure does not vanish with it
 _SEPARATED = 5.0  # logarithm of the odds that decides
 
@@ -136,7 +136,7 @@ def detectable(search: Search) -> tuple[Detectable, ...]:
             rows.append(Detectable(name, found.layout.names[where[0]], float("nan"), "", float("nan"), float("nan")))
             continue
         eta = found.state.eta.copy()
-        eta[where[0]] = _DETECTED * error
+        eta[where[0]] = DETECTED * error
         strong = State(eta, found.state.own)
         values, _ = found.layout.physical(eta, np.zeros(eta.size), 0.0)
         release = search.batch.levels[search.reference].release
