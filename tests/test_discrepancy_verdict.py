@@ -478,6 +478,7 @@ def test_no_name_is_given_against_the_backbones(left, is_named, monkeypatch):
     if not is_named:
         assert minded.listed == (("a",),)
         assert "with a drift in time beside it explains the samples, but leaves" in verdict_words.sentence(minded)
+        assert words.advice(SimpleNamespace(fits={}), minded)[0].startswith("release from other amplitudes")
     by_mechanism = replace(named, named_level=NamedLevel.MECHANISM)
     assert decide._mind_backbones(search, by_mechanism) is by_mechanism
 

@@ -172,7 +172,7 @@ def advice(search: Search, decision: Decision) -> tuple[str, ...]:
     """Say what measurement would tell the most probable set from the next that is not just a larger or smaller one."""
     listed = [names for names in decision.listed if names != decision.best and names in search.fits]
     sentences = []
-    if is_drift_possible(decision):
+    if is_drift_possible(decision) or not np.isnan(decision.against):
         sentences.append(
             "release from other amplitudes: a drift goes with the time since the release, an effect with the amplitude."
         )
