@@ -247,6 +247,34 @@ def test_lack_of_fit_is_calibrated_under_the_right_model(linear, rng):
     assert kstest(p_values, "uniform", alternative="greater").pvalue > 1e-3
 
 
+def test_noise_that_grows_towards_low_frequencies_is_no_lack_of_fit(linear, cubic, rng):
+    """Its level is that midway between the harmonics; that of all residuals (negative control) refutes the truth."""
+    layout = search_layout(Oscillator(MASS))
+
+    def coloured(size: int) -> np.ndarray:
+        spectrum = rng.standard_normal(size + 1) + 1j * rng.standard_normal(size + 1)
+        spectrum[1:] *= np.arange(1, size + 1) ** -0.35
+        values = np.fft.irfft(spectrum, 2 * size)[:size]
+        return values / values.std()
+
+    p_values, by_all = [], []
+    for _ in range(20):
+        batch, own = redrawn(linear.batch.subset([0]), rng)
+        term = batch.waveform[0]
+        size = batch.records[0].noise / np.sqrt(term.together)
+        term = replace(term, values=term.values + 1.5 * size * coloured(term.values.size))
+        found = fit(layout, (term,), start_state(layout, np.empty(0), own))
+        p_values.append(evidence.lack_of_fit(replace(batch, waveform=(term,)), found).p_value)
+        by_all.append(evidence.lack_of_fit(replace(batch, waveform=(replace(term, beside=[]),)), found).p_value)
+    assert kstest(p_values, "uniform", alternative="greater").pvalue > 1e-3
+    assert np.median(by_all) < 1e-3
+    louder = tuple(
+        replace(item, values=item.values + 1.5 * record.noise / np.sqrt(item.together) * coloured(item.values.size))
+        for item, record in zip(cubic.batch.waveform, cubic.batch.records, strict=True)
+    )
+    assert evidence.lack_of_fit(replace(cubic.batch, waveform=louder), cubic.fits[()]).p_value < 1e-12
+
+
 def test_lack_of_fit_sees_a_missing_effect_whatever_the_noise_was_taken_for(cubic):
     assert evidence.lack_of_fit(cubic.batch, cubic.fits[("cubic_stiffness",)]).p_value > 1e-4
     for factor in (1.0, 0.5):
@@ -372,7 +400,7 @@ def test_errors_of_prediction_cover_what_they_should(cubic):
     assert errors.shape == (3, 3, levels.size) and np.all(errors[:, :2] > 0.0)
     exact = curve(found, found.layout.oscillator.pack(truth_of(("cubic_stiffness",))), levels, 0.0)[0]
     for r in range(3):
-        simulated = curve(brought, brought.parameters(r), levels)[0]
+        simulated = curve(brought, brought.parameters(r), levels, 0.0)[0]
         # stiffness differs between specimens by one per cent: compare how the curves bend
         bend = (simulated / simulated.mean() - exact / exact.mean())[[0, -1]]
         assert np.all(np.abs(bend) < 6.0 * errors[r, 0, [0, -1]] / simulated.mean() + 1e-5)

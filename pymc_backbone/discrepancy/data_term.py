@@ -6,7 +6,7 @@ Each data term turns a simulated decay into standardised residuals and their der
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple, Protocol
 
@@ -234,6 +234,10 @@ class TurningTerm:
         return None if compared is None else compared[0]
 
 
+Subspace = list[tuple[slice, FloatArray]]
+"""Windows of residuals, and an orthonormal basis (k, d) in each."""
+
+
 @dataclass(frozen=True, eq=False)
 class WaveformTerm:
     """The samples of one record, in the quantity that was measured.
@@ -258,17 +262,21 @@ class WaveformTerm:
     offset_scale : float
         What one unit of the nuisance ``offset`` [m or rad] adds to ``values``: the angular frequency to the power of
         ``order``; nothing where a filter removes it.
+    beside : list of (slice, (k, d) array)
+        The same midway between the harmonics, orthogonal to ``subspace``: what noise holds there, no model error does.
+        Empty behind a band-pass.
     """
 
     time: FloatArray
     values: FloatArray
     whiten: Callable[[FloatArray], FloatArray]
     size: int
-    subspace: list[tuple[slice, FloatArray]]
+    subspace: Subspace
     signal: float
     together: int = 1
     order: int = 0
     offset_scale: float = 1.0
+    beside: Subspace = field(default_factory=list)
 
     def simulate(
         self,

@@ -13,7 +13,7 @@ from scipy.special import chdtrc, fdtrc, logsumexp, ndtr, ndtri
 
 from .._common.checks import FloatArray
 from .batch import Batch
-from .data_term import DataTerm, WaveformTerm
+from .data_term import DataTerm, Subspace, WaveformTerm
 from .joint_fit import Fit
 from .normal_equations import NUISANCES, information
 from .starts import positions
@@ -210,18 +210,22 @@ class LackOfFit:
 def lack_of_fit(batch: Batch, found: Fit) -> LackOfFit:
     """Return whether residuals hold more along the motion's slowly varying harmonics than beside them.
 
-    The noise level comes from the residuals beside, so that an error in its estimate does not matter.
+    The noise level comes from the residuals beside, so that an error in its estimate does not matter: from all of them,
+    or midway between the harmonics where there is more of it. Noise often grows towards low frequencies.
     """
     fitted = found.layout.free.size / max(len(batch.specimens), 1) + len(batch.nuisances)
     z, ratios, shares = [], [], []
     for r, term in enumerate(batch.deciding):
         residuals = residuals_of(term, found, r)
         if isinstance(term, WaveformTerm) and term.subspace:
-            inside = sum(float(((basis.T @ residuals[w]) ** 2).sum()) for w, basis in term.subspace)
-            degrees = sum(basis.shape[1] for _, basis in term.subspace) - fitted
+            inside, degrees = _power(residuals, term.subspace)
+            degrees -= fitted
             outside = float(residuals @ residuals) - inside
             rest = residuals.size - degrees - fitted
             noise = outside / max(rest, 1.0)
+            between, lines = _power(residuals, term.beside)
+            if lines > 0 and between > noise * lines:
+                noise, rest = between / lines, lines
             ratio = inside / max(degrees, 1.0) / max(noise, 1e-300)
             p = float(fdtrc(max(degrees, 1.0), max(rest, 1.0), ratio))
             shares.append(np.sqrt(max(inside - degrees * noise, 0.0)) / _size_of_motion(term))
@@ -238,6 +242,14 @@ def lack_of_fit(batch: Batch, found: Fit) -> LackOfFit:
     combined = float(ndtr(-np.sum(z) / np.sqrt(len(z)))) if z else 1.0
     worst = min(1.0, len(z) * float(ndtr(-max(z)))) if z else 1.0
     return LackOfFit(float(np.median(ratios)), min(1.0, 2.0 * min(combined, worst)), float(np.max(shares)))
+
+
+def _power(residuals: FloatArray, lines: Subspace) -> tuple[float, float]:
+    """Return the sum of squares of residuals along lines, and how many these are."""
+    return (
+        sum(float(((basis.T @ residuals[window]) ** 2).sum()) for window, basis in lines),
+        float(sum(basis.shape[1] for _, basis in lines)),
+    )
 
 
 def p_nothing_missing(fits: Mapping[tuple[str, ...], Fit], batch: Batch) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from itertools import pairwise
 
 import numpy as np
@@ -10,7 +11,7 @@ from .._common.checks import FloatArray
 from ..measurement.conditioning.conditioned import ConditionedRecord
 from ..measurement.conditioning.filters import BandPass
 from ..measurement.cycles import Cycles
-from .data_term import TurningTerm, WaveformTerm
+from .data_term import Subspace, TurningTerm, WaveformTerm
 from .passed import passed_values
 from .whitening import EDGE, means, of_means, whitener, with_slow_noise
 
@@ -120,17 +121,17 @@ def waveform_term(record: ConditionedRecord, cycles: Cycles) -> WaveformTerm:
         # smooth enough to be simulated at the middle of each mean only
         count = shown.size
         values = values[: count * together].reshape(count, together).mean(axis=1)
-        subspace = _subspace(_phase(inner, cycles), per_cycle)
-        return WaveformTerm(shown, values, white, inner.size, subspace, signal, together)
-    subspace = _subspace(_phase(shown, cycles), per_cycle)
+        subspace, beside = _subspaces(_phase(inner, cycles), per_cycle)
+        return WaveformTerm(shown, values, white, inner.size, subspace, signal, together, beside=beside)
+    subspace, beside = _subspaces(_phase(shown, cycles), per_cycle)
     if together == 1:
-        return WaveformTerm(time, values, white, time.size, subspace, signal, 1, order, scale)
+        return WaveformTerm(time, values, white, time.size, subspace, signal, 1, order, scale, beside)
 
     def of_mean(columns: FloatArray) -> FloatArray:
         # friction makes acceleration jump and velocity bend: every sample is simulated
         return white(means(columns, together))
 
-    return WaveformTerm(time, values, of_mean, shown.size, subspace, signal, 1, order, scale)
+    return WaveformTerm(time, values, of_mean, shown.size, subspace, signal, 1, order, scale, beside)
 
 
 def _behind_band_pass(record: ConditionedRecord, band_pass: BandPass, cycles: Cycles) -> WaveformTerm:
@@ -161,10 +162,16 @@ def _behind_band_pass(record: ConditionedRecord, band_pass: BandPass, cycles: Cy
     return WaveformTerm(time, values, reduce, size, subspace, signal, 1, measured.order, 0.0)
 
 
-def _subspace(phase: FloatArray, per_cycle: float) -> list[tuple[slice, FloatArray]]:
-    """Return windows of the values at these phases, and what a model error looks like in each."""
+def _subspaces(phase: FloatArray, per_cycle: float) -> tuple[Subspace, Subspace]:
+    """Return windows of the values at these phases with what a model error looks like in each, and midway beside it."""
     harmonics = int(np.clip(0.5 * per_cycle - 1.5, 1, 4))
-    return [(window, _harmonics(phase[window], harmonics, 1)) for window in _windows(phase, 4.0)]
+    windows = _windows(phase, 4.0)
+    inside = [(window, _harmonics(phase[window], range(harmonics + 1))) for window in windows]
+    beside = []
+    for window, basis in inside:
+        between = _harmonics(phase[window], [k + 0.5 for k in range(harmonics)])[:, : int(0.3 * basis.shape[0])]
+        beside.append((window, np.linalg.qr(between - basis @ (basis.T @ between))[0]))
+    return inside, beside
 
 
 def _phase(time: FloatArray, cycles: Cycles) -> FloatArray:
@@ -185,15 +192,15 @@ def _windows(phase: FloatArray, length: float) -> list[slice]:
     return [slice(int(a), int(b)) for a, b in pairwise(edges) if b - a >= 4]
 
 
-def _harmonics(phase: FloatArray, harmonics: int, degree: int) -> FloatArray:
-    """Return an orthonormal basis of harmonics with polynomials of ``degree`` for amplitudes."""
+def _harmonics(phase: FloatArray, orders: Iterable[float]) -> FloatArray:
+    """Return an orthonormal basis of lines at these orders of the motion, whose amplitudes change linearly."""
     u = np.linspace(-1.0, 1.0, phase.size)
     columns = []
-    for order in range(harmonics + 1):
+    for order in orders:
         angle = 2.0 * np.pi * order * phase
-        for power in range(degree + 1):
-            columns.append(np.cos(angle) * u**power)
+        for amplitude in (np.ones_like(u), u):
+            columns.append(np.cos(angle) * amplitude)
             if order:
-                columns.append(np.sin(angle) * u**power)
+                columns.append(np.sin(angle) * amplitude)
     basis = np.column_stack(columns[: max(1, int(0.6 * phase.size))])
     return np.linalg.qr(basis)[0]
