@@ -632,3 +632,39 @@ def test_first_turning_points_are_compared_with_their_own_where_a_filter_took_th
     lost = replace(whole, skipped=0).first(6).compare(simulator, parameters, nuisances)
     assert lost is not None
     assert np.abs(lost[0]).max() > 1e4
+
+
+@pytest.mark.parametrize(
+    ("effects", "has_image"),
+    [
+        (("quadratic_stiffness",), True),
+        (("bilinear_stiffness",), True),
+        (("one_sided_stiffness",), True),
+        (("cubic_stiffness", "one_sided_stiffness"), True),
+        (("cubic_stiffness",), False),  # its own mirror image
+    ],
+)
+def test_a_mirror_image_has_the_same_backbones_and_the_other_side(effects, has_image):
+    """Next to undamped, because a cycle of the image runs from trough to trough."""
+    layout = make_layout(Oscillator(MASS, effects), AMPLITUDE, OMEGA)
+    eta = np.where(layout.is_strength, 0.05 * layout.width, 0.0)
+    for j, name in enumerate(layout.names):
+        if name == "stop_gap":
+            eta[j] = -0.3 * AMPLITUDE
+    state = start_state(layout, eta, np.array([[STIFFNESS, 1e-3 * DAMPING, AMPLITUDE, 0.0, 0.0]]))
+    image = starts.mirrored(layout, state)
+    assert (image is not None) == has_image
+    if image is None:
+        return
+    levels, curves = AMPLITUDE * np.array([0.4, 0.6, 0.9]), []
+    for item in (state, image):
+        values, status = np.empty((3, 3)), np.zeros(3, dtype=np.int64)
+        vector = normal_equations.parameters_at(layout, item.eta, item.own[0], 0.0)[0]
+        layout.simulator.backbone(vector, levels, 0.0, True, values, np.zeros((0, 0, 0)), status)
+        assert not status.any()
+        curves.append(values)
+    np.testing.assert_allclose(curves[1][0], curves[0][0], rtol=1e-6)
+    np.testing.assert_allclose(np.sign(image.eta[layout.is_strength][-1]), -1.0)
+    twice = starts.mirrored(layout, image)
+    np.testing.assert_allclose(twice.eta, state.eta)
+    np.testing.assert_allclose(twice.own[:, 0], state.own[:, 0], rtol=1e-12)

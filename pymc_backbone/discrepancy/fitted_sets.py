@@ -354,6 +354,7 @@ class FittedSets:
             absent = self._without_base(layout, proposal, rival, ways)
             is_refuted = is_refuted and (not absent or ways[-1][1] > limit)
             found += absent
+            found += self._mirrored(layout, found, rival)
         if found and is_refuted:
             self.refuted.add(names)
         return found
@@ -392,6 +393,14 @@ class FittedSets:
         _, eta, own = proposal.starts[0]
         state = self.descent.released(layout, np.where(held, 0.0, eta), own)
         reached = self.descent.from_afar(layout, state, rival, ways, self._limit)
+        return [] if reached is None else [reached]
+
+    def _mirrored(self, layout: Layout, found: list[Fit], rival: float | None) -> list[Fit]:
+        """Return the fit from the mirror image of the best, where the backbones do not say which side is which."""
+        if not found or not self.batch.has_records or all(item.offset_is_measured for item in self.batch.records):
+            return []
+        state = starts.mirrored(layout, min(found, key=lambda item: item.cost).state)
+        reached = None if state is None else self.descent.from_afar(layout, state, rival, None, self._limit)
         return [] if reached is None else [reached]
 
     def _is_lost(self, found: Fit, promised: float) -> bool:

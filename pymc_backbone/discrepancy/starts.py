@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .._common.checks import FloatArray
-from ..effects import BASE_EFFECTS
+from ..effects import BASE_EFFECTS, Effect
 from . import normal_equations
 from .batch import Batch
 from .joint_fit import Fit
@@ -23,6 +23,8 @@ _SHAPES = (0.12, 0.35, 0.75)
 _SLIPS = (0.03, 0.15, 0.5, 0.85)  # slip displacement over amplitude; at the last it slips in few cycles
 _MANY = 4  # parameters beyond which each shape has two values only
 _KEPT = 2
+_SIDES = (-0.9, -0.5, -0.2, 0.2, 0.5, 0.9)  # displacements over the amplitude
+_ODD = 1e-6  # share of a force that is the same on both sides, up to which it is none
 
 
 def positions(layout: Layout, effect: str) -> list[int]:
@@ -131,6 +133,40 @@ def typical(layout: Layout) -> FloatArray:
             points = grid(layout, effect.name, (_STRENGTHS[0],))
             eta[where] = points[len(points) // 2]
     return eta
+
+
+def mirrored(layout: Layout, state: State) -> State | None:
+    """Return the start that moves as the mirror image of this one: its backbones are the same, its samples are not.
+
+    None where no effect is asymmetric, or one that is has no mirror image of its own kind. A contact on one side is a
+    softer spring on the other: the linear spring takes the difference.
+    """
+    vector = layout.template.copy()
+    vector[layout.free] = layout.physical(state.eta, np.zeros(state.eta.size), 0.0)[0]
+    eta, own = state.eta.copy(), state.own.copy()
+    for effect in layout.oscillator.effects:
+        if effect.name in BASE_EFFECTS or effect.n_states or effect.has_memory:
+            continue
+        where = positions(layout, effect.name)
+        before = _forces(layout, effect, vector)
+        if np.abs(before + before[::-1]).max() <= _ODD * np.abs(before).max():
+            continue
+        if layout.low[where[0]] >= 0.0:
+            return None
+        turned = [place for place in where if layout.low[place] < 0.0 < layout.high[place]]
+        eta[turned] *= -1.0
+        image = vector.copy()
+        image[layout.free[turned]] *= -1.0
+        left = -before[::-1] - _forces(layout, effect, image)
+        own[:, 0] += (left[-1] - left[0]) / (2.0 * _SIDES[-1] * layout.amplitude)
+    return None if np.array_equal(eta, state.eta) else State(eta, own)
+
+
+def _forces(layout: Layout, effect: Effect, vector: FloatArray) -> FloatArray:
+    """Return the forces of an effect at some displacements to either side, at rest."""
+    force = getattr(effect.force, "py_func", effect.force)
+    p = vector[[layout.oscillator.index(name) for name in effect.parameter_names]]
+    return np.array([force(x * layout.amplitude, 0.0, 1.0, np.zeros(0), p) for x in _SIDES])
 
 
 def restricted(layout: Layout, larger: Layout, state: State) -> State:
