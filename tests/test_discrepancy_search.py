@@ -264,15 +264,15 @@ def test_noise_that_grows_towards_low_frequencies_is_no_lack_of_fit(linear, cubi
         size = batch.records[0].noise / np.sqrt(term.together)
         term = replace(term, values=term.values + 1.5 * size * coloured(term.values.size))
         found = fit(layout, (term,), start_state(layout, np.empty(0), own))
-        p_values.append(evidence.lack_of_fit(replace(batch, waveform=(term,)), found).p_value)
-        by_all.append(evidence.lack_of_fit(replace(batch, waveform=(replace(term, beside=[]),)), found).p_value)
+        p_values.append(evidence.lack_of_fit(replace(batch, waveform=(term,)), found, is_local=True).p_value)
+        by_all.append(evidence.lack_of_fit(replace(batch, waveform=(term,)), found).p_value)
     assert kstest(p_values, "uniform", alternative="greater").pvalue > 1e-3
     assert np.median(by_all) < 1e-3
     louder = tuple(
         replace(item, values=item.values + 1.5 * record.noise / np.sqrt(item.together) * coloured(item.values.size))
         for item, record in zip(cubic.batch.waveform, cubic.batch.records, strict=True)
     )
-    assert evidence.lack_of_fit(replace(cubic.batch, waveform=louder), cubic.fits[()]).p_value < 1e-12
+    assert evidence.lack_of_fit(replace(cubic.batch, waveform=louder), cubic.fits[()], is_local=True).p_value < 1e-12
 
 
 def test_lack_of_fit_sees_a_missing_effect_whatever_the_noise_was_taken_for(cubic):

@@ -472,7 +472,7 @@ def test_a_drift_that_is_not_certain_is_told_beside_the_sets(chance, verdict):
 def test_no_name_is_given_against_the_backbones(left, is_named, monkeypatch):
     monkeypatch.setattr(decide, "level_chi_square", lambda batch, found: left)
     search = SimpleNamespace(batch=SimpleNamespace(has_records=True), fits={("a",): None, ("a", "b"): None})
-    named = decision_of("found", named_level=NamedLevel.LAW, ranked=(("a", "b"), ("a",)), drifts=(("a",),))
+    named = decision_of("found", named_level=NamedLevel.LAW, ranked=(("a", "b"), ("a",)), drifts=(("a", "b"),))
     minded = decide._mind_backbones(search, named)
     assert (minded.verdict == "found") == (minded.named_level == "law") == is_named
     if not is_named:
@@ -481,6 +481,8 @@ def test_no_name_is_given_against_the_backbones(left, is_named, monkeypatch):
         assert words.advice(SimpleNamespace(fits={}), minded)[0].startswith("release from other amplitudes")
     by_mechanism = replace(named, named_level=NamedLevel.MECHANISM)
     assert decide._mind_backbones(search, by_mechanism) is by_mechanism
+    alone = replace(named, drifts=(("a",),))  # what the backbones of a set without a drift say may be their own fault
+    assert decide._mind_backbones(search, alone) is alone
 
 
 def test_what_no_known_set_holds_of_the_probability_is_said():

@@ -207,11 +207,12 @@ def is_none_other(search: Search, names: Set, has_drift: bool = False) -> float:
 
 
 def _mind_backbones(search: Search, decision: Decision) -> Decision:
-    """Return no name where the set that explains the samples leaves the backbones far from what was measured.
+    """Return no name where a set explains the samples by a drift beside it, and leaves the backbones far off.
 
     An explanation of the samples has to hold at every amplitude; with a drift in time beside it, it may hold nowhere.
+    Without one, backbones that disagree may be at fault: their errors are small and their mid-line may be lost.
     """
-    if decision.named_level is not NamedLevel.LAW or not search.batch.has_records:
+    if decision.named_level is not NamedLevel.LAW or decision.ranked[0] not in decision.drifts:
         return decision
     left = level_chi_square(search.batch, search.fits[decision.ranked[0]])
     if left < AGREE:

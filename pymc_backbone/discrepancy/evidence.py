@@ -207,11 +207,12 @@ class LackOfFit:
     share: float
 
 
-def lack_of_fit(batch: Batch, found: Fit) -> LackOfFit:
+def lack_of_fit(batch: Batch, found: Fit, *, is_local: bool = False) -> LackOfFit:
     """Return whether residuals hold more along the motion's slowly varying harmonics than beside them.
 
     The noise level comes from the residuals beside, so that an error in its estimate does not matter: from all of them,
-    or midway between the harmonics where there is more of it. Noise often grows towards low frequencies.
+    or, where ``is_local``, midway between the harmonics if there is more of it. Noise often grows towards low
+    frequencies; but of strongly damped motion a small model error is found midway, too.
     """
     fitted = found.layout.free.size / max(len(batch.specimens), 1) + len(batch.nuisances)
     z, ratios, shares = [], [], []
@@ -224,7 +225,7 @@ def lack_of_fit(batch: Batch, found: Fit) -> LackOfFit:
             rest = residuals.size - degrees - fitted
             noise = outside / max(rest, 1.0)
             between, lines = _power(residuals, term.beside)
-            if lines > 0 and between > noise * lines:
+            if is_local and lines > 0 and between > noise * lines:
                 noise, rest = between / lines, lines
             ratio = inside / max(degrees, 1.0) / max(noise, 1e-300)
             p = float(fdtrc(max(degrees, 1.0), max(rest, 1.0), ratio))
@@ -266,7 +267,7 @@ def p_nothing_missing(fits: Mapping[tuple[str, ...], Fit], batch: Batch) -> floa
             degrees = found.layout.free.size - base.layout.free.size
             p_gain = min(p_gain, float(chdtrc(degrees, gain)))
     p_gain = min(1.0, _INDEPENDENT * p_gain)
-    return min(1.0, 2.0 * min(p_gain, lack_of_fit(batch, base).p_value))
+    return min(1.0, 2.0 * min(p_gain, lack_of_fit(batch, base, is_local=True).p_value))
 
 
 def is_unexplained(lack: LackOfFit, tolerance: Mapping[str, float]) -> bool:

@@ -112,13 +112,12 @@ def _of_ambiguous(decision: Decision) -> str:
     if decision.is_approximate and not decision.unfinished:
         return _of_inexact(decision, told[len(listed) :])
     if not np.isnan(decision.against):
-        beside = " with a drift in time beside it" if decision.best in decision.drifts else ""
         left = f"leaves the backbones at a reduced chi-square of {decision.against:.3g}"
         if np.isinf(decision.against):
             left = "leaves backbones that cannot be simulated"
         return (
-            f"Something is missing; {named(decision.best)}{beside} explains the samples, but {left}: what does not "
-            "hold at every amplitude is no name."
+            f"Something is missing; {named(decision.best)} with a drift in time beside it explains the samples, but "
+            f"{left}: what does not hold at every amplitude is no name."
         )
     if len(told) == 1 and decision.best and not decision.unfinished:
         return (
