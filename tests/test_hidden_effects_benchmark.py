@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.stats
 from scipy.integrate import solve_ivp
 
 from pymc_backbone import Oscillator
@@ -337,6 +338,11 @@ def test_the_scorer_on_batches_with_known_figures(tmp_path: Path, capsys: pytest
     assert bins[0.7]["count"] == 3 and bins[0.7]["right"] == pytest.approx(1.0 / 3.0)
     expected = (5.0 * 0.35 + 3.0 * (0.75 - 1.0 / 3.0)) / 8.0
     assert found["reliability"]["expected_calibration_error"] == pytest.approx(expected)
+    # Eight claims in two bins: E|hits - claims| / 8 in closed form, from the binomial distributions of the hits.
+    chance = sum(abs(k - 4.75) * scipy.stats.binom.pmf(k, 5, 0.95) for k in range(6))
+    chance += sum(abs(k - 2.25) * scipy.stats.binom.pmf(k, 3, 0.75) for k in range(4))
+    assert found["reliability"]["error_when_calibrated"] == pytest.approx(chance / 8.0, rel=0.03)
+    assert found["reliability"]["error_when_calibrated_95"] > found["reliability"]["error_when_calibrated"]
     assert found["gaps"]["held_out_levels"]["share_to_1.5"] == 1.0
     assert found["gaps"]["large"]["share"] == 1.0
     assert score.main([str(tmp_path), "--json", str(tmp_path / "figures.json")]) == 0

@@ -116,6 +116,19 @@ def measure_detection(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     }
 
 
+def chance_of_error(probability: np.ndarray, bins: int = 10, draws: int = 2000) -> tuple[float, float]:
+    """Return the mean and the 95 % quantile of the calibration error of claims that hold exactly.
+
+    Of a hundred batches a perfect tool has an error too: some ten fall into a bin, and the share of them that is right
+    scatters.
+    """
+    place = np.minimum((probability * bins).astype(int), bins - 1)
+    right = np.random.default_rng(0).random((draws, probability.size)) < probability
+    missed = (right - probability) @ (place[:, None] == np.arange(bins))
+    errors = np.abs(missed).sum(axis=1) / probability.size
+    return float(errors.mean()), float(np.quantile(errors, 0.95))
+
+
 def measure_reliability(outcomes: Sequence[Outcome], bins: int = 10) -> dict[str, Any]:
     """Return how often the most probable set is the truth, against its probability."""
     kept = [o for o in outcomes if not math.isnan(o.probability)]
@@ -131,7 +144,14 @@ def measure_reliability(outcomes: Sequence[Outcome], bins: int = 10) -> dict[str
             row |= {"probability": float(probability[inside].mean()), "right": float(right[inside].mean())}
             error += count / len(kept) * abs(row["probability"] - row["right"])
         rows.append(row)
-    return {"bins": rows, "count": len(kept), "expected_calibration_error": error if kept else math.nan}
+    mean, high = chance_of_error(probability, bins) if kept else (math.nan, math.nan)
+    return {
+        "bins": rows,
+        "count": len(kept),
+        "expected_calibration_error": error if kept else math.nan,
+        "error_when_calibrated": mean,
+        "error_when_calibrated_95": high,
+    }
 
 
 def measure_gaps(outcomes: Sequence[Outcome]) -> dict[str, Any]:

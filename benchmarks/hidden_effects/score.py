@@ -111,7 +111,9 @@ def render(figures: dict[str, Any]) -> str:
         "## Reliability of the probability of the most probable set",
         _table(("probability", "batches", "mean probability", "right"), curve),
         f"Expected calibration error {_cell(reliability['expected_calibration_error'])} "
-        f"over {reliability['count']} batches.",
+        f"over {reliability['count']} batches; claims that hold exactly would have "
+        f"{_cell(reliability['error_when_calibrated'])} (mean) and up to "
+        f"{_cell(reliability['error_when_calibrated_95'])} (95 %) by chance.",
         *_render_gaps(figures["gaps"]),
         "## Run time",
         f"Median {_cell(seconds['median'])} s, 90 % within {_cell(seconds['q90'])} s, "
