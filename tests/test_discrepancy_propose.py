@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 import pytest
 
@@ -17,6 +18,7 @@ from pymc_backbone.discrepancy.refine_kernels import observe
 from pymc_backbone.discrepancy.small_systems import solve_in_place
 from pymc_backbone.effects import BASE_EFFECTS, LIBRARY
 from pymc_backbone.oscillator import Oscillator
+from pymc_backbone.simulation import kernels
 from pymc_backbone.simulation.backbones import simulate_population
 
 MASS, OMEGA, AMPLITUDE = 2.0, 30.0, 0.01
@@ -32,8 +34,12 @@ def _batch(
     specimens: int = 5,
     amplitude: float = AMPLITUDE,
     scatter: float = 0.02,
+    reached: int = 10,
 ) -> Batch:
-    """Return backbones of specimens whose effects scatter, with errors of 1e-4 of frequency and 0.5 % of damping."""
+    """Return backbones of specimens whose effects scatter, with errors of 1e-4 of frequency and 0.5 % of damping.
+
+    The first specimen reaches so many of the ten levels.
+    """
     rng = np.random.default_rng(17)
     rows = []
     for _ in range(specimens):
@@ -51,6 +57,7 @@ def _batch(
     error[:, 0], error[:, 1] = 1e-4 * typical[:, 0], 5e-3 * typical[:, 1]
     error[:, 2] = 1e-3
     noisy = data["value"].values + error * rng.standard_normal(error.shape)
+    noisy[0, :, reached:] = np.nan
     batch = batch_of_backbones(MASS, data.assign(value=(data["value"].dims, noisy),
                                                  standard_error=(data["value"].dims, error)))  # fmt: skip
     return batch
@@ -220,6 +227,23 @@ def test_costly_sets_are_simulated_where_they_add_something(is_hysteretic):
     assert true.is_exact == is_hysteretic
     if not is_hysteretic:  # it leaves what the smaller one does
         assert true.chi_square == pytest.approx(found[_rank(found, names[1:])].chi_square, abs=4.0)
+
+
+def test_the_simulator_is_compiled_for_one_kind_of_arrays(monkeypatch):
+    met, levels, plain = set(), set(), kernels.backbone
+
+    def recorded(*arrays):
+        met.add(tuple(str(numba.typeof(array)) for array in arrays))
+        levels.add(arrays[3].shape[1])
+        plain(*arrays)
+
+    monkeypatch.setattr(kernels, "backbone", recorded)
+    batch = _batch(
+        Oscillator(MASS, ["freeplay"]), {"contact_stiffness": 0.5 * SPRING, "gap": 0.3 * AMPLITUDE}, reached=7
+    )
+    propose(batch, Oscillator(MASS), ("freeplay", "coulomb_friction"), 2)
+    assert levels == {7, 10}  # whole curves, and those of the specimen that was released lower
+    assert len(met) == 1, met  # half a minute of compiling for each more
 
 
 @pytest.mark.parametrize(("size", "columns"), [(1, 1), (4, 2), (9, 3)])

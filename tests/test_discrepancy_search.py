@@ -109,6 +109,22 @@ def test_a_set_that_lost_its_way_begins_again_beside_one_that_explains(cubic):
     assert search.fits[names].cost == pytest.approx(from_backbones.cost, abs=0.5)
 
 
+def test_other_laws_of_the_mechanism_are_asked_before_one_is_named(cubic):
+    one, kindred = ("cubic_stiffness",), ("quintic_stiffness",)
+    search = Search(cubic.batch, Oscillator(MASS, ()), (*CANDIDATES, *kindred), 2)
+    for names in ((), one):
+        search.fit_set(names)
+    search.budget = 0.0
+    search._ask_kindred()  # whatever effort is left
+    assert set(search.fits) == {(), one, kindred}
+    from_backbones = min(search._proposed(kindred, None), key=lambda item: item.cost)
+    assert search.fits[kindred].cost == pytest.approx(from_backbones.cost, abs=0.5)
+    assert search.fits[kindred].cost > search.fits[one].cost + 10.0
+    known = dict(search.fits)
+    search._ask_kindred()
+    assert search.fits == known
+
+
 def test_a_subset_that_was_left_aside_is_asked_where_a_larger_set_explains(cubic):
     one, pair = ("quintic_stiffness",), ("cubic_stiffness", "quintic_stiffness")
     search = Search(cubic.batch, Oscillator(MASS, ()), (*CANDIDATES, *one), 2)

@@ -37,8 +37,8 @@ _LARGEST_SHARE = 0.6  # of the amplitude that the mid-line may take
 
 @compiled
 def _advance(
-    model: Model, own: IntArray, amplitude: float, omega: float, angle: float, step: float, a1: float, a2: float,
-    a3: float, offset: float, z: Floats, room: FloatArray, largest: FloatArray,
+    model: Model, own: IntArray, amplitude: float, omega: float, angle: float, step: float, a2: float, offset: float,
+    z: Floats, room: FloatArray, largest: FloatArray,
 ) -> None:  # fmt: skip
     """Move the states over ``step`` radians of the motion by exponential Euler steps: exact where rates are linear.
 
@@ -54,9 +54,8 @@ def _advance(
         h = step / parts
         at = angle + (part + 0.5) * h
         cosine, sine = math.cos(at), math.sin(at)
-        double = 2.0 * cosine * cosine - 1.0
-        x = offset + a1 * cosine + a2 * double + a3 * cosine * (2.0 * double - 1.0)
-        v = -omega * (a1 * sine + 4.0 * a2 * sine * cosine + 3.0 * a3 * sine * (2.0 * double + 1.0))
+        x = offset + amplitude * cosine + a2 * (2.0 * cosine * cosine - 1.0)
+        v = -omega * (amplitude * sine + 4.0 * a2 * sine * cosine)
         state_rates(model, x, v, side, z, rates)
         stiffest = 0.0
         for j in range(n):
@@ -97,13 +96,12 @@ def _turn(model: Model, x: float, side: float, z: Floats) -> None:
 @cached
 def averaged(
     integers: IntArray, numbers: FloatArray, p: FloatArray, levels: FloatArray, omegas: FloatArray,
-    is_complete: bool, rounds: int, points: int, out: FloatArray,
+    rounds: int, points: int, out: FloatArray,
 ) -> None:  # fmt: skip
     """Write stiffness, damping, force at the turn over amplitude and mid-line over amplitude (l, 4) at each level.
 
-    With ``is_complete`` the parameters hold everything; otherwise effects alone, and a linear spring makes up what
-    they lack to the stiffness ``mass * omega**2`` of the motion. Harmonics 0, 2 and 3 of the motion follow from those
-    of the force in ``rounds`` (0 and 2 only where incomplete).
+    The parameters hold effects alone, and a linear spring makes up what they lack to the stiffness ``mass * omega**2``
+    of the motion. Its harmonics 0 and 2 follow from those of the force in ``rounds``.
     """
     run = prepare(integers, numbers, p, False, 1.0)
     n_states, mass = integers[N_STATES], numbers[MASS]
@@ -126,20 +124,19 @@ def averaged(
     for level in range(levels.size):
         amplitude, omega = levels[level], omegas[level]
         whole = mass * omega * omega
-        offset, a2, a3 = 0.0, 0.0, 0.0
+        offset, a2 = 0.0, 0.0
         for turn in range(rounds):
-            a1 = amplitude - a3
-            top = offset + a1 + a2 + a3
-            bottom = offset - a1 + a2 - a3
+            top = offset + amplitude + a2
+            bottom = offset - amplitude + a2
             if n_states > 0:
                 run.y[:] = 0.0
                 largest[:] = 0.0
             if is_moving:  # loaded from rest: the quarter of a cycle before the top
                 for i in range(-points // 4, 0):
-                    _advance(model, own, amplitude, omega, i * step, step, a1, a2, a3, offset, z, room, largest)
-            f0, f1, f2, f3, work, at_turn = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+                    _advance(model, own, amplitude, omega, i * step, step, a2, offset, z, room, largest)
+            f0, f1, f2, work, at_turn = 0.0, 0.0, 0.0, 0.0, 0.0
             for _ in range(cycles):
-                f0, f1, f2, f3, work = 0.0, 0.0, 0.0, 0.0, 0.0
+                f0, f1, f2, work = 0.0, 0.0, 0.0, 0.0
                 at_turn = 0.5 * (total_force(model, top, 0.0, 1.0, z) + total_force(model, top, 0.0, -1.0, z))
                 if remembers:
                     at_turn = total_force(model, top, 0.0, 1.0, z)
@@ -155,35 +152,28 @@ def averaged(
                             )
                     angle = (i + 0.5) * step
                     if is_moving:
-                        _advance(
-                            model, own, amplitude, omega, i * step, 0.5 * step, a1, a2, a3, offset, z, room, largest
-                        )
+                        _advance(model, own, amplitude, omega, i * step, 0.5 * step, a2, offset, z, room, largest)
                     cosine, sine = math.cos(angle), math.sin(angle)
-                    double, sine2 = 2.0 * cosine * cosine - 1.0, 2.0 * sine * cosine
-                    triple, sine3 = cosine * (2.0 * double - 1.0), sine * (2.0 * double + 1.0)
-                    x = offset + a1 * cosine + a2 * double + a3 * triple
-                    pace = -(a1 * sine + 2.0 * a2 * sine2 + 3.0 * a3 * sine3)
+                    double = 2.0 * cosine * cosine - 1.0
+                    x = offset + amplitude * cosine + a2 * double
+                    pace = -(amplitude * sine + 4.0 * a2 * sine * cosine)
                     side = -1.0 if 2 * i < points else 1.0
                     force = total_force(model, x, omega * pace, side, z)
                     f0 += force
                     f1 += force * cosine
                     f2 += force * double
-                    f3 += force * triple
                     work += force * pace
                     if is_moving:
-                        _advance(model, own, amplitude, omega, angle, 0.5 * step, a1, a2, a3, offset, z, room, largest)
-            f0, f1, f2, f3 = f0 / points, 2.0 * f1 / points, 2.0 * f2 / points, 2.0 * f3 / points
-            out[level, STIFFNESS] = f1 / a1
+                        _advance(model, own, amplitude, omega, angle, 0.5 * step, a2, offset, z, room, largest)
+            f0, f1, f2 = f0 / points, 2.0 * f1 / points, 2.0 * f2 / points
+            out[level, STIFFNESS] = f1 / amplitude
             out[level, DAMPING] = 2.0 * work / points / (omega * amplitude * amplitude)
             out[level, AT_TURN] = 0.5 * at_turn / amplitude
             out[level, MIDDLE] = (offset + a2) / amplitude
-            if turn == rounds - 1 or not math.isfinite(f0 + f1 + f2 + f3):
+            if turn == rounds - 1 or not math.isfinite(f0 + f1 + f2):
                 break
-            lacking = 0.0 if is_complete else whole - f1 / a1
+            lacking = whole - f1 / amplitude
             limit = _LARGEST_SHARE * amplitude
             offset = min(max(offset - (f0 + lacking * offset) / whole, -limit), limit)
             a2 += (f2 + (lacking - 4.0 * whole) * a2) / (3.0 * whole)
             a2 = min(max(a2, -0.2 * amplitude), 0.2 * amplitude)
-            if is_complete:
-                a3 += (f3 - 9.0 * whole * a3) / (8.0 * whole)
-                a3 = min(max(a3, -0.1 * amplitude), 0.1 * amplitude)

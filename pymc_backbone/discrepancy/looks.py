@@ -199,9 +199,7 @@ def _looks(layout: Layout, where: list[int], points: FloatArray, data: LevelData
         eta[where] = point
         vector = layout.template.copy()
         vector[layout.free] = layout.physical(eta, np.zeros(eta.size), 0.0)[0]
-        averaged(
-            *layout.simulator.describe(), vector, data.levels, data.omegas, False, rounds, points_of(layout), result[k]
-        )
+        averaged(*layout.simulator.describe(), vector, data.levels, data.omegas, rounds, points_of(layout), result[k])
     return np.nan_to_num(result, posinf=0.0, neginf=0.0)
 
 

@@ -165,7 +165,7 @@ def _effect_look(
     is_asymmetric: BoolArray, rounds: int, points: IntArray, out: FloatArray,
 ) -> None:  # fmt: skip
     """Write the look (l, 4) of one effect alone; ``alone`` (e, ..) describes each so."""
-    averaged(alone[row], numbers, vector, levels, omegas, False, rounds if is_asymmetric[row] else 1, points[row], out)
+    averaged(alone[row], numbers, vector, levels, omegas, rounds if is_asymmetric[row] else 1, points[row], out)
 
 
 @compiled

@@ -28,7 +28,7 @@ _FEW_FOLLOWED = 6  # sets that are followed where not even the backbones are exp
 _FLOOR = 1.1  # ratio of costs within which sets leave the same
 _MOST_EXTENDED = 4
 _REACH = 12.0  # difference of the logarithm of evidence by the backbones within which the waveforms are asked, too
-_COSTLY_SETTLED, _COSTLY_REACH = 2, 3.0  # costly sets that are asked although what is simple leaves noise, their reach
+_COSTLY_SETTLED, _COSTLY_REACH = 4, 3.0  # costly sets that are asked although what is simple leaves noise, their reach
 _SURELY = 0.5  # share of the tolerance within which further effects would not change the answer
 _NEAR = 1.5  # reduced chi-square of a fit to the samples from which its backbones were judged wrongly
 _NOISE = 0.01  # p-value of the residuals from which they are taken for noise
@@ -65,6 +65,7 @@ class Search(VariedSets):
         self._vary()
         if self.is_cut:
             self._complete()
+        self._ask_kindred()
         self._settle()
 
     def _ask_single_effects(self) -> None:

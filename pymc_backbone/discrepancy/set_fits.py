@@ -257,20 +257,19 @@ class SetFits:
     def _exact_each(self, names: Set, start: Point) -> bool:
         """Bring the defect of each specimen up to date by its own exact values; False where one fails."""
         layout, data = self.layout(names), self.data
-        n = data.levels.size
         centre = start.own.mean(axis=0)
         vector = layout.template.copy()
         vector[layout.free] = layout.physical(start.eta, np.zeros(start.eta.size), 0.0)[0]
-        values, status, room = np.empty((3, n)), np.zeros(n, dtype=np.int64), np.zeros(8)
+        room = np.zeros(8)
         for r in range(data.count.size):
             held = np.unique(data.rows[r, : data.count[r], 1])
+            values, status = np.empty((3, held.size)), np.zeros(held.size, dtype=np.int64)
             vector[:2] = start.own[r]
             reached = np.ascontiguousarray(data.levels[held])
             layout.simulator.backbone(
-                vector, reached, float(data.releases[r]), True, values[:, : held.size], np.zeros((0, 0, 0)),
-                status[: held.size], whole=False,
-            )  # fmt: skip
-            if status[: held.size].any():
+                vector, reached, float(data.releases[r]), True, values, np.zeros((0, 0, 0)), status, whole=False
+            )
+            if status.any():
                 return False
             for i, k in enumerate(held):
                 if not observe(start.look, k, data.mass, vector[0] - centre[0], vector[1] - centre[1], room):

@@ -58,6 +58,25 @@ class VariedSets(RevisitedSets):
                 if found and (known is None or found[0].cost < known.cost):
                     self.fits[plain] = found[0]
 
+    def _ask_kindred(self) -> None:
+        """Fit what has another law of the same mechanism in the place of one of the best set, where that was not asked.
+
+        A law is named among those of its mechanism, however little effort is left and whatever start its backbones
+        ended at: beside the best it begins near.
+        """
+        best: Set | None = None
+        while best != self.best():
+            best = self.best()
+            if not best or self.is_refuted(best) or not self.explains(self.fits[best]):
+                return
+            for out in best:
+                kindred = [name for name in self.candidates if self.mechanism_of(name) == self.mechanism_of(out)]
+                for names in [tuple(sorted({*best, name} - {out})) for name in kindred if name not in best]:
+                    if not (names in self.fits or self._is_far(names) or self._is_hopeless(names)):
+                        self.progress("other laws of the same mechanisms", 0.5)
+                        for found in self._beside(names, self.fits[best].cost):
+                            self.fits[names] = found
+
     def _is_needed(self, names: Set) -> bool:
         """Return whether a fitted set leaves less than it does with what a variant in it varies in its place."""
         known = [self.fits[plain].cost for plain in self._plain(names) if plain in self.fits]

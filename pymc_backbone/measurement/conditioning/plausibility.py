@@ -33,8 +33,8 @@ def check_per_cycle(sampling_rate: float, frequency: float, name: str) -> None:
     per_cycle = sampling_rate / frequency
     if per_cycle < MINIMUM_PER_CYCLE:
         raise InputError(
-            f"{name}: {per_cycle:.2g} samples per cycle of the {frequency:.3g} Hz motion, expected at least "
-            f"{MINIMUM_PER_CYCLE:g}; sample faster than {MINIMUM_PER_CYCLE * frequency:.3g} Hz, or choose a "
+            f"{name}: {per_cycle:.4g} samples per cycle of the {frequency:.4g} Hz motion, expected at least "
+            f"{MINIMUM_PER_CYCLE:g}; sample faster than {MINIMUM_PER_CYCLE * frequency:.4g} Hz, or choose a "
             f"lower mode with a band."
         )
 
