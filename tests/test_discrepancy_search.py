@@ -706,3 +706,50 @@ def test_what_acts_above_all_levels_is_asked_from_the_model_as_it_is():
     assert search.fits[()].cost > 2.0 * search.count
     assert search.best() == ("jenkins",)
     assert search.fits[("jenkins",)].cost < 1.1 * search.count
+
+
+def test_a_start_in_the_place_of_another_effect_has_its_force(linear):
+    play = LIBRARY["offset_freeplay"], LIBRARY["freeplay"]
+    names = [effect.parameter_names for effect in play]
+    batch = linear.batch
+    search = Search(batch, Oscillator(MASS, ()), CANDIDATES, 2)
+    layout, plain = (
+        search.layout(("coulomb_friction", "offset_freeplay")),
+        search.layout(("coulomb_friction", "freeplay")),
+    )
+    truth = {"friction_force": 0.02, names[0][0]: 0.4 * STIFFNESS, names[0][1]: 0.3 * AMPLITUDE, names[0][2]: 0.0}
+    eta = layout.coordinates(np.array([truth[name] for name in layout.names]))
+    known = fit(layout, batch.deciding, start_state(layout, eta, batch.own), iterations=1)
+    known = replace(known, state=start_state(layout, eta, batch.own))
+    state = starts.in_place_of(plain, known, OMEGA)
+    values = dict(zip(plain.names, plain.physical(state.eta, np.zeros(state.eta.size), 0.0)[0], strict=True))
+    assert values["friction_force"] == pytest.approx(0.02)
+    # without its asymmetry the variant is the plain law: the same stops, and neither stiffness nor damping changes
+    assert values[names[1][0]] == pytest.approx(0.4 * STIFFNESS, rel=1e-6)
+    assert values[names[1][1]] == pytest.approx(0.3 * AMPLITUDE, rel=1e-6)
+    np.testing.assert_allclose(state.own[:, :2], batch.own[:, :2], rtol=1e-6)
+
+
+def test_a_damper_in_the_place_of_another_takes_the_same_energy(linear):
+    batch = linear.batch
+    search = Search(batch, Oscillator(MASS, ()), CANDIDATES, 2)
+    layout, plain = search.layout(("power_damping",)), search.layout(("quadratic_damping",))
+    eta = starts.typical(layout)
+    known = fit(layout, batch.deciding, start_state(layout, eta, batch.own), iterations=1)
+    known = replace(known, state=start_state(layout, eta, batch.own))
+    state = starts.in_place_of(plain, known, batch.angular_frequency)
+
+    def work(one, point):  # of a cycle, of all dampers, by quadrature at an amplitude within those asked
+        angle = 2.0 * np.pi * (np.arange(4000) + 0.5) / 4000.0
+        pace = -0.8 * one.amplitude * batch.angular_frequency * np.sin(angle)
+        vector = one.template.copy()
+        vector[one.free] = one.physical(point.eta, np.zeros(point.eta.size), 0.0)[0]
+        vector[:2] = 0.0, point.own[0, 1]
+        total = np.zeros(angle.size)
+        for effect in one.oscillator.effects:
+            p = vector[[one.oscillator.index(name) for name in effect.parameter_names]]
+            total += [effect.force(0.0, v, np.sign(v), np.zeros(0), p) for v in pace]
+        return float((total * pace).mean())
+
+    assert state.eta[0] > 0.0
+    assert work(plain, state) == pytest.approx(work(layout, known.state), rel=0.05)

@@ -24,6 +24,7 @@ _SLIPS = (0.03, 0.15, 0.5, 0.85)  # slip displacement over amplitude; at the las
 _MANY = 4  # parameters beyond which each shape has two values only
 _KEPT = 2
 _SIDES = (-0.9, -0.5, -0.2, 0.2, 0.5, 0.9)  # displacements over the amplitude
+_SIZES, _ANGLES = (0.4, 0.7, 1.0), 24  # amplitudes over the typical one, and instants of a cycle
 _ODD = 1e-6  # share of a force that is the same on both sides, up to which it is none
 
 
@@ -141,14 +142,13 @@ def mirrored(layout: Layout, state: State) -> State | None:
     None where no effect is asymmetric, or one that is has no mirror image of its own kind. A contact on one side is a
     softer spring on the other: the linear spring takes the difference.
     """
-    vector = layout.template.copy()
-    vector[layout.free] = layout.physical(state.eta, np.zeros(state.eta.size), 0.0)[0]
+    vector = _parameters(layout, state.eta)
     eta, own = state.eta.copy(), state.own.copy()
     for effect in layout.oscillator.effects:
         if effect.name in BASE_EFFECTS or effect.n_states or effect.has_memory:
             continue
         where = positions(layout, effect.name)
-        before = _forces(layout, effect, vector)
+        before = _at_rest(layout, effect, vector)
         if np.abs(before + before[::-1]).max() <= _ODD * np.abs(before).max():
             continue
         if layout.low[where[0]] >= 0.0:
@@ -157,16 +157,61 @@ def mirrored(layout: Layout, state: State) -> State | None:
         eta[turned] *= -1.0
         image = vector.copy()
         image[layout.free[turned]] *= -1.0
-        left = -before[::-1] - _forces(layout, effect, image)
+        left = -before[::-1] - _at_rest(layout, effect, image)
         own[:, 0] += (left[-1] - left[0]) / (2.0 * _SIDES[-1] * layout.amplitude)
     return None if np.array_equal(eta, state.eta) else State(eta, own)
 
 
-def _forces(layout: Layout, effect: Effect, vector: FloatArray) -> FloatArray:
+def _at_rest(layout: Layout, effect: Effect, vector: FloatArray) -> FloatArray:
     """Return the forces of an effect at some displacements to either side, at rest."""
-    force = getattr(effect.force, "py_func", effect.force)
+    return _forces(layout, effect, vector, layout.amplitude * np.array(_SIDES), np.zeros(len(_SIDES)))
+
+
+def _forces(layout: Layout, effect: Effect, vector: FloatArray, x: FloatArray, v: FloatArray) -> FloatArray:
+    """Return the forces (n,) of an effect without states at displacements and velocities (n,)."""
     p = vector[[layout.oscillator.index(name) for name in effect.parameter_names]]
-    return np.array([force(x * layout.amplitude, 0.0, 1.0, np.zeros(0), p) for x in _SIDES])
+    return np.array(
+        [effect.force(here, pace, -1.0 if pace < 0.0 else 1.0, np.zeros(0), p) for here, pace in zip(x, v, strict=True)]
+    )
+
+
+def in_place_of(layout: Layout, known: Fit, angular_frequency: float) -> State:
+    """Return a fit as a start of a model with another effect in the place of one, neither of them with states.
+
+    Its gap is taken over; the strength, and what it changes in stiffness and damping, bring its force over the motion
+    as near as they can to that of the effect which it stands for.
+    """
+    state, _ = embedded(layout, known)
+    new, old = (
+        next(effect for effect in one.oscillator.effects if effect not in other.oscillator.effects)
+        for one, other in ((layout, known.layout), (known.layout, layout))
+    )
+    before, after = _parameters(known.layout, known.state.eta), _parameters(layout, state.eta)
+    gaps = [before[known.layout.oscillator.index(q.name)] for q in old.parameters if q.role == "gap"]
+    for q in new.parameters:
+        if q.role == "gap" and gaps:
+            after[layout.oscillator.index(q.name)] = gaps[0]
+    angle = 2.0 * np.pi * (np.arange(_ANGLES) + 0.5) / _ANGLES
+    size = layout.amplitude * np.repeat(_SIZES, _ANGLES)
+    x, v = size * np.tile(np.cos(angle), len(_SIZES)), -angular_frequency * size * np.tile(np.sin(angle), len(_SIZES))
+    columns = np.column_stack([_forces(layout, new, after, x, v), x, v])
+    scale = np.maximum(np.abs(columns).max(axis=0), 1e-300)
+    force = _forces(known.layout, old, before, x, v)
+    factor, stiffness, damping = np.linalg.lstsq(columns / scale, force, rcond=None)[0] / scale
+    strength = positions(layout, new.name)[0]
+    after[layout.free[strength]] *= factor
+    eta = layout.within(layout.coordinates(after[layout.free]))
+    own = state.own.copy()
+    own[:, 0] += stiffness
+    own[:, 1] = np.maximum(own[:, 1] + damping, 0.0)
+    return State(eta, own)
+
+
+def _parameters(layout: Layout, eta: FloatArray) -> FloatArray:
+    """Return the parameter vector (p,) at these coordinates, stiffness and damping zero."""
+    vector = layout.template.copy()
+    vector[layout.free] = layout.physical(eta, np.zeros(eta.size), 0.0)[0]
+    return vector
 
 
 def restricted(layout: Layout, larger: Layout, state: State) -> State:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from ..effects import LIBRARY
+from . import starts
 from .joint_fit import Fit
 from .propose import propose
 from .revisited_sets import RevisitedSets
 from .set_fits import Set
 
+_LIKELIEST = 4  # sets whose variants are replaced by what they vary
 NEEDED = 5.0
 """Chi-square by which a less simple set of the same mechanisms must leave less."""
 
@@ -48,15 +50,22 @@ class VariedSets(RevisitedSets):
         ]
 
     def _ask_plain(self) -> None:
-        """Fit what the variants of the best set vary once more, from there: their own fits may have lost their way."""
-        best = self.best()
-        for plain in self._plain(best) if not self.is_refuted(best) else ():
-            known = self.fits.get(plain)
-            if known is None or known.cost > self.fits[best].cost + NEEDED:
+        """Fit what variants of the likeliest sets vary once more, from there: its own fits may have lost their way."""
+        for names in self.ranked()[:_LIKELIEST]:
+            varied = self.fits[names]
+            for plain in self._plain(names) if not self.is_refuted(names) else ():
+                known, is_possible = self.fits.get(plain), {*plain} <= {*self.candidates, *self.variants}
+                if not is_possible or (known is not None and known.cost < varied.cost + NEEDED):
+                    continue
                 self.progress("what variants vary", 0.5)
-                found = self._beside(plain, None)
-                if found and (known is None or found[0].cost < known.cost):
-                    self.fits[plain] = found[0]
+                layout = self.layout(plain)
+                if len(plain) < len(names):
+                    state = self._smaller(layout, varied)
+                else:
+                    state = starts.in_place_of(layout, varied, self.batch.angular_frequency)
+                found = self.descent.from_near(layout, [state])
+                if found is not None and (known is None or found.cost < known.cost):
+                    self.fits[plain] = found
 
     def _ask_kindred(self) -> None:
         """Fit what has another law of the same mechanism in the place of one of the best set, where that was not asked.
