@@ -430,6 +430,26 @@ def test_words_of_each_verdict():
             "do not tell mechanisms apart: hardening or softening of the spring 70 %, clearance or contact 30 %.",
         ),
         (
+            "ambiguous",
+            {
+                "listed": (("cubic_stiffness",), ("freeplay",)),
+                "is_approximate": True,
+                "mechanisms": (HYSTERESIS, SPRING, CLEARANCE),
+            },
+            "Friction-like hysteresis is missing (99.6 %, 93 % of the gap). What else is, these records do not tell, "
+            "and no set is exact: hardening or softening of the spring 70 %, clearance or contact 30 %.",
+        ),
+        (
+            "ambiguous",
+            {
+                "listed": (("cubic_stiffness",), ("freeplay",)),
+                "is_approximate": True,
+                "is_single_valued": False,
+                "mechanisms": (HYSTERESIS, CLEARANCE),
+            },
+            "do not tell mechanisms apart: friction-like hysteresis 99.6 %, clearance or contact 30 %.",
+        ),
+        (
             "found",
             {"named_level": NamedLevel.MECHANISM, "mechanisms": (HYSTERESIS, CLEARANCE)},
             "Friction-like hysteresis is missing (99.6 %, 93 % of the gap); which law these records do not tell: "

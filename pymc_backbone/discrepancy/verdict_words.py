@@ -66,20 +66,38 @@ def _none_of_these(decision: Decision) -> str:
     return f" With {_chance(rest)} it is something else, which no known effect does." if rest > _REST else ""
 
 
+def _certain_mechanisms(decision: Decision) -> list[MissingMechanism]:
+    """Return the mechanisms that are certain whatever explains the rest."""
+    if decision.drift_probability > DRIFT_POSSIBLE or not decision.is_single_valued:
+        return []
+    return [item for item in decision.mechanisms if item.is_certain]
+
+
 def _certain(decision: Decision) -> str:
     """Return the sentence on what is certain all the same; empty where nothing is."""
-    certain = [item for item in decision.mechanisms if item.is_certain]
-    if not certain or decision.drift_probability > DRIFT_POSSIBLE or not decision.is_single_valued:
-        return ""
-    kinds = [f"{MECHANISMS[item.mechanism]} ({100.0 * item.share_of_gap:.0f} % of the gap)" for item in certain]
-    return f" Certain all the same: {', '.join(kinds)}."
+    kinds = [
+        f"{MECHANISMS[item.mechanism]} ({100.0 * item.share_of_gap:.0f} % of the gap)"
+        for item in _certain_mechanisms(decision)
+    ]
+    return f" Certain all the same: {', '.join(kinds)}." if kinds else ""
 
 
 def _of_inexact(decision: Decision, others: Sequence[str]) -> str:
-    """Return the sentence where no set is exact and no mechanism can be named; the sets stand in the list below it."""
-    kinds = ", ".join(f"{MECHANISMS[item.mechanism]} {_chance(item.probability)}" for item in decision.mechanisms)
+    """Return the sentence where no set is exact and what is certain is not all; the sets stand in the list below it."""
     beside = f" {' and '.join(others).capitalize()} may be there, too." if others else ""
-    return f"Something is missing, but no set is exact and these records do not tell mechanisms apart: {kinds}.{beside}"
+    certain = _certain_mechanisms(decision)
+    is_told = 0 < len(certain) < len(decision.mechanisms)
+    left = [item for item in decision.mechanisms if not (is_told and item in certain)]
+    kinds = ", ".join(f"{MECHANISMS[item.mechanism]} {_chance(item.probability)}" for item in left)
+    if not is_told:
+        what = "Something is missing, but no set is exact and these records do not tell mechanisms apart"
+        return f"{what}: {kinds}.{beside}"
+    known = " ".join(
+        f"{MECHANISMS[item.mechanism].capitalize()} is missing ({_chance(item.probability)}, "
+        f"{100.0 * item.share_of_gap:.0f} % of the gap)."
+        for item in certain
+    )
+    return f"{known} What else is, these records do not tell, and no set is exact: {kinds}.{beside}"
 
 
 def sentence(decision: Decision) -> str:
