@@ -345,7 +345,10 @@ def test_the_scorer_on_batches_with_known_figures(tmp_path: Path, capsys: pytest
     assert found["reliability"]["error_when_calibrated_95"] > found["reliability"]["error_when_calibrated"]
     assert found["gaps"]["held_out_levels"]["share_to_1.5"] == 1.0
     assert found["gaps"]["large"]["share"] == 1.0
-    assert score.main([str(tmp_path), "--json", str(tmp_path / "figures.json")]) == 0
+    rows = tmp_path / "rows.csv"
+    assert score.main([str(tmp_path), "--json", str(tmp_path / "figures.json"), "--rows", str(rows)]) == 0
+    written = rows.read_text(encoding="utf-8").splitlines()
+    assert len(written) == 1 + len(cases) and sum(",wrong," in line for line in written) == total["wrong"]
     assert "| base_absent | 0 | 0 | 0 | 1 |" in capsys.readouterr().out
     assert json.loads((tmp_path / "figures.json").read_text(encoding="utf-8"))["seconds"]["median"] == 2.0
 

@@ -1,14 +1,16 @@
 """Score what a tool said about batches with hidden effects; prints Markdown.
 
-    python benchmarks/hidden_effects/score.py DIR [--json FILE]
+    python benchmarks/hidden_effects/score.py DIR [MORE ...] [--json FILE] [--rows FILE]
 
-Reads ``truth.json``, ``distance.json`` and ``result.json`` of every batch. A name is right when the set of named
-effects equals the set of hidden ones, or one that is the same at their parameters (`meanings.py`).
+Reads ``truth.json``, ``distance.json`` and ``result.json`` of every batch; several folders are parts of one run. A name
+is right when the set of named effects equals the set of hidden ones, or one that is the same at their parameters
+(`meanings.py`). ``--rows`` writes a line of CSV for each batch.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import json
 import math
 from collections.abc import Iterable, Sequence
@@ -16,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from figures import CLEAR_DISTANCE, LARGE_GAP, WRONG_TARGET, score
-from outcomes import OUTCOMES, read_outcomes
+from outcomes import OUTCOMES, Outcome, read_outcomes
 from strengths import STIFFNESS_KINDS
 
 
@@ -131,14 +133,31 @@ def _plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
+def write_rows(outcomes: Iterable[Outcome], path: Path) -> None:
+    """Write what was hidden and said in each batch as CSV, effects with a plus between them."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(
+            ("batch", "tier", "base", "hidden", "outcome", "named", "probability", "is_top_right", "seconds")
+        )
+        for item in outcomes:
+            effects = ["+".join(names) for names in (item.base, item.hidden, item.named)]
+            numbers = f"{item.probability:.4f}", int(item.is_top_right), f"{item.seconds:.1f}"
+            writer.writerow((item.folder, item.tier, *effects[:2], item.outcome, effects[2], *numbers))
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path, help="folder of batches")
+    parser.add_argument("folders", type=Path, nargs="+", help="folders of batches")
     parser.add_argument("--json", type=Path, help="file for all figures")
+    parser.add_argument("--rows", type=Path, help="CSV file for the batches")
     given = parser.parse_args(arguments)
-    figures = score(read_outcomes(given.folder))
+    outcomes = [item for folder in given.folders for item in read_outcomes(folder)]
+    figures = score(outcomes)
     print(render(figures), end="")
+    if given.rows:
+        write_rows(outcomes, given.rows)
     if given.json:
         given.json.write_text(json.dumps(_plain(figures), indent=1) + "\n", encoding="utf-8")
     return 0
