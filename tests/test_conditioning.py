@@ -15,6 +15,7 @@ from scipy.interpolate import make_interp_spline
 from pymc_backbone._common.checks import InputError
 from pymc_backbone.measurement.conditioning.condition import ConditionedRecord, condition
 from pymc_backbone.measurement.conditioning.convolution import convolve_inside
+from pymc_backbone.measurement.conditioning.plausibility import check_per_cycle
 from pymc_backbone.measurement.cycles import extract_cycles, extract_cycles_from_arrays
 from pymc_backbone.measurement.reading.record import Record
 from pymc_backbone.measurement.reading.records import read_records
@@ -677,6 +678,8 @@ def test_constant_record() -> None:
 def test_too_few_samples_per_cycle() -> None:
     time = np.arange(200) / 60.0
     refuses(time, np.exp(-0.3 * time) * np.cos(2 * np.pi * 10 * time), "6 samples per cycle", "sample faster than 80")
+    with pytest.raises(InputError, match=r"s: 7\.996 samples per cycle of the 13 Hz motion, expected at least 8"):
+        check_per_cycle(104.0, 104.0 / 7.996, "s")  # rounded it would be as many as are expected
 
 
 @pytest.mark.parametrize("per_cycle", [12, 100])

@@ -32,9 +32,12 @@ def check_per_cycle(sampling_rate: float, frequency: float, name: str) -> None:
     """Raise when a cycle has too few samples."""
     per_cycle = sampling_rate / frequency
     if per_cycle < MINIMUM_PER_CYCLE:
+        few = f"{per_cycle:.2g}"
+        if float(few) >= MINIMUM_PER_CYCLE:
+            few = f"{per_cycle:.4g}"
         raise InputError(
-            f"{name}: {per_cycle:.4g} samples per cycle of the {frequency:.4g} Hz motion, expected at least "
-            f"{MINIMUM_PER_CYCLE:g}; sample faster than {MINIMUM_PER_CYCLE * frequency:.4g} Hz, or choose a "
+            f"{name}: {few} samples per cycle of the {frequency:.3g} Hz motion, expected at least "
+            f"{MINIMUM_PER_CYCLE:g}; sample faster than {MINIMUM_PER_CYCLE * frequency:.3g} Hz, or choose a "
             f"lower mode with a band."
         )
 
