@@ -15,7 +15,7 @@ from .decision import AGREE, DRIFT_POSSIBLE, NAMED, Decision, listed
 from .estimates import estimates_of
 from .evidence import DRIFT, UNEXPLAINED, Drifting, Evidence, is_unexplained
 from .harmonic_odds import odds_behind_bands
-from .inexact import departing
+from .inexact import departing, is_told_apart
 from .joint_fit import Fit
 from .search import Search, Set
 from .shares import missing_mechanisms
@@ -24,6 +24,7 @@ from .verdict import AdequateBy, NamedLevel, Verdict
 
 _IMITATES = (0.0, 0.03, 0.06, 0.15)  # how probable it is that a set of so many effects imitates what the library lacks
 _HARDLY = 200.0  # gap in standard deviations of the noise beyond which that is rarer, in proportion
+_OF_SPRINGS = frozenset(("spring", "asymmetry", "clearance"))  # mechanisms
 _WEIGHT_OF_NOISE = 0.1  # how much rarer residuals like noise are where the library lacks what is missing
 
 
@@ -233,6 +234,20 @@ def mind_second_mode(decision: Decision) -> Decision:
             decision, has_second_mode=True, verdict=Verdict.AMBIGUOUS, named_level=None, listed=(decision.best,)
         )
     return replace(decision, has_second_mode=True)
+
+
+def mind_bent_sensor(search: Search, decision: Decision) -> Decision:
+    """Return what can be said of a spring behind a sensor that bends: its mechanism.
+
+    Seen through a bent sensor, a mass that changes with the displacement is one that does not, on another spring: the
+    records are those of the same law of force in a coordinate of its own.
+    """
+    kinds = {search.mechanism_of(name) for name in decision.best}
+    if decision.named_level is not NamedLevel.LAW or not kinds & _OF_SPRINGS:
+        return decision
+    if is_told_apart(decision.mechanisms):
+        return replace(decision, named_level=NamedLevel.MECHANISM)
+    return replace(decision, verdict=Verdict.AMBIGUOUS, named_level=None, listed=(decision.best,))
 
 
 def _complete(search: Search) -> None:

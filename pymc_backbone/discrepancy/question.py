@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TypeGuard
 
 import numpy as np
 import xarray as xr
@@ -64,6 +65,11 @@ class Question:
     max_effects: int
     tolerance: Mapping[str, float]
     notes: tuple[str, ...]
+
+    def of_records(self, records: Sequence[Record], measuring: Measuring, notes: Sequence[str]) -> Question:
+        """Return the same question of other records; ``notes`` say what is different in them."""
+        batch, found = batch_of(self.base, records, measuring)
+        return replace(self, batch=batch, notes=(*notes, *found, *batch.notes))
 
 
 def ask(
@@ -252,6 +258,11 @@ def batch_of(oscillator: Oscillator, data: Data, measuring: Measuring) -> tuple[
     if not found.records:  # envelopes: there are no waveforms to decide
         return _of_backbones(oscillator, measured.backbones)
     return batch_of_records(oscillator.mass, measured.backbones, found.records, found.cycles), measured.notes
+
+
+def is_of_records(data: Data) -> TypeGuard[Sequence[Record]]:
+    """Return whether data are records as they were read, which can be conditioned once more."""
+    return isinstance(data, Sequence) and all(isinstance(item, Record) for item in data)
 
 
 def _of_backbones(oscillator: Oscillator, backbones: xr.Dataset) -> tuple[Batch, list[str]]:

@@ -13,16 +13,15 @@ from .._common.checks import FloatArray
 from . import evidence
 from .batch import Batch
 from .curves import measured
-from .data_term import DRIFT, WaveformTerm
+from .data_term import DRIFT
 from .descent import is_heavy
 from .evidence import UNEXPLAINED, Drifting
 from .joint_fit import Fit, fit
 from .normal_equations import DRIFTS, NUISANCES
+from .readings import line_beside
 from .search import Search, Set
 from .study import Check
 
-_LINE = 25.0  # peak of the residuals' periodogram over its median that a line has at least
-_FAR = 4.0  # bins between a line and a harmonic
 _BEATING = 0.02
 _ALIKE = 4.0
 _ASKED = 3  # sets that are asked with a drift beside them where none leaves noise, and with other laws
@@ -186,7 +185,9 @@ def second_mode_check(batch: Batch, best: Fit) -> Check:
             continue  # one mode has been chosen, the others are kept out
         # not whitened: the estimate of the noise holds a second mode too, and whitening would take most of it away
         plain = replace(term, whiten=lambda columns: columns)
-        share, frequency = _line(term, evidence.residuals_of(plain, best, r), batch.records[r].frequency)
+        left = evidence.residuals_of(plain, best, r)
+        height, frequency = line_beside(term.time[: left.size], left, batch.records[r].frequency)
+        share = height / (np.sqrt(2.0) * term.signal)
         if share > worst[0]:
             worst = (share, frequency, batch.specimens[r])
     if worst[0] > _BEATING:
@@ -197,26 +198,6 @@ def second_mode_check(batch: Batch, best: Fit) -> Check:
             "mode makes: a second mode beats with it; keep one mode with `band`",
         )
     return Check(name, True, "what the model leaves holds no line beside the harmonics of the mode")
-
-
-def _line(term: WaveformTerm, residuals: np.ndarray, frequency: float) -> tuple[float, float]:
-    """Return share of the motion and frequency [Hz] of the highest line beside the harmonics, or zeros."""
-    n = residuals.size
-    step = float(np.median(np.diff(term.time)))
-    power = np.abs(np.fft.rfft(residuals * np.hanning(n))) ** 2
-    grid = np.fft.rfftfreq(n, step)
-    order = grid / frequency
-    beside = np.abs(order - np.round(order)) * frequency * n * step > _FAR
-    beside &= grid > 2.0 / (n * step)
-    if np.count_nonzero(beside) < 8:
-        return 0.0, 0.0
-    peak = int(np.flatnonzero(beside)[np.argmax(power[beside])])
-    level = float(np.median(power[beside]))
-    around = power[max(peak - 3, 0) : peak + 4]
-    if power[peak] < _LINE * level or power[peak] < around.max():
-        return 0.0, 0.0
-    amplitude = 4.0 * np.sqrt(power[peak]) / n
-    return float(amplitude / (np.sqrt(2.0) * term.signal)), float(grid[peak])
 
 
 def alike_check(batch: Batch, best: Fit) -> Check:

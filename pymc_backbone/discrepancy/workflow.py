@@ -18,12 +18,12 @@ from ..measurement.conditioning.conditioned import ConditionedRecord
 from ..measurement.options import Measuring
 from ..measurement.reading.record import Record
 from ..oscillator import Oscillator
-from . import plan_words, rivals, verdict_words, words
+from . import evidence, plan_words, rivals, verdict_words, words
 from .batch import Batch
 from .candidate_table import candidates_of
 from .curve_records import ForceCurves
 from .curves import simulate
-from .decide import decide, is_none_other, mind_second_mode
+from .decide import decide, is_none_other, mind_bent_sensor, mind_second_mode
 from .decision import AGREE, Decision
 from .descent import is_heavy
 from .design import Contender, Plan, contender, present_design
@@ -34,13 +34,15 @@ from .joint_fit import Fit
 from .locate import where_different
 from .plan import plan_tests
 from .portraits import portraits
-from .question import Question, ask
+from .question import Data, Question, ask, is_of_records
+from .readings import Disturbed, disturbed, sentences
 from .search import Search
 from .study import Check, EvidenceBasis, Study
 from .verdict import NamedLevel, Verdict
 from .verify import MOST_HELD_OUT, Verification, verify
 
 _QUICK_BUDGET = 0.5
+_PASSES = 2  # times that disturbances are looked for
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,8 +179,9 @@ def find_missing_effect(
             oscillator, data, candidates=candidates, max_effects=max_effects, tolerance=tolerance, measuring=measuring
         )
         search = _searched(question, quick, say)
+        question, search, is_bent = _undisturbed(question, search, data, measuring, quick, say)
         say("deciding", 0.0)
-        outcome = _decided(question, search)
+        outcome = _decided(question, search, is_bent)
         most = MOST_HELD_OUT if held_out is None else int(held_out)
         verification = verify(outcome.judged, outcome.base, outcome.extended, most, seed, say)
         curves = _curves(question, outcome, verification, most, seed, quick, say)
@@ -205,7 +208,7 @@ def _curves(
     held_out = verification.held_out_specimens
     if decision.verdict is Verdict.UNEXPLAINED:
         start, gap = outcome.base, float("nan") if held_out is None else held_out.before
-    elif decision.named_level is NamedLevel.MECHANISM:
+    elif decision.named_level is NamedLevel.MECHANISM and decision.is_approximate:
         start, gap = outcome.model, float("nan") if held_out is None else held_out.after
     else:
         return None
@@ -233,7 +236,30 @@ def _searched(question: Question, quick: bool, say: Progress) -> Search:
     return search
 
 
-def _decided(question: Question, search: Search) -> Outcome:
+def _undisturbed(
+    question: Question, search: Search, data: Data, measuring: Measuring, quick: bool, say: Progress
+) -> tuple[Question, Search, bool]:
+    """Return question and search of records without what disturbs them, and whether that is a bent sensor.
+
+    As they were, unless a set of effects leaves noise then. What was found with the noise of disturbed records is
+    found again without it.
+    """
+    if not is_of_records(data):
+        return question, search, False
+    say("looking for what disturbs the records", 0.0)
+    found: list[Disturbed] = []
+    records, again = data, search
+    while len(found) < _PASSES and (one := disturbed(again)) is not None:
+        found.append(one)
+        records = one.undisturbed(records)
+        other = question.of_records(records, measuring, sentences(found))
+        again = _searched(other, quick, say)
+        if evidence.lack_of_fit(again.batch, again.fits[again.best()]).p_value >= evidence.UNEXPLAINED:
+            return other, again, any(item.is_bent for item in found)
+    return question, search, False
+
+
+def _decided(question: Question, search: Search, is_bent: bool) -> Outcome:
     """Return the verdict on a finished search, its rivals minded: a drift with time, a second mode."""
     drifting = rivals.drifting_sets(search)
     decision = decide(search, drifting, question.tolerance)
@@ -242,6 +268,8 @@ def _decided(question: Question, search: Search) -> Outcome:
         second_mode = rivals.second_mode_check(question.batch, search.fits[decision.best])
         if not second_mode.passed:
             decision = mind_second_mode(decision)
+    if is_bent:
+        decision = mind_bent_sensor(search, decision)
     return Outcome(search, decision, drifting[()].fit if () in drifting else None, second_mode)
 
 

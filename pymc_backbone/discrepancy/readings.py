@@ -1,0 +1,388 @@
+"""What readings hold beside the motion of one mode: the curve of a bent sensor, and the line of another mode.
+
+A sensor whose reading is not in proportion distorts every cycle alike at the same amplitude, as a law does: it makes
+harmonics, and the fundamental fall a little faster or slower. But no spring does that without a frequency that changes,
+nor a damper with a harmonic in phase. The line of another mode lies beside the harmonics. Beside the set of effects
+that holds, few coefficients explain all of it, and the records can be read as without.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+from scipy.optimize import minimize
+
+from .._common.checks import FloatArray
+from ..measurement.reading.record import Record
+from . import evidence
+from .batch import Batch
+from .data_term import WaveformTerm
+from .joint_fit import Fit, fit
+from .normal_equations import DRIFTS, State, derivatives
+from .search import Search, Set
+from .whitening import EDGE
+
+_MOST = 0.1  # of the reading at the largest motion: what bends by more is no sensor
+_MOST_OF_A_LINE = 0.06  # of the motion: beside more, the other mode is no disturbance
+_LOOKS = 3  # times that the coefficients are found again, the set fitted to what they leave
+_ASKED = 3  # likeliest sets that are asked where none leaves noise, with what is in them
+_NEAR = 3.0  # chi-square over the number of samples that a linear look promises, from which a set is not fitted
+_COST = 4.0  # that each coefficient must be worth
+_ROUNDS = 30  # of the solution for the motion at a reading
+_LINE = 25.0  # peak of the residuals' periodogram over its median that a line has at least
+_FAR = 4.0  # bins between a line and a harmonic, where it is looked for
+_APART = 2.0  # bins between them, once it is found
+_DECAYS = (0.0, 3.0, 10.0)  # of lines over a record, as they are looked for
+_ALIKE = 0.03  # difference of the orders of one line in specimens that are alike
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """What one record holds beside the motion: ``reading = zero + q + even q^2 / s + odd q^3 / s^2``, q with a line.
+
+    Attributes
+    ----------
+    begin, end : float
+        Time [s] over which the mean of the reading is its zero.
+    release : float
+        Time [s] from which the line is there.
+    scale : float
+        Largest motion s [unit of the record].
+    even, odd : float
+        Share of the reading that a bent sensor adds there.
+    frequency, decay : float
+        Of the line [Hz, 1/s]; 0 where there is none.
+    cosine, sine : float
+        Of the line at ``begin`` [unit of the record].
+    """
+
+    begin: float
+    end: float
+    release: float
+    scale: float
+    even: float = 0.0
+    odd: float = 0.0
+    frequency: float = 0.0
+    decay: float = 0.0
+    cosine: float = 0.0
+    sine: float = 0.0
+
+    @property
+    def bent(self) -> float:
+        """Reading that the sensor adds at the largest motion, as a share of it."""
+        return float(np.hypot(self.even, self.odd))
+
+    @property
+    def line(self) -> float:
+        """Amplitude of the line as a share of the largest motion."""
+        return float(np.hypot(self.cosine, self.sine)) / self.scale
+
+    def motion(self, time: FloatArray, readings: FloatArray, *, step: float = 0.0) -> FloatArray:
+        """Return readings (n,) as a straight sensor would have given them without the line.
+
+        ``step`` is that over which each reading is a mean [s].
+        """
+        zero = float(readings[(time >= self.begin) & (time <= self.end)].mean())
+        around = readings - zero
+        if self.frequency:
+            around = around - line_modes(time, self, step) @ np.array([self.cosine, self.sine])
+        motion = around
+        for _ in range(_ROUNDS if self.even or self.odd else 0):
+            share = motion / self.scale
+            motion = around / (1.0 + self.even * share + self.odd * share**2)
+        return zero + motion
+
+
+def line_modes(time: FloatArray, line: Disturbance, step: float = 0.0) -> FloatArray:
+    """Return the line's cosine and sine (n, 2) from the release on, of unit height at ``begin``."""
+    elapsed = np.maximum(time, line.release) - line.begin
+    height = np.where(time >= line.release, np.exp(-line.decay * elapsed), 0.0)
+    angle = 2.0 * np.pi * line.frequency * elapsed
+    return np.column_stack([np.cos(angle), np.sin(angle)]) * (height * np.sinc(line.frequency * step))[:, None]
+
+
+@dataclass(frozen=True, eq=False)
+class Disturbed:
+    """The disturbance of each record, and the set of effects that leaves noise beside it."""
+
+    by_specimen: dict[str, Disturbance]
+    beside: Set
+
+    @property
+    def is_bent(self) -> bool:
+        """Whether the sensor bends."""
+        return any(item.bent for item in self.by_specimen.values())
+
+    def undisturbed(self, records: Iterable[Record]) -> list[Record]:
+        """Return the records without what disturbs them."""
+        return [
+            replace(record, values=self.by_specimen[record.specimen].motion(record.time, record.values))
+            if record.specimen in self.by_specimen
+            else record
+            for record in records
+        ]
+
+
+def sentences(found: Sequence[Disturbed]) -> list[str]:
+    """Return what was found in so many passes, one sentence for each kind."""
+    said = []
+    if any(item.is_bent for item in found):
+        names = list(found[0].by_specimen)
+        even = np.array([[item.by_specimen[name].even for name in names] for item in found]).sum(axis=0)
+        odd = np.array([[item.by_specimen[name].odd for name in names] for item in found]).sum(axis=0)
+        said.append(
+            "warning: the sensor's reading is not in proportion to the motion: at the largest motion of each record it "
+            f"is {_range(np.hypot(even, odd).tolist())} off a straight line, which no effect of the library explains, "
+            "and the records were straightened. Look at the sensor's calibration; where that is straight, the inertia "
+            "changes with the displacement, which reads the same"
+        )
+    lines = [one for item in found for one in item.by_specimen.values() if one.frequency]
+    if lines:
+        places = sorted(one.frequency for one in lines)
+        where = f"{places[0]:.4g}" if len(places) == 1 else f"{places[0]:.4g} to {places[-1]:.4g}"
+        said.append(
+            f"warning: the records hold a line beside the harmonics of the mode at {where} Hz, "
+            f"{_range([one.line for one in lines])} of the motion, as another mode leaves; it was taken away"
+        )
+    return said
+
+
+def _range(shares: list[float]) -> str:
+    """Return the least and the largest of some shares in words."""
+    low, high = min(shares), max(shares)
+    return f"{high:.2%}" if high < 1.05 * low else f"{low:.2%} to {high:.2%}"
+
+
+def disturbed(search: Search) -> Disturbed | None:
+    """Return what disturbs the readings where that explains what effects do not, or what takes one effect more.
+
+    Looked for where the most probable set does not leave noise, beside the likeliest and what is in these; else beside
+    the sets that lack one of its effects, which then have to explain the samples better than it does. None where
+    records are compared through a band-pass: there is nothing beside the mode in them.
+    """
+    batch, best = search.batch, search.best()
+    if not batch.has_records or any(record.band is not None for record in batch.records):
+        return None
+    is_exact = evidence.lack_of_fit(batch, search.fits[best]).p_value >= evidence.UNEXPLAINED
+    likeliest = [best] if is_exact else search.ranked()[:_ASKED]
+    asked = [part for names in likeliest if names for part in combinations(names, len(names) - 1)]
+    asked += [] if is_exact else likeliest
+    found: list[tuple[float, Disturbed]] = []
+    for names in dict.fromkeys(asked):
+        start = search.fit_set(names)
+        if start is None:
+            continue
+        for has_line, is_bent in ((True, False), (False, True), (True, True)):
+            coefficients = 4.0 * has_line + 2.0 * is_bent
+            price = _COST * coefficients * len(batch.specimens)
+            limit = search.fits[best].cost - price if is_exact else _NEAR * search.count
+            beside = _beside(batch, start, limit, has_line=has_line, is_bent=is_bent)
+            if beside is not None:
+                cost, items = beside
+                known = dict(zip(batch.specimens, items, strict=True))
+                found.append((cost + price + 2.0 * _COST * len(names), Disturbed(known, names)))
+    return min(found, key=lambda item: item[0])[1] if found else None
+
+
+def _beside(
+    batch: Batch, start: Fit, limit: float, *, has_line: bool, is_bent: bool
+) -> tuple[float, list[Disturbance]] | None:
+    """Return the cost of a set with a disturbance beside it, and that; None where it does not leave noise."""
+    items = [
+        Disturbance(
+            float(term.time[0]), float(term.time[-1]), float(record.time[0]),
+            float(np.abs(term.values - term.values.mean()).max()),
+        )
+        for term, record in zip(batch.waveform, batch.records, strict=True)
+    ]  # fmt: skip
+    without, found = batch, start
+    for _ in range(_LOOKS):
+        if has_line:
+            items = _with_lines(batch, without, found, items)
+            if not any(item.frequency for item in items):
+                return None
+        looked = _linear(without, found, items, is_bent=is_bent)
+        if looked is None or not looked.cost < limit:
+            return None
+        items = looked.items
+        if max(item.bent for item in items) > _MOST or max(item.line for item in items) > _MOST_OF_A_LINE:
+            return None
+        terms = tuple(_without(term, item) for term, item in zip(batch.waveform, items, strict=True))
+        without = replace(batch, waveform=terms)
+        solved = fit(found.layout, terms, looked.state, iterations=10, nuisances=batch.nuisances)
+        if solved is None:
+            return None
+        found = solved
+    if has_line and any(
+        _is_harmonic(item, record.frequency) for item, record in zip(items, batch.records, strict=True)
+    ):
+        return None
+    if not found.cost < limit or evidence.lack_of_fit(without, found).p_value < evidence.UNEXPLAINED:
+        return None
+    return found.cost, items
+
+
+def _is_harmonic(item: Disturbance, frequency: float) -> bool:
+    """Return whether a line lies where the harmonics of the motion do."""
+    order = item.frequency / frequency
+    return abs(order - round(order)) * frequency * (item.end - item.begin) < _APART
+
+
+def _without(term: WaveformTerm, item: Disturbance) -> WaveformTerm:
+    """Return a term whose values hold no disturbance."""
+    return replace(term, values=item.motion(term.time, term.values, step=_step(term)))
+
+
+def _step(term: WaveformTerm) -> float:
+    """Return the time [s] over which each value of a term is a mean."""
+    return float(np.median(np.diff(term.time))) if term.together > 1 else 0.0
+
+
+def _compared(term: WaveformTerm, values: FloatArray) -> FloatArray:
+    """Return those of a term's values or columns that are compared with a simulation."""
+    return values[EDGE:-EDGE] if term.together > 1 else values
+
+
+def _with_lines(batch: Batch, without: Batch, found: Fit, items: list[Disturbance]) -> list[Disturbance]:
+    """Return disturbances with frequency and decay of a line in what the set leaves; as they are where there is none.
+
+    Specimens are alike: where some show it, it is looked for in the others at its order there.
+    """
+    left = [
+        evidence.residuals_of(replace(term, whiten=lambda columns: columns), found, r)
+        for r, term in enumerate(without.waveform)
+    ]
+    frequencies = np.array([record.frequency for record in batch.records])
+    if not any(item.frequency for item in items):
+        begun = [
+            _begun_line(_compared(term, term.time), values, frequency)
+            for term, values, frequency in zip(without.waveform, left, frequencies, strict=True)
+        ]
+        seen = np.array([place / frequency for place, frequency in zip(begun, frequencies, strict=True) if place > 0.0])
+        if not seen.size:
+            return items
+        order = float(np.median(seen))
+        items = [
+            replace(item, frequency=place if abs(place / frequency - order) < _ALIKE else order * frequency)
+            for item, place, frequency in zip(items, begun, frequencies, strict=True)
+        ]
+    return [_refined(term, values, item) for term, values, item in zip(without.waveform, left, items, strict=True)]
+
+
+def _begun_line(time: FloatArray, left: FloatArray, frequency: float) -> float:
+    """Return the frequency [Hz] of the line that stands out most, of any decay, from what a set leaves; 0 for none."""
+    n, length = left.size, float(time[-1] - time[0])
+    step = length / (n - 1)
+    grid = np.fft.rfftfreq(n, step)
+    best, place = _LINE, 0.0
+    for decay in _DECAYS:
+        power = np.abs(np.fft.rfft(left * np.exp(-decay * (time - time[0]) / length))) ** 2
+        away = np.abs(grid / frequency - np.round(grid / frequency)) * frequency * length
+        beside = (away > _FAR + decay / np.pi) & (grid * length > 2.0 + decay / np.pi)
+        if np.count_nonzero(beside) < 8:
+            continue
+        peak = int(np.flatnonzero(beside)[np.argmax(power[beside])])
+        height = float(power[peak] / np.median(power[beside]))
+        if height > best and power[peak] >= power[max(peak - 3, 0) : peak + 4].max():
+            best, place = height, float(grid[peak])
+    return place
+
+
+def _refined(term: WaveformTerm, left: FloatArray, item: Disturbance) -> Disturbance:
+    """Return a disturbance with that frequency and decay of its line which explain most of what a set leaves."""
+    time, step = _compared(term, term.time), _step(term)
+    left = left + line_modes(time, item, step) @ np.array([item.cosine, item.sine])
+    length = float(time[-1] - time[0])
+
+    def misfit(at: FloatArray) -> float:
+        tried = replace(item, frequency=float(at[0]) / length, decay=float(np.exp(at[1])) / length)
+        held = np.linalg.qr(line_modes(time, tried, step))[0].T @ left
+        return -float(held @ held)
+
+    begun = [[item.frequency * length, np.log(item.decay * length)]] if item.decay else []
+    begun = begun or [[item.frequency * length, np.log(decay)] for decay in _DECAYS if decay > 0.0]
+    first = min(begun, key=lambda at: misfit(np.array(at)))
+    solved = minimize(misfit, first, method="Nelder-Mead", options={"maxiter": 80, "xatol": 1e-3, "fatol": 1e-300})
+    return replace(item, frequency=float(solved.x[0]) / length, decay=float(np.exp(solved.x[1])) / length)
+
+
+@dataclass(frozen=True, eq=False)
+class _Look:
+    """What a linear look promises: the cost, the disturbances, and where the set goes."""
+
+    cost: float
+    items: list[Disturbance]
+    state: State
+
+
+def _linear(without: Batch, found: Fit, items: list[Disturbance], *, is_bent: bool) -> _Look | None:
+    """Return where set and coefficients go in one step together; None where the set cannot be simulated."""
+    layout, state, active = found.layout, found.state, found.active
+    q, count = layout.free.size, len(items)
+    scatter = layout.scatter if q and active[-1] and count > 1 else 0.0
+    kept = np.flatnonzero(active)
+    prior = (kept >= DRIFTS[0]).astype(np.float64)
+    width = kept.size + 4
+    matrix, right, squares = np.zeros((q + count * width,) * 2), np.zeros(q + count * width), 0.0
+    for r, term in enumerate(without.waveform):
+        known = derivatives(layout, term, state.eta, state.own[r], scatter, active)
+        if known is None:
+            return None
+        columns = np.hstack([known.shared, known.own[:, kept], _modes(term, items[r], is_bent=is_bent)])
+        at = np.concatenate([np.arange(q), q + r * width + np.arange(width)])
+        matrix[np.ix_(at, at)] += columns.T @ columns
+        right[at] += columns.T @ known.residuals
+        own = at[q : q + kept.size]
+        matrix[own, own] += prior
+        right[own] -= prior * state.own[r, kept]
+        squares += float(known.residuals @ known.residuals) + float(prior @ state.own[r, kept] ** 2)
+    unit = np.sqrt(np.where(np.diag(matrix) > 0.0, np.diag(matrix), 1.0))
+    step = np.linalg.lstsq(matrix / np.outer(unit, unit), right / unit, rcond=1e-12)[0] / unit
+    if not np.isfinite(step).all():
+        return None
+    own, each = state.own.copy(), step[q:].reshape(count, width)
+    has_line = any(item.frequency for item in items)
+    own[:, kept] += each[:, : kept.size]
+    own[:, 1] = np.maximum(own[:, 1], 0.0)
+    each[:, kept.size :][:, [not is_bent, not is_bent, not has_line, not has_line]] = 0.0
+    changed = [
+        replace(item, even=item.even + even, odd=item.odd + odd, cosine=item.cosine + cosine, sine=item.sine + sine)
+        for item, (even, odd, cosine, sine) in zip(items, each[:, kept.size :].tolist(), strict=True)
+    ]
+    return _Look(squares - float(step @ right), changed, State(layout.within(state.eta + step[:q]), own))
+
+
+def _modes(term: WaveformTerm, item: Disturbance, *, is_bent: bool) -> FloatArray:
+    """Return what a unit of each coefficient adds to the standardised values (m, 4); zeros for what is not there."""
+    around = term.values - term.values.mean()
+    columns = np.zeros((around.size, 4))
+    if is_bent:
+        columns[:, 0], columns[:, 1] = around**2 / item.scale, around**3 / item.scale**2
+    if item.frequency:
+        columns[:, 2:] = line_modes(term.time, item, _step(term))
+    return term.whiten(_compared(term, columns))
+
+
+def line_beside(time: FloatArray, residuals: FloatArray, frequency: float) -> tuple[float, float]:
+    """Return amplitude and frequency [Hz] of the highest line beside the harmonics of a motion, or zeros."""
+    n = residuals.size
+    step = float(np.median(np.diff(time)))
+    power = np.abs(np.fft.rfft(residuals * np.hanning(n))) ** 2
+    grid = np.fft.rfftfreq(n, step)
+    order = grid / frequency
+    beside = np.abs(order - np.round(order)) * frequency * n * step > _FAR
+    beside &= grid > 2.0 / (n * step)
+    if np.count_nonzero(beside) < 8:
+        return 0.0, 0.0
+    peak = int(np.flatnonzero(beside)[np.argmax(power[beside])])
+    level = float(np.median(power[beside]))
+    around = power[max(peak - 3, 0) : peak + 4]
+    if power[peak] < _LINE * level or power[peak] < around.max():
+        return 0.0, 0.0
+    return float(4.0 * np.sqrt(power[peak]) / n), float(grid[peak])
+
+
+__all__ = ["Disturbance", "Disturbed", "disturbed", "line_beside", "sentences"]

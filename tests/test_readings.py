@@ -1,0 +1,151 @@
+"""What readings hold beside the motion, a bent sensor and another mode's line: found, taken away, and not invented."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import pymc_backbone as pb
+from pymc_backbone.discrepancy.readings import Disturbance, Disturbed, disturbed, line_modes, sentences
+from pymc_backbone.discrepancy.search import Search
+
+from .discrepancy_cases import (
+    AMPLITUDE,
+    FREQUENCY,
+    MASS,
+    RELEASE_TIME,
+    TIME,
+    batch_of,
+    decaying_sinusoid,
+    make_records,
+    noisy,
+)
+
+LINE = 2.2 * FREQUENCY
+CANDIDATES = ("cubic_stiffness", "quadratic_stiffness", "quadratic_damping", "displacement_dependent_damping")
+
+
+def measured(rng, *, odd=0.0, even=0.0, line=0.0, effects=("cubic_stiffness",), specimens=3):
+    """Records of specimens as a sensor gives them whose reading bends, another mode in the motion that it sees."""
+    records = make_records(rng, effects, specimens=specimens, decibels=200.0)
+    found = []
+    for record in records:
+        share = record.values / AMPLITUDE
+        bent = record.values * (1.0 + even * share + odd * share**2)
+        found.append(noisy(rng, record.specimen, TIME, bent + decaying_sinusoid(line * AMPLITUDE, LINE), 60.0))
+    return found
+
+
+def searched(records, candidates=CANDIDATES):
+    search = Search(batch_of(records), pb.Oscillator(MASS), candidates, 2, lambda _stage, _share: None)
+    search.run()
+    return search
+
+
+def test_a_bent_reading_gives_the_motion_back():
+    swing = 0.01 * np.exp(-0.3 * TIME) * np.cos(2.0 * np.pi * FREQUENCY * TIME)
+    motion, time = np.concatenate([swing, -swing]), np.arange(2 * TIME.size) * (TIME[1] - TIME[0])
+    item = Disturbance(time[0], time[-1], 0.0, 0.01, odd=-0.05)
+    reading = motion * (1.0 - 0.05 * (motion / 0.01) ** 2)
+    np.testing.assert_allclose(item.motion(time, reading + 0.004), motion + 0.004, atol=1e-14)
+
+
+def test_the_zero_of_a_bent_reading_is_off_by_no_more_than_its_mean():
+    motion = 0.01 * np.cos(2.0 * np.pi * FREQUENCY * np.linspace(0.0, 2.0, 4000, endpoint=False))
+    reading = motion * (1.0 + 0.02 * motion / 0.01)
+    found = Disturbance(0.0, 2.0, 0.0, 0.01, even=0.02).motion(np.linspace(0.0, 2.0, 4000, endpoint=False), reading)
+    # the mean reading is half of the curve at the largest motion; what that leaves is of second order
+    assert np.abs(reading - motion).max() == pytest.approx(2e-4)
+    assert np.abs(found - motion).max() < 5e-6
+
+
+def test_the_line_begins_where_it_is_said_to_and_decays(rng):
+    item = Disturbance(1.0, 3.0, 0.5, 1.0, frequency=2.0, decay=0.7, cosine=0.3, sine=-0.1)
+    time = np.linspace(0.0, 3.0, 601)
+    modes = line_modes(time, item)
+    assert not modes[time < 0.5].any()
+    after = time[time >= 0.5] - 1.0
+    expected = np.exp(-0.7 * after) * np.cos(4.0 * np.pi * after)
+    np.testing.assert_allclose(modes[time >= 0.5, 0], expected, atol=1e-12)
+    readings = 0.2 + modes @ np.array([0.3, -0.1])
+    left = item.motion(time, readings)
+    assert np.ptp(left) < 1e-12
+    assert item.line == pytest.approx(np.hypot(0.3, 0.1))
+
+
+def test_a_mean_over_a_step_holds_less_of_a_line():
+    item = Disturbance(0.0, 4.0, 0.0, 1.0, frequency=3.0, decay=0.0)
+    fine = np.arange(40000) * 1e-4
+    step = 0.05
+    means = line_modes(fine, item).reshape(-1, 500, 2).mean(axis=1)
+    middle = fine.reshape(-1, 500).mean(axis=1)
+    np.testing.assert_allclose(line_modes(middle, item, step), means, atol=1e-6)
+
+
+def test_a_bent_sensor_is_found_beside_a_spring_and_straightened(rng):
+    search = searched(measured(rng, odd=0.03))
+    found = disturbed(search)
+    assert isinstance(found, Disturbed)
+    assert found.beside == ("cubic_stiffness",)
+    for r, item in enumerate(found.by_specimen.values()):
+        release = 1.0 - 0.125 * r
+        assert item.odd == pytest.approx(0.03 * release**2, rel=0.25)
+        assert abs(item.even) < 3e-3
+        assert item.frequency == 0.0
+    assert len(sentences([found])) == 1
+    assert "sensor" in sentences([found])[0]
+    straight = found.undisturbed(measured(np.random.default_rng(5), odd=0.03))
+    exact = make_records(np.random.default_rng(5), ("cubic_stiffness",), specimens=3, decibels=200.0)
+    for record, true in zip(straight, exact, strict=True):
+        after = record.time > RELEASE_TIME
+        left = (record.values - true.values)[after]
+        assert np.abs(left - left.mean()).max() < 0.3 * 0.03 * AMPLITUDE
+
+
+def test_a_line_of_another_mode_is_found_beside_a_spring(rng):
+    found = disturbed(searched(measured(rng, line=0.03)))
+    assert isinstance(found, Disturbed)
+    assert found.beside == ("cubic_stiffness",)
+    for r, item in enumerate(found.by_specimen.values()):
+        assert item.frequency == pytest.approx(LINE, rel=3e-3)
+        assert item.line == pytest.approx(0.03 / (1.0 - 0.125 * r), rel=0.1)
+        assert item.bent == 0.0
+    assert "line" in sentences([found])[0]
+
+
+@pytest.mark.parametrize("effects", [("cubic_stiffness",), ("quadratic_damping",), ()])
+def test_nothing_is_taken_away_where_the_sensor_is_straight(rng, effects):
+    assert disturbed(searched(measured(rng, effects=effects))) is None
+
+
+def test_a_record_of_which_nothing_is_known_stays_as_it_is(rng):
+    records = make_records(rng, ())
+    known = Disturbed({records[0].specimen: Disturbance(0.3, 4.0, 0.26, AMPLITUDE, odd=0.1)}, ())
+    first, second = known.undisturbed(records)
+    assert second is records[1]
+    assert np.abs(first.values - records[0].values).max() > 0.01 * AMPLITUDE
+
+
+def asked(records):
+    return pb.find_missing_effect(
+        pb.Oscillator(MASS), records, candidates=CANDIDATES, quick=True, held_out=0, random_seed=1
+    )
+
+
+def test_of_a_spring_behind_a_bent_sensor_the_mechanism_is_named():
+    # the inertia may change with the displacement as well; and the noise, which hides a line at first, takes two passes
+    study = asked(measured(np.random.default_rng(1), odd=0.03, line=0.01))
+    assert study.verdict == "found"
+    assert study.named_level == "mechanism"
+    assert [item.mechanism for item in study.mechanisms if item.is_certain] == ["spring"]
+    assert study.candidates[0].effects == ("cubic_stiffness",)
+    assert study.force_curves is None
+    said = [note for note in study.notes if note.startswith("warning")]
+    assert ["not in proportion" in said[0], "line beside the harmonics" in said[1]] == [True, True]
+    assert "2.9" in said[0] or "3.0" in said[0]
+
+
+def test_of_a_damper_behind_a_bent_sensor_the_law_is_named():
+    study = asked(measured(np.random.default_rng(1), odd=0.05, effects=("quadratic_damping",)))
+    assert study.missing_effects == ("quadratic_damping",)
+    assert any("not in proportion" in note for note in study.notes)
