@@ -424,7 +424,10 @@ def cycles(times, x):
 
 
 def cycle_at(decay: Decay, level: float) -> np.ndarray:
-    """Return frequency, decrement and offset of the one cycle of this amplitude (no internal states), by secants."""
+    """Return frequency, decrement and offset of the one cycle of this amplitude (no internal states), by secants.
+
+    The integrator rounds: where secants no longer come nearer and what is left is rounding, the nearest cycle counts.
+    """
 
     def quantities(start):
         return cycles(*decay.turning_points(start, 2))[:, 0]
@@ -434,7 +437,7 @@ def cycle_at(decay: Decay, level: float) -> np.ndarray:
     for _ in range(30):
         found = quantities(start)
         new_error = found[0] - level
-        if abs(new_error) < 1e-13 * level:
+        if abs(new_error) < 1e-13 * level or abs(error) < 1e-11 * level and abs(new_error) >= abs(error):
             return found[1:]
         step = new_error * (start - before) / (new_error - error)
         before, error, start = start, new_error, start - step

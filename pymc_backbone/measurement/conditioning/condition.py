@@ -112,6 +112,7 @@ class _Conditioning:
         self.record, self.name, self.integrations = free.record, free.name, free.integrations
         self.frequency, self.rate, self.step = free.frequency, free.rate, free.step
         self.begin, self.notes = free.begin, free.notes
+        self.cycles_after = 1.0  # kept after the end of motion; none where what follows is another motion
 
     def run(self) -> ConditionedRecord:
         """Condition the record."""
@@ -228,6 +229,7 @@ class _Conditioning:
                 "with `start` and `stop`, or a mode with `band`"
             )
             path = check_cycles(path.until(end), self.name, "before the amplitude grows again")
+            self.cycles_after = 0.0
         else:
             first = int(np.ceil(end * self.rate))
             again = later_motion(values[first:], self.rate, self.frequency, float(path.amplitude[0]), spectrum.total)
@@ -303,7 +305,7 @@ class _Conditioning:
         cycle = 1.0 / path.frequency
         lost = 0 if self.free.decimation is None else self.free.decimation.half // self.free.decimation.factor
         first = max(0, self._undisturbed(path, -lost / self.rate) - lost) if is_cut else 0
-        last = min(size, int(np.ceil((end + cycle) * self.rate)) + 1)
+        last = min(size, int(np.ceil((end + self.cycles_after * cycle) * self.rate)) + 1)
         if size - last > cycle * self.rate:
             self.notes.append(f"the last {(size - last) / self.rate:.4g} s, after the end of motion, were dropped")
         return first, last
