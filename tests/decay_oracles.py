@@ -437,7 +437,7 @@ def cycle_at(decay: Decay, level: float) -> np.ndarray:
     for _ in range(30):
         found = quantities(start)
         new_error = found[0] - level
-        if abs(new_error) < 1e-13 * level or abs(error) < 1e-11 * level and abs(new_error) >= abs(error):
+        if abs(new_error) < 1e-13 * level or (abs(error) < 1e-11 * level and abs(new_error) >= abs(error)):
             return found[1:]
         step = new_error * (start - before) / (new_error - error)
         before, error, start = start, new_error, start - step

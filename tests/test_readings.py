@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import butter, sosfilt
 
 import pymc_backbone as pb
-from pymc_backbone.discrepancy.readings import Disturbance, Disturbed, disturbed, line_modes, sentences
+from pymc_backbone.discrepancy.readings import Begun, Disturbance, Disturbed, begun, disturbed, line_modes, sentences
 from pymc_backbone.discrepancy.search import Search
 
 from .discrepancy_cases import (
@@ -115,7 +116,9 @@ def test_a_line_of_another_mode_is_found_beside_a_spring(rng):
 
 @pytest.mark.parametrize("effects", [("cubic_stiffness",), ("quadratic_damping",), ()])
 def test_nothing_is_taken_away_where_the_sensor_is_straight(rng, effects):
-    assert disturbed(searched(measured(rng, effects=effects))) is None
+    search = searched(measured(rng, effects=effects))
+    assert disturbed(search) is None
+    assert begun(search) is None
 
 
 def test_a_record_of_which_nothing_is_known_stays_as_it_is(rng):
@@ -124,6 +127,32 @@ def test_a_record_of_which_nothing_is_known_stays_as_it_is(rng):
     first, second = known.undisturbed(records)
     assert second is records[1]
     assert np.abs(first.values - records[0].values).max() > 0.01 * AMPLITUDE
+
+
+def settling(rng):
+    """Records of a cubic spring from a low-pass that begins at rest, at the release."""
+    kept = TIME >= RELEASE_TIME
+    low_pass = butter(4, 6.0 * FREQUENCY, fs=1.0 / (TIME[1] - TIME[0]), output="sos")
+    records = make_records(rng, ("cubic_stiffness",), specimens=3, decibels=200.0)
+    return [noisy(rng, r.specimen, TIME[kept], sosfilt(low_pass, r.values[kept]), 60.0) for r in records]
+
+
+def test_first_cycles_that_are_not_free_are_left_out(rng):
+    records = settling(rng)
+    found = begun(searched(records))
+    assert isinstance(found, Begun)
+    for record, cut in zip(records, found.undisturbed(records), strict=True):
+        first = found.by_specimen[record.specimen]
+        assert 1.5 < (first - RELEASE_TIME) * FREQUENCY < 4.0
+        assert cut.starts_free
+        np.testing.assert_array_equal(cut.values, record.values[record.time >= first])
+
+
+def test_a_spring_behind_a_filter_that_settles_is_named_and_the_cut_is_said(rng):
+    study = asked(settling(rng))
+    assert study.candidates[0].effects == ("cubic_stiffness",)
+    assert study.candidates[0].probability > 0.5
+    assert any("no free motion" in note for note in study.notes)
 
 
 def asked(records):

@@ -35,14 +35,15 @@ from .locate import where_different
 from .plan import plan_tests
 from .portraits import portraits
 from .question import Data, Question, ask, is_of_records
-from .readings import Disturbed, disturbed, sentences
+from .readings import Begun, Disturbed, begun, disturbed, sentences
 from .search import Search
 from .study import Check, EvidenceBasis, Study
 from .verdict import NamedLevel, Verdict
 from .verify import MOST_HELD_OUT, Verification, verify
 
 _QUICK_BUDGET = 0.5
-_PASSES = 2  # times that disturbances are looked for
+_PASSES = 3  # times that disturbances are looked for
+_LESS = 0.5  # of what the best set left, where first cycles are left out
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +168,7 @@ def find_missing_effect(
     points; evidence is Laplace's, with the level of the noise left free, corrected by importance sampling for the sets
     between which the verdict lies. See ``docs/naming.md``.
     """
-    begun = time.perf_counter()
+    started = time.perf_counter()
     say = progress or (lambda _stage, _share: None)
     seed = int(np.random.default_rng().integers(2**31)) if random_seed is None else int(random_seed)
     say("reading backbones", 0.0)
@@ -196,7 +197,7 @@ def find_missing_effect(
         "stop": stop, "levels": given_levels, "strict": strict, "floor": floor,
     }  # fmt: skip
     plan = None if quick else _planned(question, outcome, seed, say)
-    study = _study(question, outcome, verification, inference, asked, plan, seed, begun)
+    study = _study(question, outcome, verification, inference, asked, plan, seed, started)
     return study if curves is None else replace(study, force_curves=curves)
 
 
@@ -241,22 +242,33 @@ def _undisturbed(
 ) -> tuple[Question, Search, bool]:
     """Return question and search of records without what disturbs them, and whether that is a bent sensor.
 
-    As they were, unless a set of effects leaves noise then. What was found with the noise of disturbed records is
-    found again without it.
+    As they were, unless a set of effects leaves noise then; or, first cycles left out, half of what it left at most.
+    What was found with the noise of disturbed records is found again without it.
     """
     if not is_of_records(data):
         return question, search, False
     say("looking for what disturbs the records", 0.0)
-    found: list[Disturbed] = []
-    records, again = data, search
-    while len(found) < _PASSES and (one := disturbed(again)) is not None:
-        found.append(one)
+    records, known = data, (question, search, False)
+    passes: list[Begun | Disturbed] = []
+    again = search
+    one: Begun | Disturbed | None = begun(search)
+    while len(passes) < _PASSES and (one := one or disturbed(again)) is not None:
+        passes.append(one)
         records = one.undisturbed(records)
-        other = question.of_records(records, measuring, sentences(found))
-        again = _searched(other, quick, say)
-        if evidence.lack_of_fit(again.batch, again.fits[again.best()]).p_value >= evidence.UNEXPLAINED:
-            return other, again, any(item.is_bent for item in found)
-    return question, search, False
+        other = question.of_records(records, measuring, sentences(passes))
+        before, again = again, _searched(other, quick, say)
+        left = _left(again)
+        if left.p_value >= evidence.UNEXPLAINED:
+            return other, again, any(item.is_bent for item in passes)
+        if isinstance(one, Begun) and left.share < _LESS * _left(before).share:
+            known = (other, again, False)
+        one = None
+    return known
+
+
+def _left(search: Search) -> evidence.LackOfFit:
+    """Return what the most probable set leaves."""
+    return evidence.lack_of_fit(search.batch, search.fits[search.best()])
 
 
 def _decided(question: Question, search: Search, is_bent: bool) -> Outcome:
@@ -297,7 +309,7 @@ def _study(
     asked: Mapping[str, object],
     plan: Plan | None,
     seed: int,
-    begun: float,
+    started: float,
 ) -> Study:
     """Return everything that was found as one record."""
     batch, search, decision, extended = question.batch, outcome.search, outcome.decision, outcome.extended
@@ -341,7 +353,7 @@ def _study(
         convergence=inference.convergence,
         settings={**asked, "likelihood": "pooled", "fixed": inference.held, "sampling_seed": seed, **drawn},
         notes=(*question.notes, *_search_notes(search)),
-        seconds=time.perf_counter() - begun,
+        seconds=time.perf_counter() - started,
         seed=seed,
         present=present_design(batch),
         contenders=_contenders(outcome),

@@ -31,8 +31,8 @@ VERDICT_MEANS: dict[str, str] = {
 }
 NAMED_MEANS: dict[str, str] = {
     NamedLevel.LAW: "One set of effects explains the gap between base model and measurement, and the others do not.",
-    NamedLevel.MECHANISM: "All that explain the gap agree on its mechanism. Its law is not certain: none is exact, and a "
-    "smooth departure of unknown size is allowed for; or what bends the sensor's readings may belong to it.",
+    NamedLevel.MECHANISM: "All that explain the gap agree on its mechanism. Its law is not certain: none is exact, and "
+    "a smooth departure of unknown size is allowed for; or what bends the sensor's readings may belong to it.",
 }
 ADEQUATE_BY: dict[str, str] = {
     AdequateBy.STATISTICS: "Model and measurement agree within measurement error.",
