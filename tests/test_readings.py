@@ -7,7 +7,8 @@ import pytest
 from scipy.signal import butter, sosfilt
 
 import pymc_backbone as pb
-from pymc_backbone.discrepancy.readings import Begun, Disturbance, Disturbed, begun, disturbed, line_modes, sentences
+from pymc_backbone.discrepancy.first_cycles import Begun, begun
+from pymc_backbone.discrepancy.readings import Disturbance, Disturbed, disturbed, line_modes, sentences
 from pymc_backbone.discrepancy.search import Search
 
 from .discrepancy_cases import (

@@ -31,10 +31,6 @@ _LOOKS = 3  # times that the coefficients are found again, the set fitted to wha
 _ASKED = 3  # likeliest sets that are asked where none leaves noise, with what is in them
 _NEAR = 3.0  # chi-square over the number of samples that a linear look promises, from which a set is not fitted
 _COST = 4.0  # that each coefficient must be worth
-_NOT_FREE = 2.2  # cycles that are left out where the first is not free motion
-_FEWEST = 8.0  # cycles that have to remain
-_FIRST_ALONE = 5.0  # chi-square of the first cycle over that of the second, from which it is not
-_CLEARLY = 100.0  # and over that of noise
 _ROUNDS = 30  # of the solution for the motion at a reading
 _LINE = 25.0  # peak of the residuals' periodogram over its median that a line has at least
 _FAR = 4.0  # bins between a line and a harmonic, where it is looked for
@@ -109,52 +105,6 @@ def line_modes(time: FloatArray, line: Disturbance, step: float = 0.0) -> FloatA
 
 
 @dataclass(frozen=True, eq=False)
-class Begun:
-    """Time [s] from which each record is free motion, where its first cycles are not."""
-
-    by_specimen: dict[str, float]
-
-    is_bent = False
-
-    def undisturbed(self, records: Iterable[Record]) -> list[Record]:
-        """Return the records from where they are free motion."""
-        return [_from(record, self.by_specimen.get(record.specimen, -np.inf)) for record in records]
-
-
-def _from(record: Record, begin: float) -> Record:
-    """Return a record from an instant of free motion on."""
-    kept = record.time >= begin
-    if kept.all():
-        return record
-    return replace(record, time=record.time[kept], values=record.values[kept], starts_free=True)
-
-
-def begun(search: Search) -> Begun | None:
-    """Return where records begin to be free motion, if no set explains their first cycle and it is the first alone.
-
-    A hand, a trigger, a filter that has to settle: a fit is off by hundreds of times the noise there, and by much less
-    in the cycle after it. None where a set leaves noise, or records are compared through a band-pass.
-    """
-    batch, best = search.batch, search.best()
-    if not batch.has_records or any(record.band is not None for record in batch.records):
-        return None
-    found = search.fits[best]
-    if evidence.lack_of_fit(batch, found).p_value >= evidence.UNEXPLAINED:
-        return None
-    places: dict[str, float] = {}
-    for r, (term, record) in enumerate(zip(batch.waveform, batch.records, strict=True)):
-        left = evidence.residuals_of(term, found, r)
-        cycles = (float(term.time[-1]) - float(term.time[0])) * record.frequency
-        each = left.size / max(cycles, 1.0)
-        if cycles < _FEWEST + _NOT_FREE or each < 4.0:
-            continue
-        first, second = (float((left[round(k * each) : round((k + 1) * each)] ** 2).mean()) for k in (0, 1))
-        if first > _FIRST_ALONE * second and first > _CLEARLY:
-            places[batch.specimens[r]] = float(term.time[0]) + _NOT_FREE / record.frequency
-    return Begun(places) if places else None
-
-
-@dataclass(frozen=True, eq=False)
 class Disturbed:
     """The disturbance of each record, and the set of effects that leaves noise beside it."""
 
@@ -176,18 +126,9 @@ class Disturbed:
         ]
 
 
-def sentences(passes: Sequence[Disturbed | Begun]) -> list[str]:
+def sentences(found: Sequence[Disturbed]) -> list[str]:
     """Return what was found in so many passes, one sentence for each kind."""
     said = []
-    cut = [name for item in passes if isinstance(item, Begun) for name in item.by_specimen]
-    if cut:
-        which = "one record" if len(set(cut)) == 1 else f"{len(set(cut))} records"
-        said.append(
-            f"warning: the first cycles of {which} ({', '.join(sorted(set(cut)))}) are no free motion that any set of "
-            "effects explains, as where a hand, a trigger or a filter that has to settle is in them; they were left "
-            "out, and what acts in them alone is not looked for"
-        )
-    found = [item for item in passes if isinstance(item, Disturbed)]
     if any(item.is_bent for item in found):
         names = list(found[0].by_specimen)
         even = np.array([[item.by_specimen[name].even for name in names] for item in found]).sum(axis=0)
@@ -444,4 +385,4 @@ def line_beside(time: FloatArray, residuals: FloatArray, frequency: float) -> tu
     return float(4.0 * np.sqrt(power[peak]) / n), float(grid[peak])
 
 
-__all__ = ["Begun", "Disturbance", "Disturbed", "begun", "disturbed", "line_beside", "sentences"]
+__all__ = ["Disturbance", "Disturbed", "disturbed", "line_beside", "sentences"]

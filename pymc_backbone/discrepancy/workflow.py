@@ -28,6 +28,7 @@ from .decision import AGREE, Decision
 from .descent import is_heavy
 from .design import Contender, Plan, contender, present_design
 from .extend import Inference, infer
+from .first_cycles import begun
 from .fitted_sets import BUDGET, Progress
 from .force_curve import force_curves
 from .joint_fit import Fit
@@ -35,14 +36,14 @@ from .locate import where_different
 from .plan import plan_tests
 from .portraits import portraits
 from .question import Data, Question, ask, is_of_records
-from .readings import Begun, Disturbed, begun, disturbed, sentences
+from .readings import Disturbed, disturbed, sentences
 from .search import Search
 from .study import Check, EvidenceBasis, Study
 from .verdict import NamedLevel, Verdict
 from .verify import MOST_HELD_OUT, Verification, verify
 
 _QUICK_BUDGET = 0.5
-_PASSES = 3  # times that disturbances are looked for
+_PASSES = 2  # times that disturbances are looked for
 _LESS = 0.5  # of what the best set left, where first cycles are left out
 
 
@@ -248,21 +249,25 @@ def _undisturbed(
     if not is_of_records(data):
         return question, search, False
     say("looking for what disturbs the records", 0.0)
-    records, known = data, (question, search, False)
-    passes: list[Begun | Disturbed] = []
-    again = search
-    one: Begun | Disturbed | None = begun(search)
-    while len(passes) < _PASSES and (one := one or disturbed(again)) is not None:
-        passes.append(one)
-        records = one.undisturbed(records)
-        other = question.of_records(records, measuring, sentences(passes))
-        before, again = again, _searched(other, quick, say)
+    records, known, again = data, (question, search, False), search
+    said: tuple[str, ...] = ()
+    if (first := begun(search)) is not None:
+        records, said = first.undisturbed(records), (first.sentence,)
+        other = question.of_records(records, measuring, said)
+        again = _searched(other, quick, say)
         left = _left(again)
         if left.p_value >= evidence.UNEXPLAINED:
-            return other, again, any(item.is_bent for item in passes)
-        if isinstance(one, Begun) and left.share < _LESS * _left(before).share:
+            return other, again, False
+        if left.share < _LESS * _left(search).share:
             known = (other, again, False)
-        one = None
+    found: list[Disturbed] = []
+    while len(found) < _PASSES and (one := disturbed(again)) is not None:
+        found.append(one)
+        records = one.undisturbed(records)
+        other = question.of_records(records, measuring, (*said, *sentences(found)))
+        again = _searched(other, quick, say)
+        if _left(again).p_value >= evidence.UNEXPLAINED:
+            return other, again, any(item.is_bent for item in found)
     return known
 
 
