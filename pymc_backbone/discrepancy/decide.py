@@ -24,6 +24,8 @@ from .verdict import AdequateBy, NamedLevel, Verdict
 
 _IMITATES = (0.0, 0.03, 0.06, 0.15)  # how probable it is that a set of so many effects imitates what the library lacks
 _HARDLY = 200.0  # gap in standard deviations of the noise beyond which that is rarer, in proportion
+_STANDS_IN = 0.2  # how probable it is that the weakest of several effects stands in for what the library lacks
+_SMALL = 12.0  # gap that it closes, in standard deviations of the noise, beyond which that is rarer
 _OF_SPRINGS = frozenset(("spring", "asymmetry", "clearance"))  # mechanisms
 _WEIGHT_OF_NOISE = 0.1  # how much rarer residuals like noise are where the library lacks what is missing
 
@@ -112,6 +114,7 @@ def _weighed(search: Search, drifting: Mapping[Set, Drifting]) -> Decision:
     # where the most probable set holds one more effect and no drift, a drift beside the smaller set imitates that
     drifts = tuple(names for names in likelier if best in likelier or not set(names) < set(best))
     search.fits.update({names: drifting[names].fit for names in drifts})
+    evidences = _doubted(search, evidences)
     lack = evidence.lack_of_fit(search.batch, search.fits[best])
     left, drift_probability = lack, 0.0
     if () in drifting:
@@ -205,6 +208,27 @@ def is_none_other(search: Search, names: Set, has_drift: bool = False) -> float:
     imitates = _IMITATES[size] * min(1.0, _HARDLY / max(gap, 1.0))
     prior = evidence.PRIOR_OF_SIZE[size]
     return prior / (prior + evidence.PRIOR_NONE * imitates)
+
+
+def _doubted(search: Search, evidences: Mapping[Set, Evidence]) -> dict[Set, Evidence]:
+    """Return the evidences where the weakest of several effects may stand in for something small of another kind.
+
+    Beside what dominates, every structure holds things that no library describes, and of some twenty effects one often
+    makes up for a small one down to the noise. So much of the probability of a set goes to the set without its weakest
+    effect, by the gap that this one closes.
+    """
+    doubted = dict(evidences)
+    for names, found in sorted(search.fits.items(), key=lambda item: -len(item[0])):
+        parents = [parent for parent in combinations(names, max(len(names) - 1, 0)) if parent in search.fits]
+        if len(names) < 2 or not parents:
+            continue
+        parent = min(parents, key=lambda item: search.fits[item].cost)
+        gap = float(np.sqrt(max(search.fits[parent].cost - found.cost, 0.0)))
+        stands_in = _STANDS_IN * min(1.0, _SMALL / max(gap, 1.0)) ** 1.5
+        moved = doubted[names].probability * stands_in / (1.0 + stands_in)
+        for item, change in ((names, -moved), (parent, moved)):
+            doubted[item] = replace(doubted[item], probability=doubted[item].probability + change)
+    return doubted
 
 
 def _mind_backbones(search: Search, decision: Decision) -> Decision:

@@ -39,6 +39,7 @@ _EFFORTS = (250, 120, 60)  # fits by the exact simulator in turn, heavy ones by 
 _PENALTY, _RARER = 10.0, 7.0  # chi-square by which an effect, and one that is a variant, has to be worth it
 _TRUST = 0.2  # of the chi-square of a look
 _LEADERS = 8  # sets whose relatives are asked
+_NEARLY_AS_GOOD = 10.0  # chi-square above that of the best point of a set
 _POLISHED = 16
 _LARGEST_VARIED = 2  # effects of the sets that hold variants
 _NEAR = 100  # sets that are refined from several starts
@@ -311,7 +312,7 @@ class _Proposer:
         best = sorted((names for names in self.sets if self.points[names]), key=self._score)[:_POLISHED]
 
         def polish(names: Set) -> None:
-            self.points[names][0] = self.fits.polish(names, self.points[names][0], self.sharp)
+            self.points[names].insert(0, self.fits.polish(names, self.points[names][0].copy(), self.sharp))
 
         in_threads([partial(polish, n) for n in best if self.points[n][0].is_exact])
 
@@ -355,6 +356,14 @@ class _Proposer:
     def _score(self, names: Set) -> float:
         return -self.fits.log_evidence(names, self.points[names][0]) if self.points[names] else np.inf
 
+    def _log_evidence(self, names: Set, best: Point) -> float:
+        """Return the evidence of a set: that of the point, among those nearly as good as the best, that has most.
+
+        Chi-square is rough where friction sticks, and its deepest dent need not be where most of the probability is.
+        """
+        near = [item for item in self.points[names] if item.is_exact and item.cost < best.cost + _NEARLY_AS_GOOD]
+        return max(self.fits.log_evidence(names, item) for item in (best, *near))
+
     def _ranked(self) -> list[Proposal]:
         """Return all sets, best first."""
         proposals = []
@@ -375,7 +384,7 @@ class _Proposer:
                     best.own,
                     best.cost,
                     best.is_exact,
-                    self.fits.log_evidence(names, best),
+                    self._log_evidence(names, best),
                     tuple((item.cost, item.eta, item.own) for item in starts),
                     self.scatter,
                 )
