@@ -48,18 +48,18 @@ def _from(record: Record, begin: float) -> Record:
 
 
 def begun(search: Search) -> Begun | None:
-    """Return where records begin to be free motion, if no set explains their first cycle and it is the first alone.
+    """Return where records begin to be free motion, if the best set does not explain their first cycle alone.
 
     A hand, a trigger, a filter that has to settle: a fit is off by hundreds of times the noise there, and by much less
-    in the cycle after it. None where a set leaves noise, or records are compared through a band-pass.
+    in the cycle after it. Where most records show it, one chain has measured them, and all are cut. None where records
+    are compared through a band-pass.
     """
     batch, best = search.batch, search.best()
     if not batch.has_records or any(record.band is not None for record in batch.records):
         return None
     found = search.fits[best]
-    if evidence.lack_of_fit(batch, found).p_value >= evidence.UNEXPLAINED:
-        return None
     places: dict[str, float] = {}
+    seen = []
     for r, (term, record) in enumerate(zip(batch.waveform, batch.records, strict=True)):
         left = evidence.residuals_of(term, found, r)
         cycles = (float(term.time[-1]) - float(term.time[0])) * record.frequency
@@ -67,8 +67,11 @@ def begun(search: Search) -> Begun | None:
         if cycles < _FEWEST + _NOT_FREE or each < 4.0:
             continue
         first, second = (float((left[round(k * each) : round((k + 1) * each)] ** 2).mean()) for k in (0, 1))
+        places[batch.specimens[r]] = float(term.time[0]) + _NOT_FREE / record.frequency
         if first > _FIRST_ALONE * second and first > _CLEARLY:
-            places[batch.specimens[r]] = float(term.time[0]) + _NOT_FREE / record.frequency
+            seen.append(batch.specimens[r])
+    if 2 * len(seen) <= len(places):
+        places = {name: places[name] for name in seen}
     return Begun(places) if places else None
 
 

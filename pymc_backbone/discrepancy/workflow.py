@@ -256,10 +256,11 @@ def _undisturbed(
         other = question.of_records(records, measuring, said)
         again = _searched(other, quick, say)
         left = _left(again)
-        if left.p_value >= evidence.UNEXPLAINED:
-            return other, again, False
-        if left.share < _LESS * _left(search).share:
+        is_exact = left.p_value >= evidence.UNEXPLAINED
+        if is_exact or left.share < _LESS * _left(search).share:
             known = (other, again, False)
+        if is_exact:
+            return known
     found: list[Disturbed] = []
     while len(found) < _PASSES and (one := disturbed(again)) is not None:
         found.append(one)
