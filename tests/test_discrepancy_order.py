@@ -280,8 +280,8 @@ def test_drifts_of_no_meaning_gain_no_more_than_they_cost():
     assert alike > 2.0 and each < alike
 
 
-def test_kinds_of_drift_have_equal_chances():
-    """Absent, common up to a fifth, or independent: SciPy's densities, their mean against that of independent ones."""
+def test_kinds_of_drift_have_their_chances():
+    """Absent, common up to a fifth, or independent: SciPy's densities, weighed, against that of independent ones."""
     values, variance = np.array([0.30, 0.34, 0.27, 0.31]), 4e-3
     own, covariance = np.zeros((4, 9)), np.ones((4, 9))
     own[:, DRIFTS], covariance[:, DRIFTS] = values[:, None], variance
@@ -295,7 +295,8 @@ def test_kinds_of_drift_have_equal_chances():
         multivariate_normal.pdf(measured, cov=(noise + (0.2 * mean) ** 2) * np.eye(4) + width**2 * np.ones((4, 4))),
         multivariate_normal.pdf(measured, cov=(noise + 1.0) * np.eye(4)),
     ]
-    assert found == pytest.approx(len(DRIFTS) * np.log(np.mean(densities) / densities[-1]), rel=1e-6)
+    of_frequency, of_damping = (np.dot(prior, densities) / densities[-1] for prior in ([1, 2, 1], [2, 1, 1]))
+    assert found == pytest.approx(np.log(of_frequency / 4 * of_damping / 4), rel=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,8 @@ import xarray as xr
 from scipy.stats import f, kstest, multivariate_normal
 
 from pymc_backbone.discrepancy import evidence, rivals, starts, verify
-from pymc_backbone.discrepancy.curves import curve, on_levels, prediction_errors, simulate
-from pymc_backbone.discrepancy.decide import decide, is_none_other
+from pymc_backbone.discrepancy.curves import curve, level_chi_square, on_levels, prediction_errors, simulate
+from pymc_backbone.discrepancy.decide import decide, doubted, is_none_other
 from pymc_backbone.discrepancy.decision import NAMED
 from pymc_backbone.discrepancy.joint_fit import fit
 from pymc_backbone.discrepancy.locate import mean_gap, where_different
@@ -171,6 +171,20 @@ def test_larger_sets_imitate_more_and_small_gaps_most():
     assert chance(3, 500.0) < NAMED < chance(3, 5000.0)
     assert all(chance(size, 1e3) > chance(size, 100.0) for size in (1, 2, 3))
     assert chance(2, 100.0, has_drift=True) == chance(3, 100.0) and chance(1, 100.0, has_drift=True) > NAMED
+
+
+@pytest.mark.parametrize("gap", [5.0, 12.0, 36.0, 300.0])
+def test_a_weak_second_effect_may_stand_in_for_what_the_library_lacks(gap):
+    fits = {(): SimpleNamespace(cost=2e6), ("a",): SimpleNamespace(cost=gap**2), ("b",): SimpleNamespace(cost=1e6),
+            ("a", "b"): SimpleNamespace(cost=0.0)}  # fmt: skip
+    known = {
+        names: evidence.Evidence(0.0, 0.0, chance) for names, chance in zip(fits, (0.0, 0.0, 0.0, 0.96), strict=True)
+    }
+    found = {names: item.probability for names, item in doubted(SimpleNamespace(fits=fits), known).items()}
+    stands_in = 0.2 * min(1.0, 12.0 / gap) ** 1.5
+    assert found[("a", "b")] == pytest.approx(0.96 / (1.0 + stands_in))
+    assert found[("a",)] == pytest.approx(0.96 - found[("a", "b")]) and found[("b",)] == found[()] == 0.0
+    assert (found[("a", "b")] > NAMED) == (gap > 20.0)
 
 
 def test_an_irrelevant_effect_costs(cubic, linear):
@@ -444,6 +458,16 @@ def test_a_drift_is_not_taken_for_an_effect(random_seed):
     decision = decide(search, found, {})
     assert decision.verdict == "unexplained" and decision.drift_probability > 0.9
     assert not rivals.drift_check(drifting, decision.drift_probability, True).passed
+
+
+def test_backbones_agree_with_a_spring_whose_stiffness_drifts(random_seed):
+    batch = batch_of(drifting_records(np.random.default_rng(random_seed), 0.01, cubic=0.1))
+    search = search_of(batch)
+    drifting = rivals.drift_fit(batch, search.fit_set(("cubic_stiffness",)))
+    assert level_chi_square(batch, drifting) < 3.0
+    still = replace(drifting, state=replace(drifting.state, own=drifting.state.own.copy()))
+    still.state.own[:, 5:7] = 0.0
+    assert level_chi_square(batch, still) > 30.0
 
 
 def test_no_drift_is_seen_where_there_is_none(cubic):

@@ -11,18 +11,22 @@ import xarray as xr
 from .._common.checks import OBSERVABLES, FloatArray
 from . import normal_equations
 from .batch import Batch
-from .data_term import LevelTerm
+from .data_term import DRIFT, LevelTerm
 from .joint_fit import Fit, fit, parameters_of
 from .layout import Layout
-from .normal_equations import NUISANCES, State, linearise, start_state
+from .normal_equations import DRIFTS, NUISANCES, RELEASE_INSTANT, State, linearise, start_state
 
 _NEAR = 2.0  # reduced chi-square
 NO_NUISANCES = np.zeros(5)  # levels see none of them
 
 
 def on_levels(batch: Batch, found: Fit, *, free_effects: bool = False) -> Fit:
-    """Return a fit brought to the backbones: each specimen's stiffness and damping, and if wanted the effects too."""
+    """Return a fit brought to the backbones: each specimen's stiffness and damping, and if wanted the effects too.
+
+    A drift in time is not in it any more.
+    """
     state = State(found.state.eta, found.state.own.copy())
+    state.own[:, DRIFTS] = 0.0
     if free_effects:
         solved = fit(found.layout, batch.levels, state, iterations=20, nuisances=(0, 1), tolerance=0.1)
         return found if solved is None else solved
@@ -141,15 +145,44 @@ def measured(batch: Batch) -> tuple[FloatArray, FloatArray]:
 
 
 def level_chi_square(batch: Batch, found: Fit) -> float:
-    """Return the reduced chi-square of the backbones at a fit."""
+    """Return the reduced chi-square of the backbones at a fit, a drift in time that it holds in them."""
     total, count = 0.0, 0
     for r, term in enumerate(batch.levels):
-        compared = term.compare(found.layout.simulator, found.parameters(r), NO_NUISANCES)
-        if compared is None:
+        if batch.has_records and found.state.own[r, DRIFTS].any():
+            left = _left_beside_drifts(batch, found, r)
+        else:
+            left = term.residuals(found.layout.simulator, found.parameters(r), NO_NUISANCES)
+        if left is None:
             return float("inf")
-        total += float(compared[0] @ compared[0])
+        total += float(left @ left)
         count += term.size
     return total / max(count - 2 * len(batch.levels), 1)
+
+
+def _left_beside_drifts(batch: Batch, found: Fit, r: int) -> FloatArray | None:
+    """Return the residuals (m,) of the backbones of a specimen whose frequency and damping drift with time.
+
+    As in the waveform, the motion without a drift is passed faster, and falls by more: at a level it had another
+    amplitude, and passed it with another frequency and decrement.
+    """
+    term, cycles = batch.levels[r], batch.cycles[r]
+    drift, loss = found.state.own[r, DRIFTS]
+    length = float(np.ptp(batch.waveform[r].time))
+    order = np.argsort(cycles.smoothed_amplitude)
+    elapsed = (cycles.time[order] - found.state.own[r, RELEASE_INSTANT]) / length
+    share = np.interp(term.levels, cycles.smoothed_amplitude[order], elapsed)
+    levels = term.levels * np.exp(0.5 * loss * share**2)
+    if not np.all(np.diff(levels) > 0.0):
+        return None
+    values, status = np.empty((3, levels.size)), np.zeros(levels.size, dtype=np.int64)
+    none = np.zeros((3, levels.size, 0))
+    found.layout.simulator.backbone(found.parameters(r), levels, term.release, True, values, none, status, whole=False)
+    if status.any():
+        return None
+    values[0] *= 1.0 + drift * DRIFT * share
+    values[1] += loss * share / (length * values[0])
+    left: FloatArray = term.whitening @ (term.values - values[term.rows[:, 0], term.rows[:, 1]])
+    return left
 
 
 def prediction_errors(found: Fit, terms: list[LevelTerm], levels: FloatArray) -> FloatArray:

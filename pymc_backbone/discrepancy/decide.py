@@ -114,7 +114,7 @@ def _weighed(search: Search, drifting: Mapping[Set, Drifting]) -> Decision:
     # where the most probable set holds one more effect and no drift, a drift beside the smaller set imitates that
     drifts = tuple(names for names in likelier if best in likelier or not set(names) < set(best))
     search.fits.update({names: drifting[names].fit for names in drifts})
-    evidences = _doubted(search, evidences)
+    evidences = doubted(search, evidences)
     lack = evidence.lack_of_fit(search.batch, search.fits[best])
     left, drift_probability = lack, 0.0
     if () in drifting:
@@ -210,14 +210,14 @@ def is_none_other(search: Search, names: Set, has_drift: bool = False) -> float:
     return prior / (prior + evidence.PRIOR_NONE * imitates)
 
 
-def _doubted(search: Search, evidences: Mapping[Set, Evidence]) -> dict[Set, Evidence]:
+def doubted(search: Search, evidences: Mapping[Set, Evidence]) -> dict[Set, Evidence]:
     """Return the evidences where the weakest of several effects may stand in for something small of another kind.
 
     Beside what dominates, every structure holds things that no library describes, and of some twenty effects one often
     makes up for a small one down to the noise. So much of the probability of a set goes to the set without its weakest
     effect, by the gap that this one closes.
     """
-    doubted = dict(evidences)
+    known = dict(evidences)
     for names, found in sorted(search.fits.items(), key=lambda item: -len(item[0])):
         parents = [parent for parent in combinations(names, max(len(names) - 1, 0)) if parent in search.fits]
         if len(names) < 2 or not parents:
@@ -225,10 +225,10 @@ def _doubted(search: Search, evidences: Mapping[Set, Evidence]) -> dict[Set, Evi
         parent = min(parents, key=lambda item: search.fits[item].cost)
         gap = float(np.sqrt(max(search.fits[parent].cost - found.cost, 0.0)))
         stands_in = _STANDS_IN * min(1.0, _SMALL / max(gap, 1.0)) ** 1.5
-        moved = doubted[names].probability * stands_in / (1.0 + stands_in)
+        moved = known[names].probability * stands_in / (1.0 + stands_in)
         for item, change in ((names, -moved), (parent, moved)):
-            doubted[item] = replace(doubted[item], probability=doubted[item].probability + change)
-    return doubted
+            known[item] = replace(known[item], probability=known[item].probability + change)
+    return known
 
 
 def _mind_backbones(search: Search, decision: Decision) -> Decision:

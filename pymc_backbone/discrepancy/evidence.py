@@ -25,6 +25,8 @@ PRIOR_NONE = 0.05
 """Prior probability that the library does not hold what is missing."""
 VARIANT = 0.03
 """Prior probability of a variant of an effect over that of the effect."""
+DRIFTING = 0.1
+"""Prior probability that frequency or damping change with time beside a set of effects, as with the temperature."""
 UNSEEN = 0.5
 """Prior probability that a missing effect is too small to be seen, where nothing is known of the records."""
 DETECTED = 5.0
@@ -86,6 +88,13 @@ def log_prior(size: int, candidates: int) -> float:
     return float(np.log(share / max(comb(candidates, size), 1)))
 
 
+def _log_prior(names: tuple[str, ...], candidates: int) -> float:
+    """Return the logarithm of the prior probability of a set, with a drift or without; with a drift alone it is one."""
+    if len(names) > 1 and names[-1:] == DRIFT:
+        return log_prior(len(names) - 1, candidates) + float(np.log(DRIFTING))
+    return log_prior(len(names), candidates)
+
+
 def probabilities(
     fits: Mapping[tuple[str, ...], Fit],
     batch: Batch,
@@ -120,7 +129,7 @@ def probabilities(
     rarer = {names: sum(name in variants for name in names) * np.log(VARIANT) for names in logs}
     others = odds or {}
     posterior = {
-        names: value + log_prior(len(names), candidates) + rarer[names] + others.get(names, 0.0)
+        names: value + _log_prior(names, candidates) + rarer[names] + others.get(names, 0.0)
         for names, value in logs.items()
     }
     total = logsumexp(list(posterior.values()))

@@ -35,7 +35,6 @@ _MOST_HEAVY = 24  # sets that take long, beside single effects
 _LOOKED_BACK = 5  # sets whose subsets begin once more where these ended
 _REACH = 20.0  # logarithm of the odds at first sight from which a set is fitted with the departure
 _AMPLE = 5.0  # forces over the gap from which they are too large for it
-_DRIFTS = 0.1  # prior probability that frequency and damping change with time as well
 _STANDS_OUT = 3.0  # standard errors of a level value from which the departure of an observable counts
 _EXPLAINED = 0.2  # of the gap that a set leaves up to which it does not matter whose own the rest is
 _SEPARATE = 5.0  # logarithm of the odds from which departures are each specimen's own, and so no law of amplitude
@@ -231,7 +230,11 @@ def _of_drift(search: Search, departures: DepartingSets, found: Departing, names
     if not known:
         return -np.inf
     # a drift stands for an effect more; the base with one is no model with a departure
-    prior = _log_prior(names, search) + np.log(_DRIFTS) if names else evidence.log_prior(1, len(search.candidates))
+    prior = (
+        _log_prior(names, search) + np.log(evidence.DRIFTING)
+        if names
+        else evidence.log_prior(1, len(search.candidates))
+    )
     return float(logsumexp(known) - np.log(2.0) + prior)
 
 

@@ -26,6 +26,7 @@ _BEATING = 0.02
 _ALIKE = 4.0
 _ASKED = 3  # sets that are asked with a drift beside them where none leaves noise, and with other laws
 _HELPED = 20.0  # fall of chi-square by a drift from which other laws of the same mechanisms are asked
+_KINDS_OF_DRIFT = ((0.25, 0.5, 0.25), (0.5, 0.25, 0.25))  # priors of none, common and own: of frequency, of damping
 _FIRST_TURNS = 108  # turning points that may refute a set with a drift, before all are looked at
 _NEAR = 2.0  # reduced chi-square with a drift up to which they are
 
@@ -33,14 +34,17 @@ _NEAR = 2.0  # reduced chi-square with a drift up to which they are
 def drifting_sets(search: Search) -> dict[Set, Drifting]:
     """Return the base with a drift in time, and the sets beside which a drift may be what a further effect imitates.
 
-    These are what is in the most probable set, where that is not a single effect that leaves noise; and where no set
-    leaves noise, what is in the next ones, too. Where a drift helps one of them, the same is asked of the other laws of
-    its mechanisms. Sets with an equation of their own are asked where they lack one effect only, or nothing simpler
-    is left.
+    These are what is in the most probable set, where that is not a single effect that leaves noise, and the other laws
+    of its mechanism where that effect is a variant of these; where no set leaves noise, what is in the next ones, too.
+    Where a drift helps one of them, the same is asked of the other laws of its mechanisms. Sets with an equation of
+    their own are asked where they lack one effect only, or nothing simpler is left.
     """
     best = search.best()
     is_exact = evidence.lack_of_fit(search.batch, search.fits[best]).p_value >= UNEXPLAINED
     asked: list[Set] = [()]
+    if is_exact and len(best) == 1 and best[0] in search.variants:
+        # its exponent may make up for a drift beside a simpler law
+        asked += _of_the_same_kind(search, best)
     if len(best) > 1 or not is_exact:
         for names in [best] if is_exact else search.ranked()[:_ASKED]:
             within = [part for size in range(1, len(names) + 1) for part in combinations(names, size)]
@@ -62,7 +66,8 @@ def drifting_sets(search: Search) -> dict[Set, Drifting]:
 def _ask(search: Search, sets: Iterable[Set], found: dict[Set, Drifting], limit: float) -> None:
     """Add the fits of sets with a drift beside them; that of the base however far it is."""
     for names in dict.fromkeys(sets):
-        if names in found or (search.is_cut and names not in search.fits):
+        is_within = set(names) < set(search.best())
+        if names in found or (search.is_cut and names not in search.fits and not is_within):
             continue
         start = search.fit_set(names)
         drifting = None if start is None else drift_fit(search.batch, start, limit if names else np.inf)
@@ -111,11 +116,12 @@ def drift_bonus(drifting: Fit) -> float:
     """Return by how much the drift's evidence grows where it may be alike in all records, or of one kind only.
 
     The fit gives every record drifts of its own. Here, given these with their errors, each kind is absent, common to
-    all records up to a scatter of a fifth, or independent, each as probable as the others beforehand. No way to see
-    drifts takes away more than they cost: a fit that ended far from the records, at drifts of no meaning, gains that.
+    all records up to a scatter of a fifth, or independent; beforehand, a stiffness that follows the temperature is the
+    most probable. No way to see drifts takes away more than they cost: a fit that ended far from the records, at drifts
+    of no meaning, gains that.
     """
     bonus = 0.0
-    for column in DRIFTS:
+    for column, prior in zip(DRIFTS, _KINDS_OF_DRIFT, strict=True):
         value = drifting.state.own[:, column]
         variance = np.clip(np.nan_to_num(drifting.own_covariance[:, column], nan=1.0), 1e-12, 1.0 - 1e-9)
         noise = 1.0 / (1.0 / variance - 1.0)
@@ -130,7 +136,7 @@ def drift_bonus(drifting: Fit) -> float:
             _log_normal(measured_drift, noise + 1.0),
         ]
         cost = 0.5 * float(value @ value) - 0.5 * float(np.log(variance).sum())
-        bonus += min(float(logsumexp(logs)) - np.log(len(logs)) - logs[-1], cost)
+        bonus += min(float(logsumexp(logs, b=prior)) - logs[-1], cost)
     return bonus
 
 

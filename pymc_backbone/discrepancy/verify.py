@@ -13,7 +13,7 @@ from .curves import curve, level_chi_square, measured, on_levels, one_on_levels,
 from .data_term import level_term
 from .descent import is_heavy
 from .joint_fit import Fit, fit, parameters_of
-from .normal_equations import NUISANCES, State
+from .normal_equations import DRIFTS, NUISANCES, State
 from .study import HeldOut
 
 MOST_HELD_OUT = 6
@@ -58,10 +58,13 @@ def verify(
         by_level = held_out_levels(batch, before, after)
         say("verifying on held-out data", 0.5)
         by_specimen = held_out_specimens(batch, before, extended, most)
+    reduced = level_chi_square(batch, before if after is None else after)
+    if extended is not None and extended.state.own[:, DRIFTS].any():
+        reduced = min(reduced, level_chi_square(batch, extended))  # with its drift in time
     return Verification(
         before=before,
         after=after,
-        reduced=level_chi_square(batch, before if after is None else after),
+        reduced=reduced,
         held_out_levels=by_level,
         held_out_specimens=by_specimen,
         shrink=shrink(by_specimen, by_level, seed),
