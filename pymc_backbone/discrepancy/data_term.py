@@ -295,6 +295,10 @@ class WaveformTerm:
         )  # fmt: skip
         return (values, slopes) if np.isfinite(values[-1]) else None
 
+    def compared(self, rows: FloatArray) -> FloatArray:
+        """Return of rows at the instants those that are compared with a simulation."""
+        return rows[EDGE:-EDGE] if self.together > 1 else rows
+
     @cached_property
     def most_turns(self) -> int:
         """Turning points after which a simulation is given up."""

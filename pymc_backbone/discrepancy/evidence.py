@@ -17,7 +17,6 @@ from .data_term import DataTerm, Subspace, WaveformTerm
 from .joint_fit import Fit
 from .normal_equations import NUISANCES, information
 from .starts import positions
-from .whitening import EDGE
 
 PRIOR_OF_SIZE = (0.5, 0.445, 0.05, 0.005)
 """Prior probability that so many effects are missing, shared evenly among the sets of that size."""
@@ -299,5 +298,5 @@ def _size_of_motion(term: WaveformTerm) -> float:
 
 def _compared(term: WaveformTerm) -> FloatArray:
     """Return the motion (n,) at those instants that are compared with a simulation."""
-    values = term.values[EDGE:-EDGE] if term.together > 1 else term.values
+    values = term.compared(term.values)
     return values - values.mean()

@@ -23,7 +23,6 @@ from .data_term import WaveformTerm
 from .joint_fit import Fit, fit
 from .normal_equations import DRIFTS, State, derivatives
 from .search import Search, Set
-from .whitening import EDGE
 
 _MOST = 0.1  # of the reading at the largest motion: what bends by more is no sensor
 _MOST_OF_A_LINE = 0.06  # of the motion: beside more, the other mode is no disturbance
@@ -241,11 +240,6 @@ def _step(term: WaveformTerm) -> float:
     return float(np.median(np.diff(term.time))) if term.together > 1 else 0.0
 
 
-def _compared(term: WaveformTerm, values: FloatArray) -> FloatArray:
-    """Return those of a term's values or columns that are compared with a simulation."""
-    return values[EDGE:-EDGE] if term.together > 1 else values
-
-
 def _with_lines(batch: Batch, without: Batch, found: Fit, items: list[Disturbance]) -> list[Disturbance]:
     """Return disturbances with frequency and decay of a line in what the set leaves; as they are where there is none.
 
@@ -258,7 +252,7 @@ def _with_lines(batch: Batch, without: Batch, found: Fit, items: list[Disturbanc
     frequencies = np.array([record.frequency for record in batch.records])
     if not any(item.frequency for item in items):
         lines = [
-            _begun_line(_compared(term, term.time), values, frequency)
+            _begun_line(term.compared(term.time), values, frequency)
             for term, values, frequency in zip(without.waveform, left, frequencies, strict=True)
         ]
         seen = np.array([place / frequency for place, frequency in zip(lines, frequencies, strict=True) if place > 0.0])
@@ -293,7 +287,7 @@ def _begun_line(time: FloatArray, left: FloatArray, frequency: float) -> float:
 
 def _refined(term: WaveformTerm, left: FloatArray, item: Disturbance) -> Disturbance:
     """Return a disturbance with that frequency and decay of its line which explain most of what a set leaves."""
-    time, step = _compared(term, term.time), _step(term)
+    time, step = term.compared(term.time), _step(term)
     left = left + line_modes(time, item, step) @ np.array([item.cosine, item.sine])
     length = float(time[-1] - time[0])
 
@@ -363,7 +357,7 @@ def _modes(term: WaveformTerm, item: Disturbance, *, is_bent: bool) -> FloatArra
         columns[:, 0], columns[:, 1] = around**2 / item.scale, around**3 / item.scale**2
     if item.frequency:
         columns[:, 2:] = line_modes(term.time, item, _step(term))
-    return term.whiten(_compared(term, columns))
+    return term.whiten(term.compared(columns))
 
 
 def line_beside(time: FloatArray, residuals: FloatArray, frequency: float) -> tuple[float, float]:

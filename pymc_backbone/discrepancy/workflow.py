@@ -18,7 +18,7 @@ from ..measurement.conditioning.conditioned import ConditionedRecord
 from ..measurement.options import Measuring
 from ..measurement.reading.record import Record
 from ..oscillator import Oscillator
-from . import evidence, plan_words, rivals, verdict_words, words
+from . import plan_words, rivals, verdict_words, words
 from .batch import Batch
 from .candidate_table import candidates_of
 from .curve_records import ForceCurves
@@ -28,23 +28,20 @@ from .decision import AGREE, Decision
 from .descent import is_heavy
 from .design import Contender, Plan, contender, present_design
 from .extend import Inference, infer
-from .first_cycles import begun
 from .fitted_sets import BUDGET, Progress
 from .force_curve import force_curves
 from .joint_fit import Fit
 from .locate import where_different
 from .plan import plan_tests
 from .portraits import portraits
-from .question import Data, Question, ask, is_of_records
-from .readings import Disturbed, disturbed, sentences
+from .question import Question, ask, is_of_records
 from .search import Search
 from .study import Check, EvidenceBasis, Study
+from .undisturbed import Undisturbed, undisturbed
 from .verdict import NamedLevel, Verdict
 from .verify import MOST_HELD_OUT, Verification, verify
 
 _QUICK_BUDGET = 0.5
-_PASSES = 2  # times that disturbances are looked for
-_LESS = 0.5  # of what the best set left, where first cycles are left out
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,9 +178,13 @@ def find_missing_effect(
             oscillator, data, candidates=candidates, max_effects=max_effects, tolerance=tolerance, measuring=measuring
         )
         search = _searched(question, quick, say)
-        question, search, is_bent = _undisturbed(question, search, data, measuring, quick, say)
+        known = Undisturbed(question, search)
+        if is_of_records(data):
+            say("looking for what disturbs the records", 0.0)
+            known = undisturbed(question, search, data, measuring, lambda other: _searched(other, quick, say))
+        question = known.question
         say("deciding", 0.0)
-        outcome = _decided(question, search, is_bent)
+        outcome = _decided(known)
         most = MOST_HELD_OUT if held_out is None else int(held_out)
         verification = verify(outcome.judged, outcome.base, outcome.extended, most, seed, say)
         curves = _curves(question, outcome, verification, most, seed, quick, say)
@@ -238,47 +239,9 @@ def _searched(question: Question, quick: bool, say: Progress) -> Search:
     return search
 
 
-def _undisturbed(
-    question: Question, search: Search, data: Data, measuring: Measuring, quick: bool, say: Progress
-) -> tuple[Question, Search, bool]:
-    """Return question and search of records without what disturbs them, and whether that is a bent sensor.
-
-    As they were, unless a set of effects leaves noise then; or, first cycles left out, half of what it left at most.
-    What was found with the noise of disturbed records is found again without it.
-    """
-    if not is_of_records(data):
-        return question, search, False
-    say("looking for what disturbs the records", 0.0)
-    records, known, again = data, (question, search, False), search
-    said: tuple[str, ...] = ()
-    if (first := begun(search)) is not None:
-        records, said = first.undisturbed(records), (first.sentence,)
-        other = question.of_records(records, measuring, said)
-        again = _searched(other, quick, say)
-        left = _left(again)
-        is_exact = left.p_value >= evidence.UNEXPLAINED
-        if is_exact or left.share < _LESS * _left(search).share:
-            known = (other, again, False)
-        if is_exact:
-            return known
-    found: list[Disturbed] = []
-    while len(found) < _PASSES and (one := disturbed(again)) is not None:
-        found.append(one)
-        records = one.undisturbed(records)
-        other = question.of_records(records, measuring, (*said, *sentences(found)))
-        again = _searched(other, quick, say)
-        if _left(again).p_value >= evidence.UNEXPLAINED:
-            return other, again, any(item.is_bent for item in found)
-    return known
-
-
-def _left(search: Search) -> evidence.LackOfFit:
-    """Return what the most probable set leaves."""
-    return evidence.lack_of_fit(search.batch, search.fits[search.best()])
-
-
-def _decided(question: Question, search: Search, is_bent: bool) -> Outcome:
+def _decided(known: Undisturbed) -> Outcome:
     """Return the verdict on a finished search, its rivals minded: a drift with time, a second mode."""
+    question, search = known.question, known.search
     drifting = rivals.drifting_sets(search)
     decision = decide(search, drifting, question.tolerance)
     second_mode = Check("no second mode", True, "not testable without records")
@@ -286,7 +249,7 @@ def _decided(question: Question, search: Search, is_bent: bool) -> Outcome:
         second_mode = rivals.second_mode_check(question.batch, search.fits[decision.best])
         if not second_mode.passed:
             decision = mind_second_mode(decision)
-    if is_bent:
+    if known.is_bent:
         decision = mind_bent_sensor(search, decision)
     return Outcome(search, decision, drifting[()].fit if () in drifting else None, second_mode)
 

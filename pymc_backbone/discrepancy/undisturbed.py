@@ -1,0 +1,84 @@
+"""Records without what disturbs them: first cycles, noise that grows with the motion, a bent sensor, another mode."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from ..measurement.options import Measuring
+from ..measurement.reading.record import Record
+from . import evidence
+from .first_cycles import begun
+from .motion_noise import motion_noise
+from .question import Question
+from .readings import Disturbed, disturbed, sentences
+from .search import Search
+
+_PASSES = 2  # times that bent sensors and lines are looked for
+_LESS = 0.5  # of what the best set left, where first cycles are left out
+
+
+@dataclass(frozen=True, eq=False)
+class Undisturbed:
+    """Question and search of records without what disturbs them, and whether that is a bent sensor."""
+
+    question: Question
+    search: Search
+    is_bent: bool = False
+
+
+def undisturbed(
+    question: Question,
+    search: Search,
+    records: Sequence[Record],
+    measuring: Measuring,
+    searched: Callable[[Question], Search],
+) -> Undisturbed:
+    """Return the question and search of records without what disturbs them; as they were where nothing does.
+
+    First cycles are left out where a set of effects leaves noise then, or half of what was left at most. Where the
+    noise grows with the motion, samples count by the noise that they have. A bent sensor and another mode's line are
+    taken out where a set leaves noise then; what was found with the noise of disturbed records is found again without
+    it.
+    """
+    known, again = Undisturbed(question, search), search
+    said: tuple[str, ...] = ()
+    if (first := begun(search)) is not None:
+        records, said = first.undisturbed(records), (first.sentence,)
+        other = question.of_records(records, measuring, said)
+        again = searched(other)
+        if _is_exact(again) or _left(again).share < _LESS * _left(search).share:
+            known = Undisturbed(other, again)
+    noise = motion_noise(again)
+    if noise is not None:
+        said = (*said, noise.sentence)
+        other = question.of_records(records, measuring, said)
+        other = replace(other, batch=noise.weighed(other.batch))
+        again = searched(other)
+        known = Undisturbed(other, again)
+    if first is not None and _is_exact(again):
+        return known
+    found: list[Disturbed] = []
+    while len(found) < _PASSES and (one := disturbed(again)) is not None:
+        found.append(one)
+        records = one.undisturbed(records)
+        other = question.of_records(records, measuring, (*said, *sentences(found)))
+        if noise is not None:
+            other = replace(other, batch=noise.weighed(other.batch))
+        again = searched(other)
+        if _is_exact(again):
+            return Undisturbed(other, again, any(item.is_bent for item in found))
+    return known
+
+
+def _left(search: Search) -> evidence.LackOfFit:
+    """Return what the most probable set leaves."""
+    return evidence.lack_of_fit(search.batch, search.fits[search.best()])
+
+
+def _is_exact(search: Search) -> bool:
+    """Return whether the most probable set leaves noise."""
+    return _left(search).p_value >= evidence.UNEXPLAINED
+
+
+__all__ = ["Undisturbed", "undisturbed"]
