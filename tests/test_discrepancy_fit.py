@@ -293,6 +293,17 @@ def test_derivatives_of_the_waveform(is_dense, cubic_batch, dense_batch):
         assert worst < limit, f"column {j} of {[*layout.oscillator.parameter_names, *NUISANCE_NAMES]}: {worst:.2g}"
 
 
+@pytest.mark.parametrize("drift", [(-6.4e7, -1e7), (0.0, -1e7), (2e9, -4e6)])
+def test_drifts_far_from_any_motion_are_no_simulation(cubic_batch, drift):
+    term = cubic_batch.waveform[0]
+    coloured = replace(term, whiten=whitening.whitener(np.array([1.0, 0.6, 0.3])))
+    layout, vector, nuisances, _ = point(("cubic_stiffness",))
+    nuisances[3:5] = drift
+    with np.errstate(all="ignore"):
+        assert coloured.residuals(layout.simulator, vector, nuisances) is None
+        assert coloured.compare(layout.simulator, vector, nuisances) is None
+
+
 def test_drift_stretches_time_in_waveform_and_turning_points_alike(cubic_batch):
     """The drift that moves the turning points must be the drift that moves the samples, to first order."""
     layout, vector, nuisances, _ = point(("cubic_stiffness",))

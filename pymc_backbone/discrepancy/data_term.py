@@ -337,6 +337,8 @@ class WaveformTerm:
             columns[:, p + 5] = self.values[EDGE:-EDGE] - columns[:, p + 5]
         else:
             columns[:, p + 5] = self.values - columns[:, p + 5]
+        if not np.isfinite(columns).all():
+            return None  # drifts far from any motion
         whitened = self.whiten(columns)
         return whitened[:, -1], whitened[:, :-1]
 
@@ -357,7 +359,7 @@ class WaveformTerm:
             left = self.values[EDGE:-EDGE, None] - average(column, self.together)
         else:
             left = self.values[:, None] - column
-        return self.whiten(left)[:, 0]
+        return self.whiten(left)[:, 0] if np.isfinite(left).all() else None
 
     def _at(self, drift: float, course: _Course) -> FloatArray:
         """Return the instants at which the motion without a drift is looked at."""
