@@ -173,18 +173,20 @@ def test_larger_sets_imitate_more_and_small_gaps_most():
     assert chance(2, 100.0, has_drift=True) == chance(3, 100.0) and chance(1, 100.0, has_drift=True) > NAMED
 
 
+@pytest.mark.parametrize("large", [1.0, 0.2])  # share of the motion that the gap is, beyond which it counts less
 @pytest.mark.parametrize("gap", [5.0, 12.0, 36.0, 300.0])
-def test_a_weak_second_effect_may_stand_in_for_what_the_library_lacks(gap):
+def test_a_weak_second_effect_may_stand_in_for_what_the_library_lacks(monkeypatch, gap, large):
+    monkeypatch.setattr(evidence, "size_of_motion", lambda batch: 100.0 * gap * large)
     fits = {(): SimpleNamespace(cost=2e6), ("a",): SimpleNamespace(cost=gap**2), ("b",): SimpleNamespace(cost=1e6),
             ("a", "b"): SimpleNamespace(cost=0.0)}  # fmt: skip
     known = {
         names: evidence.Evidence(0.0, 0.0, chance) for names, chance in zip(fits, (0.0, 0.0, 0.0, 0.96), strict=True)
     }
-    found = {names: item.probability for names, item in doubted(SimpleNamespace(fits=fits), known).items()}
-    stands_in = 0.2 * min(1.0, 12.0 / gap) ** 1.5
+    found = {names: item.probability for names, item in doubted(SimpleNamespace(fits=fits, batch=None), known).items()}
+    stands_in = 0.2 * min(1.0, 12.0 / gap) ** 1.5 * large
     assert found[("a", "b")] == pytest.approx(0.96 / (1.0 + stands_in))
     assert found[("a",)] == pytest.approx(0.96 - found[("a", "b")]) and found[("b",)] == found[()] == 0.0
-    assert (found[("a", "b")] > NAMED) == (gap > 20.0)
+    assert (found[("a", "b")] > NAMED) == (gap > 20.0 or large < 1.0)
 
 
 def test_an_irrelevant_effect_costs(cubic, linear):

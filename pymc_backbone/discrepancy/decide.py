@@ -26,6 +26,7 @@ _IMITATES = (0.0, 0.03, 0.06, 0.15)  # how probable it is that a set of so many 
 _HARDLY = 200.0  # gap in standard deviations of the noise beyond which that is rarer, in proportion
 _STANDS_IN = 0.2  # how probable it is that the weakest of several effects stands in for what the library lacks
 _SMALL = 12.0  # gap that it closes, in standard deviations of the noise, beyond which that is rarer
+_LARGE = 0.01  # share of the motion that this gap is, beyond which that is rarer, too
 _OF_SPRINGS = frozenset(("spring", "asymmetry", "clearance"))  # mechanisms
 _WEIGHT_OF_NOISE = 0.1  # how much rarer residuals like noise are where the library lacks what is missing
 
@@ -215,16 +216,17 @@ def doubted(search: Search, evidences: Mapping[Set, Evidence]) -> dict[Set, Evid
 
     Beside what dominates, every structure holds things that no library describes, and of some twenty effects one often
     makes up for a small one down to the noise. So much of the probability of a set goes to the set without its weakest
-    effect, by the gap that this one closes.
+    effect, by the gap that this one closes in standard deviations of the noise, and as a share of the motion.
     """
     known = dict(evidences)
+    motion = evidence.size_of_motion(search.batch)
     for names, found in sorted(search.fits.items(), key=lambda item: -len(item[0])):
         parents = [parent for parent in combinations(names, max(len(names) - 1, 0)) if parent in search.fits]
         if len(names) < 2 or not parents:
             continue
         parent = min(parents, key=lambda item: search.fits[item].cost)
         gap = float(np.sqrt(max(search.fits[parent].cost - found.cost, 0.0)))
-        stands_in = _STANDS_IN * min(1.0, _SMALL / max(gap, 1.0)) ** 1.5
+        stands_in = _STANDS_IN * min(1.0, _SMALL / max(gap, 1.0)) ** 1.5 * min(1.0, _LARGE * motion / max(gap, 1.0))
         moved = known[names].probability * stands_in / (1.0 + stands_in)
         for item, change in ((names, -moved), (parent, moved)):
             known[item] = replace(known[item], probability=known[item].probability + change)

@@ -290,6 +290,13 @@ def residuals_scale(term: WaveformTerm) -> float:
     return 1.0 / max(float(term.whiten(probe).std()), 1e-300)
 
 
+def size_of_motion(batch: Batch) -> float:
+    """Return the norm of the motion of all records in units of the standardised residuals; infinite without records."""
+    if not batch.has_records:
+        return float("inf")
+    return float(np.sqrt(sum(_size_of_motion(term) ** 2 for term in batch.waveform)))
+
+
 def _size_of_motion(term: WaveformTerm) -> float:
     """Return the norm of the motion in units of the standardised residuals."""
     motion = term.whiten(_compared(term)[:, None])
