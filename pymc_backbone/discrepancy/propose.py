@@ -40,6 +40,7 @@ _PENALTY, _RARER = 10.0, 7.0  # chi-square by which an effect, and one that is a
 _TRUST = 0.2  # of the chi-square of a look
 _LEADERS = 8  # sets whose relatives are asked
 _NEARLY_AS_GOOD = 10.0  # chi-square above that of the best point of a set
+_APART = 3.0  # standard deviations
 _POLISHED = 16
 _LARGEST_VARIED = 2  # effects of the sets that hold variants
 _NEAR = 100  # sets that are refined from several starts
@@ -357,12 +358,20 @@ class _Proposer:
         return -self.fits.log_evidence(names, self.points[names][0]) if self.points[names] else np.inf
 
     def _log_evidence(self, names: Set, best: Point) -> float:
-        """Return the evidence of a set: that of the point, among those nearly as good as the best, that has most.
+        """Return the evidence of a set: of the points nearly as good as the best, those that stand apart, together.
 
-        Chi-square is rough where friction sticks, and its deepest dent need not be where most of the probability is.
+        Chi-square of what sticks is rough, and long valleys have several dents, the deepest of which holds little.
         """
         near = [item for item in self.points[names] if item.is_exact and item.cost < best.cost + _NEARLY_AS_GOOD]
-        return max(self.fits.log_evidence(names, item) for item in (best, *near))
+        known = [(self.fits.log_evidence(names, item), item) for item in (best, *near)]
+        known.sort(key=lambda pair: -pair[0])
+        apart: list[Point] = []
+        logs = []
+        for log, item in known:
+            if all(_is_apart(item, other) for other in apart):
+                apart.append(item)
+                logs.append(log)
+        return float(np.logaddexp.reduce(logs))
 
     def _ranked(self) -> list[Proposal]:
         """Return all sets, best first."""
@@ -391,3 +400,9 @@ class _Proposer:
             )
         proposals.sort(key=lambda item: -item.log_evidence)
         return proposals
+
+
+def _is_apart(point: Point, other: Point) -> bool:
+    """Return whether a point lies standard deviations away from another, by the information at the other."""
+    away = point.eta - other.eta
+    return float(away @ other.shared @ away) > _APART**2
