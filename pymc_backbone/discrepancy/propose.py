@@ -148,6 +148,7 @@ class _Proposer:
             pairs = (tuple(sorted(names)) for names in combinations(self.candidates, size))
             self.sets += [names for names in pairs if not {*names}.isdisjoint(variants)]
         self.points: dict[Set, list[Point]] = {}
+        self.unpolished: dict[Set, Point] = {}
         self.asked: set[tuple[Set, Set]] = set()
         self.needless: set[Set] = set()
 
@@ -313,7 +314,8 @@ class _Proposer:
         best = sorted((names for names in self.sets if self.points[names]), key=self._score)[:_POLISHED]
 
         def polish(names: Set) -> None:
-            self.points[names].insert(0, self.fits.polish(names, self.points[names][0].copy(), self.sharp))
+            self.unpolished[names] = self.points[names][0]
+            self.points[names][0] = self.fits.polish(names, self.points[names][0].copy(), self.sharp)
 
         in_threads([partial(polish, n) for n in best if self.points[n][0].is_exact])
 
@@ -362,8 +364,9 @@ class _Proposer:
 
         Chi-square of what sticks is rough, and long valleys have several dents, the deepest of which holds little.
         """
-        near = [item for item in self.points[names] if item.is_exact and item.cost < best.cost + _NEARLY_AS_GOOD]
-        known = [(self.fits.log_evidence(names, item), item) for item in (best, *near)]
+        rough = [self.unpolished[names]] if names in self.unpolished else []
+        near = [item for item in (*self.points[names], *rough) if item.cost < best.cost + _NEARLY_AS_GOOD]
+        known = [(self.fits.log_evidence(names, item), item) for item in (best, *near) if item.is_exact or item is best]
         known.sort(key=lambda pair: -pair[0])
         apart: list[Point] = []
         logs = []
