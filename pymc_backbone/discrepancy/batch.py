@@ -65,6 +65,11 @@ class Batch:
         return bool(self.waveform)
 
     @property
+    def has_open_records(self) -> bool:
+        """Whether there are waveforms, none of which is compared through a band-pass."""
+        return self.has_records and all(record.band is None for record in self.records)
+
+    @property
     def nuisances(self) -> tuple[int, ...]:
         """Which of a specimen's own values the deciding data term sees."""
         return (0, 1, 2, 3, 4) if self.has_records else (0, 1)

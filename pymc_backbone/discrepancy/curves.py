@@ -11,7 +11,8 @@ import xarray as xr
 from .._common.checks import OBSERVABLES, FloatArray
 from . import normal_equations
 from .batch import Batch
-from .data_term import DRIFT, LevelTerm
+from .data_term import LevelTerm
+from .drift_course import drifted, levels_before
 from .joint_fit import Fit, fit, parameters_of
 from .layout import Layout
 from .normal_equations import DRIFTS, NUISANCES, RELEASE_INSTANT, State, linearise, start_state
@@ -171,7 +172,7 @@ def _left_beside_drifts(batch: Batch, found: Fit, r: int) -> FloatArray | None:
     order = np.argsort(cycles.smoothed_amplitude)
     elapsed = (cycles.time[order] - found.state.own[r, RELEASE_INSTANT]) / length
     share = np.interp(term.levels, cycles.smoothed_amplitude[order], elapsed)
-    levels = term.levels * np.exp(0.5 * loss * share**2)
+    levels = levels_before(term.levels, share, loss)
     if not np.all(np.diff(levels) > 0.0):
         return None
     values, status = np.empty((3, levels.size)), np.zeros(levels.size, dtype=np.int64)
@@ -179,8 +180,7 @@ def _left_beside_drifts(batch: Batch, found: Fit, r: int) -> FloatArray | None:
     found.layout.simulator.backbone(found.parameters(r), levels, term.release, True, values, none, status, whole=False)
     if status.any():
         return None
-    values[0] *= 1.0 + drift * DRIFT * share
-    values[1] += loss * share / (length * values[0])
+    values[:2] = drifted(values[0], values[1], share, drift, loss, length)
     left: FloatArray = term.whitening @ (term.values - values[term.rows[:, 0], term.rows[:, 1]])
     return left
 

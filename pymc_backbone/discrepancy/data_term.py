@@ -8,16 +8,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 import xarray as xr
 
 from .._common.checks import OBSERVABLES, BoolArray, FloatArray, IntArray
 from ..simulation.decay import Simulator
+from .drift_course import DRIFT, Course, course_of
 from .whitening import EDGE, average
 
-DRIFT = 0.05  # relative change of frequency over a record that one unit of drift stands for
 TOLERANCE = 1e-7  # of one integration step: waveforms to 3e-6 of the amplitude, far below any noise here
 KNOWN = 1e-3  # relative error of a frequency that is known and not measured: it settles the stiffness, no more
 _MARGIN = 60  # turning points beyond those of the record
@@ -314,7 +314,7 @@ class WaveformTerm:
     ) -> tuple[FloatArray, FloatArray] | None:
         """Return residuals (m,) and derivatives (m, p + 5)."""
         release, release_time, offset, drift, _ = nuisances
-        course = self._course(nuisances)
+        course = course_of(self.time, nuisances, self.order)
         simulated = self.simulate(simulator, parameters, release, release_time, self._at(drift, course))
         if simulated is None:
             return None
@@ -345,7 +345,7 @@ class WaveformTerm:
     def residuals(self, simulator: Simulator, parameters: FloatArray, nuisances: FloatArray) -> FloatArray | None:
         """Return residuals (m,)."""
         release, release_time, offset, drift, _ = nuisances
-        course = self._course(nuisances)
+        course = course_of(self.time, nuisances, self.order)
         simulated = self.simulate(
             simulator, parameters, release, release_time, self._at(drift, course), sensitivities=False
         )
@@ -361,43 +361,6 @@ class WaveformTerm:
             left = self.values[:, None] - column
         return self.whiten(left)[:, 0] if np.isfinite(left).all() else None
 
-    def _at(self, drift: float, course: _Course) -> FloatArray:
+    def _at(self, drift: float, course: Course) -> FloatArray:
         """Return the instants at which the motion without a drift is looked at."""
         return self.time if drift == 0.0 else self.time + drift * course.later
-
-    def _course(self, nuisances: FloatArray) -> _Course:
-        """Return how the drifts change the motion over the record."""
-        _, release_time, _, drift, loss = nuisances
-        length = float(self.time[-1] - self.time[0])
-        elapsed = np.maximum(self.time - release_time, 0.0)
-        share = 0.5 * (elapsed / length) ** 2
-        factor = hastened = None
-        if loss != 0.0 or self.order:
-            # y(s(t)) exp(-loss share) is the displacement: its rates have the pace ds/dt in them
-            pace = 1.0 + drift * DRIFT * elapsed / length
-            if loss != 0.0 or drift != 0.0:
-                factor = np.exp(-loss * share) * pace**self.order
-            if self.order:
-                hastened = self.order * DRIFT * elapsed / length / pace
-        return _Course(0.5 * DRIFT * elapsed**2 / length, share, factor, hastened)
-
-
-class _Course(NamedTuple):
-    """What drifts do over a record, sample by sample.
-
-    Attributes
-    ----------
-    later : (n,) array
-        By how much one unit of the drift of frequency puts the motion forward [s].
-    share : (n,) array
-        By how much one unit of the drift of damping lowers the logarithm of the amplitude.
-    factor : (n,) array or None
-        By which both change the measured quantity; None where they are zero or change when it is reached, not its size.
-    hastened : (n,) array or None
-        Derivative of the logarithm of that with respect to the drift of frequency; None for a displacement.
-    """
-
-    later: FloatArray
-    share: FloatArray
-    factor: FloatArray | None
-    hastened: FloatArray | None

@@ -61,7 +61,7 @@ def _judged(search: Search, weighed: Decision, tolerance: Mapping[str, float], d
     named = _pruned(search, weighed, tolerance) if any(tolerance.values()) else weighed
     if named.verdict is Verdict.ADEQUATE:
         return named
-    if named.drift_probability > NAMED and drifting is not None and _is_exact(search, drifting):
+    if named.drift_probability > NAMED and drifting is not None and evidence.leaves_noise(search.batch, drifting):
         return replace(named, verdict=Verdict.UNEXPLAINED, below=())
     if named.lack.p_value < UNEXPLAINED:
         return departing(search, named)
@@ -72,11 +72,6 @@ def _judged(search: Search, weighed: Decision, tolerance: Mapping[str, float], d
     chances = {names: named.evidences[names].probability for names in named.ranked}
     # what the sets do not hold of the probability is the drift's
     return replace(named, listed=listed(chances, 1.0 - sum(chances.values())))
-
-
-def _is_exact(search: Search, found: Fit) -> bool:
-    """Return whether a fit leaves noise."""
-    return evidence.lack_of_fit(search.batch, found).p_value >= UNEXPLAINED
 
 
 def _weighed(search: Search, drifting: Mapping[Set, Drifting]) -> Decision:

@@ -253,6 +253,11 @@ def lack_of_fit(batch: Batch, found: Fit, *, is_local: bool = False) -> LackOfFi
     return LackOfFit(float(np.median(ratios)), min(1.0, 2.0 * min(combined, worst)), float(np.max(shares)))
 
 
+def leaves_noise(batch: Batch, found: Fit) -> bool:
+    """Return whether a set explains the records down to what may be noise."""
+    return lack_of_fit(batch, found).p_value >= UNEXPLAINED
+
+
 def _power(residuals: FloatArray, lines: Subspace) -> tuple[float, float]:
     """Return the sum of squares of residuals along lines, and how many these are."""
     return (

@@ -55,7 +55,7 @@ def begun(search: Search) -> Begun | None:
     are compared through a band-pass.
     """
     batch, best = search.batch, search.best()
-    if not batch.has_records or any(record.band is not None for record in batch.records):
+    if not batch.has_open_records:
         return None
     found = search.fits[best]
     places: dict[str, float] = {}

@@ -75,7 +75,7 @@ def motion_noise(search: Search) -> MotionNoise | None:
     Nor where neighbouring samples are alike: a law that no set holds has harmonics beyond those.
     """
     batch = search.batch
-    if not batch.has_records or any(record.band is not None for record in batch.records):
+    if not batch.has_open_records:
         return None
     best = search.fits[search.best()]
     found = {}

@@ -163,9 +163,9 @@ def disturbed(search: Search) -> Disturbed | None:
     records are compared through a band-pass: there is nothing beside the mode in them.
     """
     batch, best = search.batch, search.best()
-    if not batch.has_records or any(record.band is not None for record in batch.records):
+    if not batch.has_open_records:
         return None
-    is_exact = evidence.lack_of_fit(batch, search.fits[best]).p_value >= evidence.UNEXPLAINED
+    is_exact = evidence.leaves_noise(batch, search.fits[best])
     likeliest = [best] if is_exact else search.ranked()[:_ASKED]
     asked = [part for names in likeliest if names for part in combinations(names, len(names) - 1)]
     asked += [] if is_exact else likeliest

@@ -13,9 +13,9 @@ from .._common.checks import FloatArray
 from . import evidence
 from .batch import Batch
 from .curves import measured
-from .data_term import DRIFT
 from .descent import is_heavy
-from .evidence import UNEXPLAINED, Drifting
+from .drift_course import DRIFT
+from .evidence import Drifting
 from .joint_fit import Fit, fit
 from .normal_equations import DRIFTS, NUISANCES
 from .readings import line_beside
@@ -40,7 +40,7 @@ def drifting_sets(search: Search) -> dict[Set, Drifting]:
     their own are asked where they lack one effect only, or nothing simpler is left.
     """
     best = search.best()
-    is_exact = evidence.lack_of_fit(search.batch, search.fits[best]).p_value >= UNEXPLAINED
+    is_exact = evidence.leaves_noise(search.batch, search.fits[best])
     asked: list[Set] = [()]
     if is_exact and len(best) == 1 and best[0] in search.variants:
         # its exponent may make up for a drift beside a simpler law

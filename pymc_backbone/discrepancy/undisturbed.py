@@ -9,7 +9,7 @@ from ..measurement.options import Measuring
 from ..measurement.reading.record import Record
 from . import evidence
 from .first_cycles import begun
-from .motion_noise import motion_noise
+from .motion_noise import MotionNoise, motion_noise
 from .question import Question
 from .readings import Disturbed, disturbed, sentences
 from .search import Search
@@ -43,31 +43,35 @@ def undisturbed(
     """
     known, again = Undisturbed(question, search), search
     said: tuple[str, ...] = ()
+    noise: MotionNoise | None = None
+
+    def asked(records: Sequence[Record], said: Sequence[str]) -> Undisturbed:
+        other = question.of_records(records, measuring, said)
+        if noise is not None:
+            other = replace(other, batch=noise.weighed(other.batch))
+        return Undisturbed(other, searched(other))
+
     if (first := begun(search)) is not None:
         records, said = first.undisturbed(records), (first.sentence,)
-        other = question.of_records(records, measuring, said)
-        again = searched(other)
+        tried = asked(records, said)
+        again = tried.search
         if _is_exact(again) or _left(again).share < _LESS * _left(search).share:
-            known = Undisturbed(other, again)
+            known = tried
     noise = motion_noise(again)
     if noise is not None:
         said = (*said, noise.sentence)
-        other = question.of_records(records, measuring, said)
-        other = replace(other, batch=noise.weighed(other.batch))
-        again = searched(other)
-        known = Undisturbed(other, again)
+        known = asked(records, said)
+        again = known.search
     if first is not None and _is_exact(again):
         return known
     found: list[Disturbed] = []
     while len(found) < _PASSES and (one := disturbed(again)) is not None:
         found.append(one)
         records = one.undisturbed(records)
-        other = question.of_records(records, measuring, (*said, *sentences(found)))
-        if noise is not None:
-            other = replace(other, batch=noise.weighed(other.batch))
-        again = searched(other)
+        tried = asked(records, (*said, *sentences(found)))
+        again = tried.search
         if _is_exact(again):
-            return Undisturbed(other, again, any(item.is_bent for item in found))
+            return replace(tried, is_bent=any(item.is_bent for item in found))
     return known
 
 
@@ -78,7 +82,7 @@ def _left(search: Search) -> evidence.LackOfFit:
 
 def _is_exact(search: Search) -> bool:
     """Return whether the most probable set leaves noise."""
-    return _left(search).p_value >= evidence.UNEXPLAINED
+    return evidence.leaves_noise(search.batch, search.fits[search.best()])
 
 
 __all__ = ["Undisturbed", "undisturbed"]
