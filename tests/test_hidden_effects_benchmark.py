@@ -301,8 +301,12 @@ def test_the_scorer_on_batches_with_known_figures(tmp_path: Path, capsys: pytest
     empty = {"effects": [], "probability": 0.75}
     listed = {"verdict": "ambiguous", "missing_effects": [], "ambiguous_sets": [["iwan"], ["jenkins"]]}
     adequate = {"verdict": "adequate", "missing_effects": [], "candidates": [empty], "probability": 0.75}
+    estimates = {"a": {"sd": 0.5, "hdi_low": 1.0, "hdi_high": 3.0}, "b": {"sd": 0.1, "hdi_low": 1.8, "hdi_high": 1.9}}
+    cubics = [{"name": "cubic_stiffness", "parameters": estimates}]
+    with_values = _found("cubic_stiffness") | {"missing_effects": cubics}
+    of_kind = _mechanism("hysteresis") | {"ambiguous_sets": [["iwan"], ["jenkins"]]}
     cases = [
-        (cubic, _found("cubic_stiffness"), 40.0),
+        (cubic | {"parameters": [{"a": 1.5, "b": 1.5}, {"a": 2.5, "b": 2.5}]}, with_values, 40.0),
         (cubic, _found("quintic_stiffness"), 25.0),
         (iwan, listed, 4.0),
         (cubic, adequate, 0.5),
@@ -316,7 +320,7 @@ def test_the_scorer_on_batches_with_known_figures(tmp_path: Path, capsys: pytest
         ),
         ({"hidden": ["iwan", "freeplay"], "tier": "two_effects"}, _found("freeplay", "iwan"), 60.0),
         ({"hidden": ["iwan"]}, None, 60.0),
-        ({"hidden": ["jenkins"], "tier": "contaminated"}, _mechanism("hysteresis"), None),
+        ({"hidden": ["jenkins"], "tier": "contaminated"}, of_kind, 25.0),
         ({"hidden": ["cubic_damping"], "tier": "contaminated"}, _mechanism("rising_damping"), None),
         ({"hidden": ["jenkins"], "tier": "contaminated"}, _mechanism("spring"), None),
     ]
@@ -328,8 +332,17 @@ def test_the_scorer_on_batches_with_known_figures(tmp_path: Path, capsys: pytest
     assert (found["false_alarms"]["all"]["hits"], found["false_alarms"]["all"]["count"]) == (1, 2)
     assert found["false_alarms"]["base holds an effect that is not there"]["share"] == 1.0
     assert (found["wrong"]["hits"], found["wrong"]["count"]) == (3, 12)
+    levels = {name: (row["hits"], row["count"]) for name, row in found["levels"].items()}
+    assert levels == {
+        "law right or listed": (5, 10),  # two of them listed, one beside the mechanism that is named
+        "mechanism certain and right": (6, 10),  # a quintic for a cubic spring among them
+        "mechanism certain and wrong": (1, 10),
+        "unexplained, or named as a mechanism": (2, 10),
+        "95 % intervals that hold the parameter": (1, 2),  # the means are 2
+    }
     clear = found["detection"]["clear"]
-    assert clear["one effect"]["right"]["share"] == 0.5
+    assert (clear["one effect"]["right or listed"]["hits"], clear["one effect"]["right or listed"]["count"]) == (2, 3)
+    assert clear["one effect"]["right"]["share"] == pytest.approx(1.0 / 3.0)
     assert clear["base plus hidden"]["right"]["share"] == clear["two effects"]["right"]["share"] == 1.0
     assert found["detection"]["close_named"]["share"] == 0.0
     # At 0.95: three right of five. At 0.75: the truth once, of three (outside of the library no set is right).

@@ -222,8 +222,10 @@ def folder(written, tmp_path):
     return tmp_path / "diagnosis"
 
 
-def test_the_command_reads_a_folder_and_writes_what_it_says(folder, tmp_path, capsys):
+@pytest.mark.parametrize("verdict", ["ambiguous", "found"])  # of the second a mechanism, its law open
+def test_the_command_reads_a_folder_and_writes_what_it_says(verdict, folder, tmp_path, capsys):
     result = json.loads((folder / "result.json").read_text())
+    (folder / "result.json").write_text(json.dumps(result | {"verdict": verdict}))
     assert result["contenders"][0]["parameters"]["cubic_stiffness"] == WEAK
     assert result["plan"]["best"][0]["design"]["release"] == pytest.approx(1.5 * AMPLITUDE)
     target = tmp_path / "plan.json"
@@ -242,7 +244,7 @@ def test_the_command_reads_a_folder_and_writes_what_it_says(folder, tmp_path, ca
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        ({"verdict": "found"}, "no sets left to tell apart"),
+        ({"verdict": "found", "ambiguous_sets": []}, "no sets left to tell apart"),
         ({"present": None}, "backbones alone"),
         ({"contenders": []}, "fewer than two sets"),
         ({"contenders": [{"effects": ["cubic_stiffness"]}, {}]}, "not as `diagnose` writes them"),

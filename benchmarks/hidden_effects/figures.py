@@ -37,6 +37,32 @@ def is_outcome(*names: str) -> Callable[[Outcome], bool]:
     return lambda outcome: outcome.outcome in names
 
 
+def is_right_or_listed(outcome: Outcome) -> bool:
+    """Return whether the law is named, or is among those that remain: of several, or of the mechanism that is named."""
+    return outcome.outcome in ("right", "listed") or (outcome.outcome == "mechanism" and outcome.is_listed)
+
+
+def measure_levels(outcomes: Sequence[Outcome]) -> dict[str, dict[str, Any]]:
+    """Return, of the batches that hide something, what is said of laws and of mechanisms, and what intervals hold."""
+    hidden = [o for o in outcomes if o.hidden or not o.is_in_library]
+    lawful = [o for o in hidden if o.hidden]
+    covered = [item for o in hidden for item in o.covered]
+    low, high = wilson_interval(sum(covered), len(covered))
+    return {
+        "law right or listed": share(lawful, is_right_or_listed),
+        "mechanism certain and right": share(hidden, lambda o: o.certain == "right"),
+        "mechanism certain and wrong": share(hidden, lambda o: o.certain == "wrong"),
+        "unexplained, or named as a mechanism": share(hidden, is_outcome("unexplained", "mechanism")),
+        "95 % intervals that hold the parameter": {
+            "count": len(covered),
+            "hits": sum(covered),
+            "share": sum(covered) / len(covered) if covered else math.nan,
+            "low": low,
+            "high": high,
+        },
+    }
+
+
 def count_tiers(outcomes: Sequence[Outcome]) -> dict[str, dict[str, int]]:
     """Count outcomes per tier; the last row holds all."""
     rows = {tier: [o for o in outcomes if o.tier == tier] for tier in sorted({o.tier for o in outcomes})}
@@ -102,7 +128,7 @@ def measure_detection(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         groups[group] = {
             "target": target,
             "right": share(kept, is_outcome("right")),
-            "right or listed": share(kept, is_outcome("right", "listed")),
+            "right or listed": share(kept, is_right_or_listed),
             "wrong": share(kept, is_outcome("wrong")),
         }
     close = [o for o in hidden if o.distance < 3.0]
@@ -188,6 +214,7 @@ def score(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     answered = [o for o in outcomes if o.outcome != "no result"]
     return {
         "tiers": count_tiers(outcomes),
+        "levels": measure_levels(answered),
         "false_alarms": rate_false_alarms(answered),
         "detection": measure_detection(answered),
         "wrong": share(answered, is_outcome("wrong")),

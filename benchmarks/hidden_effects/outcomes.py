@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from meanings import Meaning, meaning_of
+from meanings import WORDS, Meaning, meaning_of
 from scipy.optimize import minimize
 from scipy.special import expit
 from systems import LIBRARY_NAMES_OF_OUTSIDE, NEW
@@ -39,6 +39,13 @@ class Outcome:
         One of `OUTCOMES`.
     is_kindred : bool
         Whether a wrong name is that of laws whose mechanisms may rightly be named.
+    is_listed : bool
+        Whether the truth is among the sets that remain possible, whatever is named.
+    certain : str
+        What mechanisms are certain, whatever the verdict: ``right``, ``wrong`` or ``none``; a law's name counts as its
+        mechanisms.
+    covered : tuple of bool
+        Whether the 95 % interval of each parameter of a right law holds its mean over the specimens.
     probability : float
         Of the most probable set; NaN where the tool gave none.
     is_top_right : bool
@@ -56,6 +63,9 @@ class Outcome:
     distance: float
     outcome: str
     is_kindred: bool
+    is_listed: bool
+    certain: str
+    covered: tuple[bool, ...]
     named: tuple[str, ...]
     probability: float
     is_top_right: bool
@@ -128,12 +138,7 @@ def _judge(folder: Path) -> Outcome:
     outcome = _classify(said.get("verdict"), named, listed, meaning)
     is_kindred = outcome == "wrong" and meaning.is_kindred(named)
     if said.get("verdict") == "found" and said.get("named_level") == "mechanism":
-        kinds = {
-            item["mechanism"]
-            for item in said["mechanisms"]
-            if item["probability"] >= NAMED_FROM and item["share_of_gap"] >= LEAST_SHARE
-        }
-        outcome, is_kindred = "mechanism" if meaning.allows(kinds) else "wrong", False
+        outcome, is_kindred = "mechanism" if meaning.allows(_certain_kinds(said)) else "wrong", False
     candidates = [(_number(c.get("probability")), _names(c.get("effects"), held)) for c in said.get("candidates") or ()]
     candidates = [candidate for candidate in candidates if not math.isnan(candidate[0])]
     top = max(candidates, key=lambda candidate: candidate[0], default=(_number(said.get("probability")), named))
@@ -148,12 +153,43 @@ def _judge(folder: Path) -> Outcome:
         distance=_number(_read(folder / "distance.json").get("distance")),
         outcome=outcome,
         is_kindred=is_kindred,
+        is_listed=bool(listed & meaning.accepted),
+        certain=_of_certain(said, named, meaning),
+        covered=_covered(truth, said) if outcome == "right" else (),
         named=tuple(sorted(named)),
         probability=top[0] if math.isnan(given) else given,
         is_top_right=top[1] in meaning.accepted,
         gap=dict(said.get("gap") or {}),
         seconds=_number(said.get("seconds")),
     )
+
+
+def _certain_kinds(said: dict[str, Any]) -> set[str]:
+    """Return the mechanisms that are probable enough for a name, and explain enough to be worth one."""
+    return {
+        item["mechanism"]
+        for item in said.get("mechanisms") or ()
+        if item["probability"] >= NAMED_FROM and item["share_of_gap"] >= LEAST_SHARE
+    }
+
+
+def _of_certain(said: dict[str, Any], named: frozenset[str], meaning: Meaning) -> str:
+    """Return whether the mechanisms that are certain, or those of the law that is named, may rightly be named."""
+    kinds = {WORDS.get(name, "other") for name in named} if named else _certain_kinds(said)
+    if not kinds:
+        return "none"
+    return "right" if meaning.allows(kinds) else "wrong"
+
+
+def _covered(truth: dict[str, Any], said: dict[str, Any]) -> tuple[bool, ...]:
+    """Return whether each interval of a named effect's parameters holds the mean over the specimens."""
+    held = []
+    for effect in said.get("missing_effects") or ():
+        for name, estimate in (effect.get("parameters") or {}).items():
+            drawn = [specimen[name] for specimen in truth.get("parameters") or () if name in specimen]
+            if drawn and estimate["sd"] > 0.0:
+                held.append(bool(estimate["hdi_low"] <= float(np.mean(drawn)) <= estimate["hdi_high"]))
+    return tuple(held)
 
 
 def _strength(truth: dict[str, Any]) -> dict[str, float]:

@@ -1,11 +1,11 @@
-"""Whether the test that is advised decides: ambiguous batches, the advice carried out in simulation; prints Markdown.
+"""Whether the test that is advised decides: batches that leave several sets, the advice carried out; prints Markdown.
 
     python benchmarks/hidden_effects/plans.py --batches 20 --seed 314159 [--tiers close_pairs few_data] [--workers 2]
 
-Batches are drawn until so many are ambiguous with the truth among the sets that remain. For each the first advice and,
+Batches are drawn until so many leave several sets possible with the truth among them. For each the first advice and,
 for comparison, the present test are carried out with the same structures and fresh noise, by the generator's own
-integrator; the records at hand and the new ones are then diagnosed together. A test decides where the verdict is
-`found`. *Promised* is the probability that the plan gave.
+integrator; the records at hand and the new ones are then diagnosed together. A test decides where a law
+is named. *Promised* is the probability that the plan gave.
 """
 
 from __future__ import annotations
@@ -63,6 +63,8 @@ def diagnosed(batch: Batch, records: list[Record]) -> Study:
 def outcome(batch: Batch, study: Study) -> str:
     """Return what a verdict is worth."""
     hidden = tuple(batch.truth["hidden"])
+    if study.named_level == "mechanism":
+        return "mechanism"
     if study.verdict == "found":
         return "right" if tuple(sorted(study.missing_effects)) == hidden else "wrong"
     if study.verdict == "adequate":

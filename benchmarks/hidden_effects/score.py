@@ -102,6 +102,8 @@ def render(figures: dict[str, Any]) -> str:
     parts = [
         "## Outcomes per tier",
         _table(("tier", *OUTCOMES), ([tier, *row.values()] for tier, row in figures["tiers"].items())),
+        "## Laws and mechanisms, where something is hidden",
+        _table(("of these batches", "share"), ([name, _percent(rate)] for name, rate in figures["levels"].items())),
         "## An effect named where nothing is missing",
         _table(("batches", "named"), ([name, _percent(rate)] for name, rate in figures["false_alarms"].items())),
         *_render_detection(figures["detection"]),

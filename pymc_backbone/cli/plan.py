@@ -17,7 +17,8 @@ one set of effects, simulated with the sets that are possible now. The present t
 """
 
 EPILOG = """\
-DIR is the output folder of an ambiguous `diagnose` on records. Examples:
+DIR is the output folder of a `diagnose` on records that left several sets possible: `ambiguous`, or a mechanism named
+whose law is open. Examples:
   pymc-backbone plan diagnosis
   pymc-backbone plan diagnosis --from 0.002 --up-to 0.03 --most-records 6
   pymc-backbone plan diagnosis --up-to 0.03 --add-mass 0.4 --noise 2e-6 --out plan.json

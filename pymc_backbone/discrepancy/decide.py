@@ -186,11 +186,26 @@ def _pruned(search: Search, weighed: Decision, tolerance: Mapping[str, float]) -
 
 
 def _by_mechanism(search: Search, decision: Decision) -> Decision:
-    """Return the decision with the mechanisms of its sets, where these are exact."""
-    best, count = decision.best, search.count
-    gaps = {names: float(np.sqrt(max(found.cost - count, 0.0))) for names, found in search.fits.items()}
-    estimates = estimates_of(search.fits[best])
-    return replace(decision, mechanisms=missing_mechanisms(search, decision.probabilities, best, gaps, estimates))
+    """Return the decision with the mechanisms of its sets, where these are exact; named where sets agree on no more.
+
+    Which law of a mechanism it is may be open and the mechanism certain: then that is what is named, and the sets that
+    remain possible are told beside it.
+    """
+    best = decision.best
+    # what an exact set leaves is noise, whatever was thought of its size
+    is_exact = decision.lack.p_value >= UNEXPLAINED
+    noise = search.fits[best].cost if is_exact else search.count
+    gaps = {names: float(np.sqrt(max(found.cost - noise, 0.0))) for names, found in search.fits.items()}
+    elsewhere = max(1.0 - sum(decision.probabilities.values()) - decision.drift_probability, 0.0)
+    mechanisms = missing_mechanisms(
+        search, decision.probabilities, best, gaps, estimates_of(search.fits[best]), elsewhere
+    )
+    known = replace(decision, mechanisms=mechanisms)
+    is_open = decision.verdict is Verdict.AMBIGUOUS and is_exact and not decision.unfinished
+    is_doubtful = not np.isnan(decision.against) or decision.drift_probability >= DRIFT_POSSIBLE
+    if not is_open or is_doubtful or not is_told_apart(mechanisms):
+        return known
+    return replace(known, verdict=Verdict.FOUND, named_level=NamedLevel.MECHANISM)
 
 
 def is_none_other(search: Search, names: Set, has_drift: bool = False) -> float:
@@ -252,7 +267,11 @@ def mind_second_mode(decision: Decision) -> Decision:
         return replace(decision, has_second_mode=True, verdict=Verdict.UNEXPLAINED, adequate_by=None)
     if decision.verdict is Verdict.FOUND:
         return replace(
-            decision, has_second_mode=True, verdict=Verdict.AMBIGUOUS, named_level=None, listed=(decision.best,)
+            decision,
+            has_second_mode=True,
+            verdict=Verdict.AMBIGUOUS,
+            named_level=None,
+            listed=decision.listed or (decision.best,),
         )
     return replace(decision, has_second_mode=True)
 

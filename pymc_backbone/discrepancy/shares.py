@@ -16,6 +16,7 @@ from .search import Search, Set
 from .study import LawProbability, MissingMechanism, Remainder
 
 _TOLD = 0.01  # probability from which a mechanism, or a law, is told
+_KINDRED = 0.5  # how probable it is that what imitates something outside of the library is of its mechanism
 
 
 def missing_mechanisms(
@@ -24,6 +25,7 @@ def missing_mechanisms(
     best: Set,
     gaps: Mapping[Set, float],
     estimates: Mapping[str, tuple[float, float]],
+    elsewhere: float = 0.0,
 ) -> tuple[MissingMechanism, ...]:
     """Return how probable it is of each mechanism that it is missing, and of each law that it is the one.
 
@@ -39,7 +41,10 @@ def missing_mechanisms(
         What each set leaves: the root of chi-square, or the root mean square of the departure that it needs.
     estimates : mapping of str to (float, float)
         Parameters of the best set with standard errors.
+    elsewhere : float, default 0
+        Probability of a law that the library does not hold and these sets imitate: mostly one of their mechanisms.
     """
+    whole = max(sum(probabilities.values()), 1e-300)
     kinds_of = {names: frozenset(search.mechanism_of(name) for name in names) for names in probabilities}
     shares = shares_of_gap(search, best, gaps)
 
@@ -60,7 +65,7 @@ def missing_mechanisms(
         either = sum(probability for names, probability in probabilities.items() if kinds_of[names] & set(kinds))
         return MissingMechanism(
             mechanism=mechanism,
-            probability=min(float(either), 1.0),
+            probability=min(float(either * (1.0 + _KINDRED * elsewhere / whole)), 1.0),
             share_of_gap=sum(shares.get(kind, 0.0) for kind in kinds),
             laws=tuple(LawProbability(name, min(laws[name], 1.0)) for name in kept),
             parameters={name: value for name, value in estimates.items() if name in owned},

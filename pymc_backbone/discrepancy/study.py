@@ -299,7 +299,8 @@ class Study:
     candidates : tuple of Candidate
         All sets that were fitted, most probable first.
     ambiguous_sets : tuple of tuple of str
-        The sets that cannot be told apart; empty unless the verdict is ``ambiguous``.
+        The sets that cannot be told apart: where the verdict is ``ambiguous``, or where sets that are exact agree on
+        the mechanism that is named and on no more; else empty.
     advice : tuple of str
         What measurement would tell them apart.
     reasons : tuple of str
@@ -349,7 +350,7 @@ class Study:
     present : Design or None
         The test that these records are; None where only backbones are known.
     contenders : tuple of Contender
-        The sets that remain possible, with their parameters, where the verdict is ``ambiguous`` and there are records.
+        The sets that remain possible (``ambiguous_sets``) with their parameters, where there are records.
     plan : Plan or None
         Which test would tell them apart; None where none was looked for.
 

@@ -43,19 +43,31 @@ def _chance(probability: float) -> str:
     return f"{100.0 * probability:.3g} %" if probability > 0.99 else f"{100.0 * probability:.0f} %"
 
 
-def _of_mechanism(item: MissingMechanism) -> str:
+def _of_mechanism(item: MissingMechanism, is_approximate: bool) -> str:
     """Return the sentence that names a mechanism, with the laws that it may be."""
     laws = [law for law in item.laws if law.probability > _UNLIKELY]
     together = [in_words(law.effect) for law in laws if law.probability >= MECHANISM_NAMED]
+    like = " or one like it, not exactly" if is_approximate else ""
     if len(together) > 1:  # not one or the other: every set that explains holds them all
-        which = f"its laws are {', '.join(together[:-1])} and {together[-1]} together, or ones like them, not exactly"
-    elif len(laws) > 1:
+        like = ", or ones like them, not exactly" if is_approximate else ""
+        which = f"its laws are {', '.join(together[:-1])} and {together[-1]} together{like}"
+    elif len(laws) > 1 and (is_approximate or not together):
         told = ", ".join(f"{in_words(law.effect)} {100.0 * law.probability:.0f} %" for law in laws[:_SPOKEN])
         which = f"which law these records do not tell: {told}"
     else:
-        which = f"its law is {in_words(laws[0].effect)} or one like it, not exactly"
+        which = f"its law is {in_words(laws[0].effect)}{like}"
     share = f"{_chance(item.probability)}, {100.0 * item.share_of_gap:.0f} % of the gap"
     return f"{MECHANISMS[item.mechanism].capitalize()} is missing ({share}); {which}."
+
+
+def _of_mechanisms(decision: Decision) -> str:
+    """Return the sentences that name mechanisms; where sets are exact, also what else may be missing."""
+    said = " ".join(_of_mechanism(item, decision.is_approximate) for item in decision.mechanisms if item.is_certain)
+    others = [item for item in decision.mechanisms if not item.is_certain and item.probability > _REST]
+    if decision.is_approximate or not others:
+        return said
+    kinds = ", ".join(f"{MECHANISMS[item.mechanism]} ({_chance(item.probability)})" for item in others)
+    return f"{said} What may be missing, too: {kinds}."
 
 
 def _none_of_these(decision: Decision) -> str:
@@ -103,7 +115,7 @@ def _of_inexact(decision: Decision, others: Sequence[str]) -> str:
 def sentence(decision: Decision) -> str:
     """Return the verdict in one sentence, or a few."""
     if decision.named_level is NamedLevel.MECHANISM:
-        return " ".join(_of_mechanism(item) for item in decision.mechanisms if item.is_certain)
+        return _of_mechanisms(decision)
     if decision.verdict is Verdict.FOUND:
         verb = "is" if len(decision.best) == 1 else "are"
         below = f" ({_below(decision)} detectable too, below the tolerance)" if decision.below else ""

@@ -285,7 +285,6 @@ def _study(
     checks = _checks(question, outcome, verification)
     before = simulate(batch, verification.before)
     scatter = None if extended is None or decision.is_approximate else words.scatter_of(extended)
-    is_ambiguous = decision.verdict is Verdict.AMBIGUOUS
     # what a run took is told as it was: fewer draws where the model is heavy
     drawn = {key: inference.convergence[key] for key in ("draws", "tune") if key in inference.convergence}
     return Study(
@@ -296,8 +295,8 @@ def _study(
         missing_effects=decision.best if decision.named_level is NamedLevel.LAW else (),
         probability=decision.probability,
         candidates=candidates_of(search, decision),
-        ambiguous_sets=decision.listed if is_ambiguous else (),
-        advice=_advice(question, outcome, plan) if is_ambiguous else (),
+        ambiguous_sets=decision.listed,
+        advice=_advice(question, outcome, plan) if decision.listed else (),
         reasons=words.reasons(batch, extended, decision.best, scatter) if extended is not None else (),
         below_tolerance=decision.below,
         where=where_different(batch, before),
@@ -339,9 +338,9 @@ def _study(
 
 
 def _contenders(outcome: Outcome) -> tuple[Contender, ...]:
-    """Return the sets that an ambiguous verdict on records leaves possible."""
+    """Return the sets that a verdict on records leaves possible."""
     search, decision = outcome.search, outcome.decision
-    if decision.verdict is not Verdict.AMBIGUOUS or not search.batch.has_records:
+    if not search.batch.has_records:
         return ()
     return tuple(
         contender(

@@ -10,15 +10,13 @@ from matplotlib.figure import Figure
 
 from .._common.text import in_words
 from ..discrepancy.study import Study
-from ..discrepancy.verdict import NamedLevel, Status, Verdict
+from ..discrepancy.verdict import NamedLevel, Status
 from .html import Raw, bullets, details, escape, image, noted, number, page, paragraph, prose, section, table, tiles
 from .report_curves import force_curves
 from .report_gap import amplitudes, curves, held_out_gap, interval, where
 from .report_model import candidates, convergence, detectable, equations, mechanisms, parameters
 from .report_portraits import portraits
 from .words import (
-    NAMED_MEANS,
-    VERDICT_MEANS,
     VERDICT_WORDS,
     adequate_because,
     mechanism_name,
@@ -26,6 +24,7 @@ from .words import (
     remaining,
     remaining_by_mechanism,
     set_name,
+    verdict_means,
 )
 
 _MOST_SETS = 6  # that are listed one by one
@@ -76,9 +75,7 @@ def report_html(study: Study, figures: Mapping[str, Figure], *, version: str, co
 def _header(study: Study) -> str:
     count = study.backbones.sizes["specimen"]
     kicker = f"Missing effect in {count} {'specimen' if count == 1 else 'specimens'}"
-    level = study.named_level or (NamedLevel.LAW if study.verdict == Verdict.FOUND else None)
-    means = NAMED_MEANS[level] if level is not None else VERDICT_MEANS.get(study.verdict, "")
-    means = f"{means} {adequate_because(study)}".rstrip()
+    means = f"{verdict_means(study)} {adequate_because(study)}".rstrip()
     parts = [
         f'<header>\n<span class="word">{escape(VERDICT_WORDS.get(study.verdict, study.verdict))}</span>'
         f'<span class="kicker">{escape(kicker)}</span>',

@@ -69,7 +69,8 @@ DIAGNOSIS_KEYS = {
     "median, low (5 %), high (95 %) of the relative standard deviation; null without effects, or of one specimen",
     "evidence_basis": "what the probabilities rest on: sentence (whether Laplace's method was corrected by importance "
     "sampling, and why for no more sets), sets (asked), cycles (simulated for it)",
-    "ambiguous_sets": "the sets that cannot be told apart; empty unless ambiguous",
+    "ambiguous_sets": "the sets that cannot be told apart; empty where a law is named, nothing is missing or nothing "
+    "explains",
     "advice": "sentences on what measurement would tell more",
     "reasons": "sentences that give the naming in physical words",
     "below_tolerance": "effects that are detectable but smaller than the tolerance",

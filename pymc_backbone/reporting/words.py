@@ -52,6 +52,18 @@ LEAST_TOLD = 0.01
 """Probability from which it is told what the sets that are listed do not hold of it."""
 
 
+def verdict_means(study: Study) -> str:
+    """Return what the verdict means, in a sentence; empty for one that is not known."""
+    if study.verdict != Verdict.FOUND:
+        return VERDICT_MEANS.get(study.verdict, "")
+    if study.named_level == NamedLevel.MECHANISM and study.ambiguous_sets:
+        return (
+            "All that explain the gap agree on its mechanism, and leave no more than noise; these records do not tell "
+            "which law it is, or whether a smaller effect stands beside it."
+        )
+    return NAMED_MEANS[study.named_level or NamedLevel.LAW]
+
+
 def added_effects(study: Study) -> tuple[str, ...]:
     """Return the names of the effects that the extended model has beyond the base."""
     base = {effect.name for effect in study.base.effects}
@@ -70,7 +82,7 @@ def adequate_because(study: Study) -> str:
 
 
 def remaining(study: Study) -> list[str]:
-    """Return the sets that an ambiguous verdict leaves, each with its probability, and what they do not hold of it."""
+    """Return the sets that a verdict leaves possible, each with its probability, and what they do not hold of it."""
     chances = {candidate.effects: candidate.probability for candidate in study.candidates}
     known = [chances.get(names, float("nan")) for names in study.ambiguous_sets]
     lines = [f"{set_name(names)}: {percent(p)}" for names, p in zip(study.ambiguous_sets, known, strict=True)]
@@ -79,7 +91,7 @@ def remaining(study: Study) -> list[str]:
 
 
 def remaining_by_mechanism(study: Study) -> list[tuple[str, list[str]]]:
-    """Return the sets that an ambiguous verdict leaves, those of the same mechanisms together, likeliest first.
+    """Return the sets that a verdict leaves possible, those of the same mechanisms together, likeliest first.
 
     Returns
     -------
