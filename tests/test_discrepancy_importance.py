@@ -173,6 +173,22 @@ def test_where_everything_is_linear_laplace_is_exact():
     assert far.pareto_k > LARGEST_K
 
 
+def test_a_motion_that_overflows_is_lost_without_a_warning():
+    """A drift far off in the tail of the draws: what it leaves is finite, and its square is not."""
+    found, term = linear_fit()
+
+    class Overflowing(Linear):
+        def residuals(self, simulator, parameters, nuisances):
+            left = super().residuals(simulator, parameters, nuisances)
+            return left * 1e200 if parameters[2] > 2.0 * found.state.eta[0] else left
+
+    conditional = Conditional(
+        found, [Overflowing(term.matrix, term.values)], np.array([np.inf]), found.chi_square
+    )  # fmt: skip
+    near, far = conditional.log_densities(np.array([found.state.eta, 3.0 * found.state.eta]))
+    assert np.isfinite(near) and far == -np.inf
+
+
 @pytest.fixture(scope="module")
 def weak():
     """One specimen whose friction is known to some half of itself: its likelihood ends at zero."""

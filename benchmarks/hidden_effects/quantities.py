@@ -33,7 +33,6 @@ from pymc_backbone.discrepancy.joint_fit import Fit, fit
 from pymc_backbone.discrepancy.layout import Layout
 from pymc_backbone.discrepancy.normal_equations import State, start_state
 from pymc_backbone.discrepancy.question import possible_effects
-from pymc_backbone.discrepancy.scatter import SCATTER
 from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.discrepancy.workflow import find_missing_effect
 from pymc_backbone.measurement.conditioning.condition import condition
@@ -62,7 +61,7 @@ def fit_from_truth(layout: Layout, batch: Batch, truth: dict[str, Any]) -> Fit |
     for r, name in enumerate(batch.specimens):
         own[r, 0], own[r, 1] = rows[name]["linear_stiffness"], rows[name]["viscous_damping"]
         mine = layout.coordinates(np.array([rows[name][key] for key in layout.names]))
-        own[r, 7:] = np.where(eta != 0.0, mine / np.where(eta != 0.0, eta, 1.0) - 1.0, 0.0) / SCATTER
+        own[r, 7:] = np.where(eta != 0.0, mine / np.where(eta != 0.0, eta, 1.0) - 1.0, 0.0) / layout.scatter
     best = None
     near = fit(layout, batch.turning, State(state.eta, own), iterations=20, nuisances=batch.nuisances, tolerance=1.0)
     for start in (State(state.eta, own), near.state if near else None):

@@ -167,6 +167,7 @@ class Conditional:
                 return -np.inf, cycles
         return total, cycles
 
+    @np.errstate(over="ignore", invalid="ignore")  # draws from heavy tails: what overflows counts as lost
     def _marginal(self, specimen: _Specimen, eta: FloatArray) -> tuple[float, int]:
         """Return the logarithm of one specimen's likelihood, its own values integrated out, and the simulations."""
         own = specimen.own.copy()
@@ -177,14 +178,14 @@ class Conditional:
             steps += 1
             vector, _ = parameters_at(self.layout, eta, own, self.scatter)
             residuals = specimen.term.residuals(self.layout.simulator, vector, own[2:NUISANCES])
-            if residuals is None or not np.isfinite(residuals).all():
+            if residuals is None or not np.isfinite(residuals @ residuals):
                 break
             slope = specimen.jacobian.T @ residuals / specimen.variance
             pull = slope - self.prior * own[self.index]
             step = specimen.inverse @ pull
             inside = self._inside(specimen, own, step)
             fall = float(inside @ (2.0 * pull - specimen.precision @ inside))
-            if abs(fall) > _LOST:
+            if not abs(fall) <= _LOST:
                 step = np.zeros_like(step)  # promised by derivatives that hold elsewhere
             best = max(best, self._log_likelihood(specimen, own, residuals, slope, step))
             if abs(fall) < _NEAR:
