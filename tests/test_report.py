@@ -166,6 +166,18 @@ def test_what_remains_possible_adds_up_to_certainty(studies):
     assert sum(shares) == pytest.approx(100.0, abs=0.1)  # of three digits each
 
 
+def test_sets_that_are_exact_and_agree_on_the_mechanism_are_told_beside_it(studies):
+    named = dataclasses.replace(
+        studies[Verdict.FOUND], named_level=NamedLevel.MECHANISM, missing_effects=(),
+        ambiguous_sets=(("coulomb_friction",), ("jenkins",)), advice=("the rest is told by larger releases.",),
+    )  # fmt: skip
+    words = Page(report_html(named, {}, version="0.0")).text
+    assert "leave no more than noise" in words and "What remains possible" in words and "The rest is told" in words
+    # negative control: where none is exact there are no such sets, and what is allowed for is said
+    inexact = Page(report_html(dataclasses.replace(named, ambiguous_sets=()), {}, version="0.0")).text
+    assert "a smooth departure of unknown size" in inexact and "What remains possible" not in inexact
+
+
 def test_many_sets_that_remain_are_told_by_their_mechanisms(studies):
     """Laws of one mechanism are a row that opens, with the sum of their probabilities; a set alone is told as it is."""
     chances = {

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from .._common.text import in_words
+from .._common.text import capitalised, in_words
 from ..discrepancy.study import Study
 from ..discrepancy.verdict import NamedLevel, Status
 from .html import Raw, bullets, details, escape, image, noted, number, page, paragraph, prose, section, table, tiles
@@ -139,7 +139,7 @@ def _key_figures(study: Study) -> list[tuple[object, object]]:
 
 
 def _reasons(study: Study) -> str:
-    return section("Why", bullets(study.reasons)) + section("What to do next", bullets(study.advice))
+    return section("Why", bullets(study.reasons)) + section("What to do next", bullets(map(capitalised, study.advice)))
 
 
 def _data(study: Study, figures: Mapping[str, Figure]) -> str:
