@@ -43,6 +43,29 @@ def cell(items: list[object]) -> np.ndarray:
     return array
 
 
+# ---- text files --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("separator", [", ", "; ", "\t"])
+@pytest.mark.parametrize("count", [1200, 40_000])  # long files of numbers are read another way
+def test_settings_above_a_column_without_a_header(separator: str, count: int, tmp_path: Path, rng) -> None:
+    """Two lines of settings, then an angle a line: as loggers of microcontrollers write it."""
+    values = decay(rng, count)
+    head = [separator.join(("trigger_start_deg", "sample_rate", "duration_sec")), separator.join(("90", "200", "6"))]
+    path = tmp_path / "swing.txt"
+    path.write_text("\n".join([*head, *(f"{1e3 * x:.9g}" for x in values), ""]))
+    (record,) = read_records(path, unit="mm")
+    np.testing.assert_allclose(record.values, values, rtol=0.0, atol=1e-11)
+    assert record.time[-1] == pytest.approx((values.size - 1) / RATE) and record.unit == "m"
+    assert any("lines 1 and 2 were read as settings" in note for note in record.notes)
+    with pytest.raises(InputError, match="line 2: expected a column 'displacement'"):
+        read_records(path)  # nothing says what was measured
+    # as many numbers in a line as above: a table, whose first line of numbers is one of data
+    path.write_text("\n".join([separator.join(("time", "x [mm]")), *(f"{k / RATE}{separator}{1e3 * x:.9g}" for k, x in
+                                                                      enumerate(values[:1200]))]))  # fmt: skip
+    assert read_records(path)[0].values.size == 1200
+
+
 # ---- MAT files ---------------------------------------------------------------------------------
 
 

@@ -63,10 +63,7 @@ def brake(folder: Path) -> None:
 
 def pendulum(folder: Path) -> None:
     """Swings of a pendulum on an encoder, pushed by hand and let go, from a linear base."""
-    records = []
-    for path in sorted((folder / "rotary_pendulum").glob("*.txt")):
-        angle = np.radians(np.loadtxt(path, skiprows=2))
-        records.append(pb.Record(path.stem, np.arange(angle.size) / 1000.0, angle, unit="rad"))
+    records = pb.read_records(folder / "rotary_pendulum", unit="deg")
     show("rotary pendulum", pb.find_missing_effect(pb.Oscillator(0.01), records, quick=True, random_seed=1))
 
 

@@ -40,6 +40,29 @@ def find_header(lines: Sequence[str]) -> int:
     return 0
 
 
+def settings_above(lines: Sequence[str]) -> dict[str, str]:
+    """Return the settings that stand above one column of numbers without a header: a line of names, one of values.
+
+    Empty for any other file.
+
+    Examples
+    --------
+    >>> settings_above(["trigger, sample_rate", "90, 1000", "-90.4", "-90.6", "-90.6"])
+    {'trigger': '90', 'sample_rate': '1000'}
+    >>> settings_above(["time,x", "0,1", "1,2", "2,1", "3,0"])
+    {}
+    """
+    below = lines[2 : 2 + _CONFIRMED_BY]
+    if len(below) < _CONFIRMED_BY or not all(_width(line, None) == 1 for line in below):
+        return {}
+    for splitter in _SPLITTERS:
+        names, values = (_cells(line, splitter) for line in lines[:2])
+        is_named = len(names) == len(values) > 1 and not any(map(_is_datum, names))
+        if is_named and all(map(_is_datum, values)) and not any(_width(line, splitter) for line in below if splitter):
+            return dict(zip(names, values, strict=True))
+    return {}
+
+
 def stated_rate(lines: Sequence[str]) -> tuple[float, str] | None:
     """Return the sampling rate [Hz] that lines above a table state, and the line.
 

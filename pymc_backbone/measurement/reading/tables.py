@@ -19,11 +19,12 @@ from ..._common.checks import FloatArray, InputError
 from ..._common.text import natural_key, printable, shorten
 from .dialect import PLAIN, AmbiguousNumbersError, Dialect, decide
 from .long_tables import NumberCells, head_of, numbers_below
-from .preamble import LONGEST, find_header, stated_rate
+from .preamble import LONGEST, find_header, settings_above, stated_rate
 from .units import UNITS, is_level_or_power, parse_unit, split_header
 
 _SEPARATORS = {";": "semicolon", "\t": "tab", ",": "comma"}
 _CONTROL = re.compile("[\x00-\x08\x0e-\x1f\x7f]")
+_NO_HEADER = "reading"  # name of a column of numbers that has none
 _MAXIMUM_BYTES = 2_000_000_000
 _BOMS = (
     (codecs.BOM_UTF8, "utf-8-sig"),
@@ -216,12 +217,18 @@ def _table_of(path: Path, name: str, text: str, notes: tuple[str, ...]) -> Table
             lines.append(number)
     if not kept:
         raise InputError(f"{name}: the file holds no data; expected a header line and one line per sample.")
-    top = find_header(kept)
-    rate = stated_rate(every[: min(lines[top], LONGEST) - 1])
-    if top:
-        skipped = "the line" if top == 1 else f"the {top} lines"
-        notes += (f"{skipped} above the column headers in line {lines[top]} {'was' if top == 1 else 'were'} skipped",)
-        kept, lines = kept[top:], lines[top:]
+    settings = settings_above(kept)
+    if settings:
+        rate = stated_rate([f"{key}: {value}" for key, value in settings.items()])
+        notes += (f"lines {lines[0]} and {lines[1]} were read as settings: {shorten(', '.join(settings))}",)
+        kept, lines = [_NO_HEADER, *kept[2:]], lines[1:]
+    else:
+        top = find_header(kept)
+        rate = stated_rate(every[: min(lines[top], LONGEST) - 1])
+        if top:
+            skipped, were = ("the line", "was") if top == 1 else (f"the {top} lines", "were")
+            notes += (f"{skipped} above the column headers in line {lines[top]} {were} skipped",)
+            kept, lines = kept[top:], lines[top:]
     separator, separator_note = _sniff(kept[0], kept[1] if len(kept) > 1 else "")
     notes += separator_note
     rows = _split(kept, lines, separator, name)
