@@ -71,8 +71,9 @@ def undisturbed(
 
     Specimens are released earlier, or else first cycles left out, where a set of effects leaves noise then, or half of
     what was left at most. Where the noise grows with the motion, samples count by the noise that they have. A bent
-    sensor and another mode's line are taken out where a set leaves noise then, and none did with a drift in time beside
-    it, which is likelier; what was found with the noise of disturbed records is found again without it.
+    sensor and another mode's line are taken out where a set leaves noise then; what was found with the noise of
+    disturbed records is found again without it. No cycle is left out and no sensor straightened where a set leaves
+    noise with a drift in time beside it, which is likelier.
     """
     known, again = Undisturbed(question, search), search
     said: tuple[str, ...] = ()
@@ -84,7 +85,8 @@ def undisturbed(
             said, known, again = (release.sentence,), tried, tried.search
         else:
             asked.release = None
-    first = begun(again) if asked.release is None else None
+    known = _with_drifts(known, drifting)
+    first = begun(again) if asked.release is None and not known.is_drifting else None
     if first is not None:
         records, said = first.undisturbed(records), (first.sentence,)
         tried = asked.of(records, said)
@@ -98,11 +100,17 @@ def undisturbed(
         again = known.search
     if (first is not None or asked.release is not None) and _is_exact(again):
         return known
-    if again is known.search and not _is_exact(again):
-        known = replace(known, drifting=drifting(again))
-        if known.is_drifting:
-            return known
+    known = _with_drifts(known, drifting)
+    if known.is_drifting:
+        return known
     return _straightened(asked, again, records, said) or known
+
+
+def _with_drifts(known: Undisturbed, drifting: Callable[[Search], Mapping[Set, Drifting]]) -> Undisturbed:
+    """Return the search with the sets that were asked with a drift beside them, where none leaves noise without."""
+    if known.drifting is not None or _is_exact(known.search):
+        return known
+    return replace(known, drifting=drifting(known.search))
 
 
 def _straightened(asked: _Asked, again: Search, records: Sequence[Record], said: Sequence[str]) -> Undisturbed | None:
