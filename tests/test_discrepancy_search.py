@@ -14,6 +14,7 @@ from pymc_backbone.discrepancy import evidence, rivals, starts, verify
 from pymc_backbone.discrepancy.curves import curve, level_chi_square, on_levels, prediction_errors, simulate
 from pymc_backbone.discrepancy.decide import decide, doubted, is_none_other
 from pymc_backbone.discrepancy.decision import NAMED
+from pymc_backbone.discrepancy.drift_proposals import beside_drifts
 from pymc_backbone.discrepancy.joint_fit import fit
 from pymc_backbone.discrepancy.locate import mean_gap, where_different
 from pymc_backbone.discrepancy.normal_equations import information, start_state
@@ -465,7 +466,8 @@ def test_a_drift_is_not_taken_for_an_effect(random_seed):
 def test_backbones_agree_with_a_spring_whose_stiffness_drifts(random_seed):
     batch = batch_of(drifting_records(np.random.default_rng(random_seed), 0.01, cubic=0.1))
     search = search_of(batch)
-    drifting = rivals.drift_fit(batch, search.fit_set(("cubic_stiffness",)))
+    cubic = search.fit_set(("cubic_stiffness",))
+    drifting = rivals.drift_fit(batch, cubic.layout, cubic.state)
     assert level_chi_square(batch, drifting) < 3.0
     still = replace(drifting, state=replace(drifting.state, own=drifting.state.own.copy()))
     still.state.own[:, 5:7] = 0.0
@@ -543,7 +545,7 @@ def test_search_over_backbones_alone():
 
     search = search_of(batch_of_backbones(MASS, batch.backbones))
     assert not search.batch.has_records and search.best() == ("cubic_stiffness",)
-    assert rivals.drift_fit(search.batch, search.fits[()]) is None
+    assert rivals.drift_fit(search.batch, search.fits[()].layout, search.fits[()].state) is None
 
 
 def test_a_search_ends_when_its_budget_does(cubic):
@@ -691,6 +693,28 @@ def test_laws_of_one_mechanism_compete_with_a_drift_beside_them():
     assert ("cubic_stiffness",) in decision.drifts
     assert decision.best == ("cubic_stiffness",)
     assert not rivals.drift_check(found[()].fit, 0.0, True, search.fits[decision.best]).passed
+
+
+def test_a_law_is_found_that_a_strong_drift_had_hidden_in_the_backbones():
+    """A structure that warms up by as much as its spring hardens: without a drift, backbones show next to nothing."""
+    change, cubic = 0.04, 0.1
+    batch = batch_of(drifting_records(np.random.default_rng(5), change, cubic=cubic))
+    search = Search(batch, Oscillator(MASS), ("freeplay", "quintic_stiffness", "cubic_stiffness"), 2)
+    search.fit_set(())  # what was fitted without a drift leads nowhere
+    found = rivals.drifting_sets(search)
+    drifting = found[("cubic_stiffness",)].fit
+    assert evidence.leaves_noise(batch, drifting) and not evidence.leaves_noise(batch, found[()].fit)
+    # half the change of the stiffness, in units of 5 %; a few per cent is what a record of 25 cycles tells
+    np.testing.assert_allclose(drifting.state.own[:, 5], 0.5 * change / 0.05, rtol=0.05)
+    assert drifting.centre[0] == pytest.approx(cubic * STIFFNESS / AMPLITUDE**2, rel=0.05)
+
+
+def test_backbones_beside_drifts_have_them_as_errors():
+    batch = batch_of(drifting_records(np.random.default_rng(5), 0.04))
+    start = Search(batch, Oscillator(MASS), CANDIDATES, 1).fit_set(())
+    assert level_chi_square(batch, on_levels(batch, start)) > 100.0
+    beside = beside_drifts(batch)
+    assert level_chi_square(beside, on_levels(beside, start)) < 2.0
 
 
 @pytest.mark.parametrize("common", [0.0, 0.7, 1e4])

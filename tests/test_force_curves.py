@@ -139,14 +139,14 @@ def test_a_drift_that_a_curve_imitates_is_told():
     """Decays that are alike turn time into amplitude: both explanations are named."""
     batch = batch_of(drifting_records(np.random.default_rng(3), 0.02))
     base = base_fit(batch)
-    curves = force_curves(batch, base, (), drift_fit(batch, base), 1.0, 0, 1)
+    curves = force_curves(batch, base, (), drift_fit(batch, base.layout, base.state), 1.0, 0, 1)
     assert curves.is_possible and "drift with time explains them as well" in curves.sentence
 
 
 def test_a_force_that_no_drift_imitates_is_not_called_one(outside):
     batch, _ = outside
     base = base_fit(batch)
-    assert "drift" not in force_curves(batch, base, (), drift_fit(batch, base), 1.0, 0, 1).sentence
+    assert "drift" not in force_curves(batch, base, (), drift_fit(batch, base.layout, base.state), 1.0, 0, 1).sentence
 
 
 def test_hysteresis_is_said_where_a_law_with_memory_leaves_less(outside):

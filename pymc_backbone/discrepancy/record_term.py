@@ -52,11 +52,8 @@ def release_of(record: ConditionedRecord, cycles: Cycles) -> tuple[int, float, f
     if record.band is None:
         if times.size < _FOUR:
             return 1, float(times[0]) - half, _as_seen(record, float(times[0]) - half, half, -float(values[0]))
-        lasted, swung = np.diff(times[:_FOUR]), np.diff(values[:_FOUR])
-        lasted_before = lasted[1] * np.clip(lasted[0] / lasted[2], 1.0 / _MOST_LONGER, _MOST_LONGER)
-        swung_before = swung[1] * np.clip(swung[0] / swung[2], 1.0, _MOST_WIDER)
-        begin = float(times[0] - lasted_before)
-        return 1, begin, _as_seen(record, begin, half, float(values[0] - swung_before))
+        begin, release = before(times, values)
+        return 1, begin, _as_seen(record, begin, half, release)
     course = np.polyfit(np.arange(size), times[:size], min(2, size - 1))
     decay = np.polyfit(np.arange(size - 1), np.log(np.abs(np.diff(values[:size]))), 1)
     begin = float(record.measured.time[0]) + _AT_RELEASE * half
@@ -65,6 +62,14 @@ def release_of(record: ConditionedRecord, cycles: Cycles) -> tuple[int, float, f
         back += 1
     fall = min(max(-float(decay[0]), 0.0), 0.6) * back
     return back, float(np.polyval(course, -back)), float(values[0]) * (-1.0) ** back * float(np.exp(fall))
+
+
+def before(times: FloatArray, values: FloatArray) -> tuple[float, float]:
+    """Return time and value of the turning point before the first of four or more, as they go on."""
+    lasted, swung = np.diff(times[:_FOUR]), np.diff(values[:_FOUR])
+    lasted_before = lasted[1] * np.clip(lasted[0] / lasted[2], 1.0 / _MOST_LONGER, _MOST_LONGER)
+    swung_before = swung[1] * np.clip(swung[0] / swung[2], 1.0, _MOST_WIDER)
+    return float(times[0] - lasted_before), float(values[0] - swung_before)
 
 
 def _as_seen(record: ConditionedRecord, begin: float, half: float, release: float) -> float:

@@ -15,9 +15,11 @@ from .batch import Batch
 from .curves import measured
 from .descent import is_heavy
 from .drift_course import DRIFT
+from .drift_proposals import sets_beside_drifts, single_beside_drifts
 from .evidence import Drifting
 from .joint_fit import Fit, fit
-from .normal_equations import DRIFTS, NUISANCES
+from .layout import Layout
+from .normal_equations import DRIFTS, NUISANCES, State
 from .readings import line_beside
 from .search import Search, Set
 from .study import Check
@@ -60,7 +62,31 @@ def drifting_sets(search: Search) -> dict[Set, Drifting]:
     ]
     helped.sort(key=lambda names: found[names].fit.cost)
     _ask(search, [other for names in helped[:_ASKED] for other in _of_the_same_kind(search, names)], found, limit)
+    if not is_exact and search.batch.has_open_records:
+        if not any(evidence.leaves_noise(search.batch, item.fit) for item in found.values()):
+            _ask_backbones(search, found)
     return found
+
+
+def _ask_backbones(search: Search, found: dict[Set, Drifting]) -> None:
+    """Add the fits of what the backbones propose beside drifts: single effects, and sets where none of these explains.
+
+    A drift that bends the backbones as much as a law does has led to other sets than those that act.
+    """
+    is_exact = False
+    for begun in (single_beside_drifts, sets_beside_drifts):
+        for names, state in begun(search):
+            if is_exact and is_heavy(search.layout(names)):
+                continue
+            drifting = drift_fit(search.batch, search.layout(names), state, search.descent.unheard_of)
+            is_lower = names not in found or (drifting is not None and drifting.cost < found[names].fit.cost)
+            if drifting is None or not is_lower or drifting.cost > _NEAR * search.count:
+                continue
+            if search.fit_set(names) is not None:
+                found[names] = Drifting(drifting, drift_bonus(drifting))
+                is_exact = is_exact or evidence.leaves_noise(search.batch, drifting)
+        if is_exact:
+            return
 
 
 def _ask(search: Search, sets: Iterable[Set], found: dict[Set, Drifting], limit: float) -> None:
@@ -70,7 +96,9 @@ def _ask(search: Search, sets: Iterable[Set], found: dict[Set, Drifting], limit:
         if names in found or (search.is_cut and names not in search.fits and not is_within):
             continue
         start = search.fit_set(names)
-        drifting = None if start is None else drift_fit(search.batch, start, limit if names else np.inf)
+        drifting = None if start is None else drift_fit(
+            search.batch, start.layout, start.state, limit if names else np.inf
+        )  # fmt: skip
         if drifting is not None:
             found[names] = Drifting(drifting, drift_bonus(drifting))
 
@@ -88,8 +116,8 @@ def _of_the_same_kind(search: Search, names: Set) -> list[Set]:
     return sets
 
 
-def drift_fit(batch: Batch, base: Fit, limit: float = np.inf) -> Fit | None:
-    """Return the base model with a frequency and a damping that change with time, in each record as it likes.
+def drift_fit(batch: Batch, layout: Layout, state: State, limit: float = np.inf) -> Fit | None:
+    """Return a model with a frequency and a damping that change with time, in each record as it likes.
 
     None where the sum of squares over the turning points stays above ``limit``: these are soon fitted.
     """
@@ -98,16 +126,16 @@ def drift_fit(batch: Batch, base: Fit, limit: float = np.inf) -> Fit | None:
     nuisances = (*batch.nuisances, *DRIFTS)
     if not any(record.band is not None for record in batch.records):
         first = [term.first(_FIRST_TURNS) for term in batch.turning]
-        begun = fit(base.layout, first, base.state, iterations=20, nuisances=nuisances, tolerance=1.0, goal=limit)
+        begun = fit(layout, first, state, iterations=20, nuisances=nuisances, tolerance=1.0, goal=limit)
         if begun is not None and begun.cost > limit:
             return None
-    turning = fit(base.layout, batch.turning, base.state, iterations=20, nuisances=nuisances, tolerance=1.0)
+    turning = fit(layout, batch.turning, state, iterations=20, nuisances=nuisances, tolerance=1.0)
     found = None
     if turning is not None and turning.cost > limit:
         return None
     if turning is not None:
-        found = fit(base.layout, batch.waveform, turning.state, iterations=40, nuisances=nuisances)
-    near = fit(base.layout, batch.waveform, base.state, iterations=40, nuisances=nuisances)
+        found = fit(layout, batch.waveform, turning.state, iterations=40, nuisances=nuisances)
+    near = fit(layout, batch.waveform, state, iterations=40, nuisances=nuisances)
     both = [item for item in (found, near) if item is not None]
     return min(both, key=lambda item: item.cost) if both else None
 

@@ -1,30 +1,62 @@
-"""Records without what disturbs them: first cycles, noise that grows with the motion, a bent sensor, another mode."""
+"""Records without what disturbs them: late beginnings, first cycles, noise that grows, a bent sensor, another mode."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from ..measurement.options import Measuring
 from ..measurement.reading.record import Record
 from . import evidence
+from .earlier_release import Earlier, earlier
+from .evidence import Drifting
 from .first_cycles import begun
 from .motion_noise import MotionNoise, motion_noise
 from .question import Question
 from .readings import Disturbed, disturbed, sentences
-from .search import Search
+from .search import Search, Set
 
 _PASSES = 2  # times that bent sensors and lines are looked for
-_LESS = 0.5  # of what the best set left, where first cycles are left out
+_LESS = 0.5  # of what the best set left, where first cycles are left out or the release is another
 
 
 @dataclass(frozen=True, eq=False)
 class Undisturbed:
-    """Question and search of records without what disturbs them, and whether that is a bent sensor."""
+    """Question and search of records without what disturbs them, and whether that is a bent sensor.
+
+    ``drifting`` holds the sets that were asked with a drift in time beside them; None where none were.
+    """
 
     question: Question
     search: Search
     is_bent: bool = False
+    drifting: Mapping[Set, Drifting] | None = None
+
+    @property
+    def is_drifting(self) -> bool:
+        """Whether a set leaves noise with a drift in time beside it."""
+        fits = (item.fit for item in (self.drifting or {}).values())
+        return any(evidence.leaves_noise(self.search.batch, found) for found in fits)
+
+
+@dataclass(eq=False)
+class _Asked:
+    """The question of changed records: how they are measured and searched, and what is known of release and noise."""
+
+    question: Question
+    measuring: Measuring
+    searched: Callable[[Question], Search]
+    release: Earlier | None = None
+    noise: MotionNoise | None = None
+
+    def of(self, records: Sequence[Record], said: Sequence[str]) -> Undisturbed:
+        """Return the question of these records and its search; ``said`` is what is different in them."""
+        other = self.question.of_records(records, self.measuring, said)
+        if self.release is not None:
+            other = replace(other, batch=self.release.released(other.batch))
+        if self.noise is not None:
+            other = replace(other, batch=self.noise.weighed(other.batch))
+        return Undisturbed(other, self.searched(other))
 
 
 def undisturbed(
@@ -33,51 +65,75 @@ def undisturbed(
     records: Sequence[Record],
     measuring: Measuring,
     searched: Callable[[Question], Search],
+    drifting: Callable[[Search], Mapping[Set, Drifting]],
 ) -> Undisturbed:
     """Return the question and search of records without what disturbs them; as they were where nothing does.
 
-    First cycles are left out where a set of effects leaves noise then, or half of what was left at most. Where the
-    noise grows with the motion, samples count by the noise that they have. A bent sensor and another mode's line are
-    taken out where a set leaves noise then; what was found with the noise of disturbed records is found again without
-    it.
+    Specimens are released earlier, or else first cycles left out, where a set of effects leaves noise then, or half of
+    what was left at most. Where the noise grows with the motion, samples count by the noise that they have. A bent
+    sensor and another mode's line are taken out where a set leaves noise then; what was found with the noise of
+    disturbed records is found again without it. No cycle is left out and no sensor straightened where a set leaves
+    noise with a drift in time beside it, which is likelier.
     """
     known, again = Undisturbed(question, search), search
     said: tuple[str, ...] = ()
-    noise: MotionNoise | None = None
-
-    def asked(records: Sequence[Record], said: Sequence[str]) -> Undisturbed:
-        other = question.of_records(records, measuring, said)
-        if noise is not None:
-            other = replace(other, batch=noise.weighed(other.batch))
-        return Undisturbed(other, searched(other))
-
-    if (first := begun(search)) is not None:
+    asked = _Asked(question, measuring, searched)
+    if (release := earlier(search)) is not None:
+        asked.release = release
+        tried = asked.of(records, (release.sentence,))
+        if _is_better(tried.search, search):
+            said, known, again = (release.sentence,), tried, tried.search
+        else:
+            asked.release = None
+    known = _with_drifts(known, drifting)
+    first = begun(again) if asked.release is None and not known.is_drifting else None
+    if first is not None:
         records, said = first.undisturbed(records), (first.sentence,)
-        tried = asked(records, said)
+        tried = asked.of(records, said)
         again = tried.search
-        if _is_exact(again) or _left(again).share < _LESS * _left(search).share:
+        if _is_better(again, search):
             known = tried
-    noise = motion_noise(again)
-    if noise is not None:
-        said = (*said, noise.sentence)
-        known = asked(records, said)
+    asked.noise = motion_noise(again)
+    if asked.noise is not None:
+        said = (*said, asked.noise.sentence)
+        known = asked.of(records, said)
         again = known.search
-    if first is not None and _is_exact(again):
+    if (first is not None or asked.release is not None) and _is_exact(again):
         return known
+    known = _with_drifts(known, drifting)
+    if known.is_drifting:
+        return known
+    return _straightened(asked, again, records, said) or known
+
+
+def _with_drifts(known: Undisturbed, drifting: Callable[[Search], Mapping[Set, Drifting]]) -> Undisturbed:
+    """Return the search with the sets that were asked with a drift beside them, where none leaves noise without."""
+    if known.drifting is not None or _is_exact(known.search):
+        return known
+    return replace(known, drifting=drifting(known.search))
+
+
+def _straightened(asked: _Asked, again: Search, records: Sequence[Record], said: Sequence[str]) -> Undisturbed | None:
+    """Return the question and search of records without bent sensors and lines; None where no set leaves noise then."""
     found: list[Disturbed] = []
     while len(found) < _PASSES and (one := disturbed(again)) is not None:
         found.append(one)
         records = one.undisturbed(records)
-        tried = asked(records, (*said, *sentences(found)))
+        tried = asked.of(records, (*said, *sentences(found)))
         again = tried.search
         if _is_exact(again):
             return replace(tried, is_bent=any(item.is_bent for item in found))
-    return known
+    return None
 
 
 def _left(search: Search) -> evidence.LackOfFit:
     """Return what the most probable set leaves."""
     return evidence.lack_of_fit(search.batch, search.fits[search.best()])
+
+
+def _is_better(tried: Search, search: Search) -> bool:
+    """Return whether one search leaves noise, or half of what another left at most."""
+    return _is_exact(tried) or _left(tried).share < _LESS * _left(search).share
 
 
 def _is_exact(search: Search) -> bool:

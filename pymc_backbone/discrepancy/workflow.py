@@ -181,7 +181,9 @@ def find_missing_effect(
         known = Undisturbed(question, search)
         if is_of_records(data):
             say("looking for what disturbs the records", 0.0)
-            known = undisturbed(question, search, data, measuring, lambda other: _searched(other, quick, say))
+            known = undisturbed(
+                question, search, data, measuring, lambda other: _searched(other, quick, say), rivals.drifting_sets
+            )
         question = known.question
         say("deciding", 0.0)
         outcome = _decided(known)
@@ -242,7 +244,7 @@ def _searched(question: Question, quick: bool, say: Progress) -> Search:
 def _decided(known: Undisturbed) -> Outcome:
     """Return the verdict on a finished search, its rivals minded: a drift with time, a second mode."""
     question, search = known.question, known.search
-    drifting = rivals.drifting_sets(search)
+    drifting = rivals.drifting_sets(search) if known.drifting is None else known.drifting
     decision = decide(search, drifting, question.tolerance)
     second_mode = Check("no second mode", True, "not testable without records")
     if question.batch.has_records:

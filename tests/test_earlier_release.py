@@ -1,0 +1,79 @@
+"""Records that begin more than half a cycle after the release of a structure that remembers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import pymc_backbone as pb
+from pymc_backbone.discrepancy import evidence
+from pymc_backbone.discrepancy.earlier_release import Earlier, earlier
+from pymc_backbone.discrepancy.search import Search
+
+from .discrepancy_cases import AMPLITUDE, DAMPING, FREQUENCY, MASS, STIFFNESS, TIME, batch_of, noisy
+
+# yields where the motion begins; a slider that slips each half cycle would forget where it was released
+_YIELD = AMPLITUDE**-1.8
+REMEMBERS = {
+    "bouc_wen_stiffness": 0.2 * STIFFNESS, "bouc_wen_amplitude": 1.0, "bouc_wen_alpha": 0.0,
+    "bouc_wen_beta": 0.6 * _YIELD, "bouc_wen_gamma": 0.4 * _YIELD, "bouc_wen_exponent": 1.8,
+}  # fmt: skip
+STEADY = {"cubic_stiffness": 0.08 * STIFFNESS / AMPLITUDE**2}
+
+
+def begun(rng, late, effect="bouc_wen", values=REMEMBERS):
+    """A search whose base holds the effect, of records that begin so many cycles after their releases."""
+    base = pb.Oscillator(MASS, [effect])
+    records = []
+    for r, cycles in enumerate(late):
+        parameters = {"linear_stiffness": STIFFNESS, "viscous_damping": DAMPING} | values
+        release = AMPLITUDE * (1.0 - 0.1 * r)
+        exact = pb.simulate_waveform(base, parameters, TIME, release, release_time=-cycles / FREQUENCY)
+        records.append(noisy(rng, f"specimen {r + 1}", TIME, exact.displacement, 55.0))
+    search = Search(batch_of(records), base, ("cubic_stiffness",), 1, lambda _stage, _share: None)
+    search.fit_set(())
+    return search
+
+
+def test_what_remembers_tells_that_its_release_was_earlier(rng):
+    late = 0.7
+    search = begun(rng, (0.2, late))
+    assert not evidence.leaves_noise(search.batch, search.fits[()])
+    found = earlier(search)
+    assert found.turns == {"specimen 2": 1}
+    again = Search(found.released(search.batch), search.base, search.candidates, 1, search.progress)
+    again.fit_set(())
+    assert evidence.leaves_noise(again.batch, again.fits[()])
+    begin, amplitude = again.fits[()].state.own[1, [3, 2]]
+    # known to the noise of hundreds of samples, far below a hundredth of a cycle and a per cent
+    assert begin == pytest.approx(-late / FREQUENCY, abs=0.01 / FREQUENCY)
+    assert amplitude == pytest.approx(0.9 * AMPLITUDE, rel=0.01)
+    assert again.batch.levels[1].release == pytest.approx(0.9 * AMPLITUDE, rel=0.05)
+    assert "specimen 2" in found.sentence
+
+
+def test_what_remembers_nothing_is_not_asked(rng):
+    search = begun(rng, (0.2, 0.7), "cubic_stiffness", STEADY)
+    assert earlier(search) is None
+    # nor does it matter: every turning point is a release
+    assert evidence.leaves_noise(search.batch, search.fits[()])
+
+
+def test_a_record_that_holds_the_release_was_not_released_before_it_began(rng):
+    search = begun(rng, (0.2, 0.7))
+    held = search.batch.records[1]
+    longer = replace(held, measured=replace(held.measured, time=held.measured.time - 2.0 / FREQUENCY))
+    search.batch = replace(search.batch, records=(search.batch.records[0], longer))
+    assert earlier(search) is None
+
+
+def test_releases_go_on_from_the_turning_points(rng):
+    search = begun(rng, (0.2, 0.7))
+    moved = Earlier({"specimen 1": 2}).released(search.batch)
+    assert [term.skipped for term in moved.turning] == [2, 0]
+    cycle = 2.0 * np.pi / search.batch.angular_frequency  # which yielding makes longer at the first amplitudes
+    assert search.batch.own[0, 3] - moved.own[0, 3] == pytest.approx(cycle, rel=0.05)
+    np.testing.assert_array_equal(moved.own[1], search.batch.own[1])
+    assert moved.own[0, 2] > search.batch.own[0, 2]
