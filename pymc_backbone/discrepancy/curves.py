@@ -18,6 +18,8 @@ from .layout import Layout
 from .normal_equations import DRIFTS, NUISANCES, RELEASE_INSTANT, State, linearise, start_state
 
 _NEAR = 2.0  # reduced chi-square
+_GLANCE, _MOST, _LAST = 8, 20, 4  # iterations: of each start, of the best of these, and over all specimens
+_MOST_HEAVY = 3  # specimens that a model which takes long is fitted to first, or held against
 NO_NUISANCES = np.zeros(5)  # levels see none of them
 
 
@@ -39,18 +41,42 @@ def on_levels(batch: Batch, found: Fit, *, free_effects: bool = False) -> Fit:
 def fit_on_levels(batch: Batch, layout: Layout, begun: Sequence[tuple[FloatArray, FloatArray]]) -> Fit | None:
     """Return the best fit to the backbones from some starts: shared coordinates (q,), and stiffness and damping (r, 2).
 
-    The first that comes near the noise is taken. None where none of them can be simulated.
+    The first that comes near the noise is taken; else the one that is lowest after some steps goes on. Where the model
+    takes long, some specimens say where that is, and all of them the rest. None where none of them can be simulated.
     """
+    chosen = spread_over(len(batch.levels), layout)
+    terms = [batch.levels[r] for r in chosen]
     best: Fit | None = None
-    count = sum(term.size for term in batch.levels)
+    from_own = np.empty((0, 2))
     for eta, own in begun:
-        start = start_state(layout, eta, np.column_stack([own, np.zeros((len(own), 3))]))
-        found = fit(layout, batch.levels, start, iterations=20, nuisances=(0, 1), tolerance=0.1)
+        found = _of_levels(layout, terms, eta, own[chosen], _GLANCE)
         if found is not None and (best is None or found.cost < best.cost):
-            best = found
-        if best is not None and best.cost < _NEAR * count:
+            best, from_own = found, own
+        if best is not None and best.cost < _NEAR * sum(term.size for term in terms):
             break
-    return best
+    if best is None:
+        return None
+    if not best.is_converged:
+        best = _of_levels(layout, terms, best.state.eta, best.state.own[:, :2], _MOST) or best
+    if len(chosen) == len(batch.levels):
+        return best
+    own = from_own.copy()
+    own[chosen] = best.state.own[:, :2]
+    return _of_levels(layout, batch.levels, best.state.eta, own, _LAST)
+
+
+def _of_levels(
+    layout: Layout, terms: Sequence[LevelTerm], eta: FloatArray, own: FloatArray, iterations: int
+) -> Fit | None:
+    """Return the fit to backbones from shared coordinates, and stiffness and damping of each specimen."""
+    start = start_state(layout, eta, np.column_stack([own, np.zeros((len(own), 3))]))
+    return fit(layout, terms, start, iterations=iterations, nuisances=(0, 1), tolerance=0.1)
+
+
+def spread_over(count: int, layout: Layout) -> list[int]:
+    """Return which of so many specimens say enough of a model: all, or some where each simulation takes long."""
+    most = _MOST_HEAVY if layout.simulator.has_own_equation else count
+    return [int(r) for r in np.unique(np.linspace(0, count - 1, min(count, most)).round())]
 
 
 def one_on_levels(found: Fit, term: LevelTerm, state: State, specimen: int) -> FloatArray:

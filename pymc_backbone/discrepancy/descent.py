@@ -35,6 +35,7 @@ _SAME_PLACE = 1e-4  # the same over the first of them
 _SAME_FAILURE = 0.05  # the same where the other start stayed above what can be rivalled
 _FIRST_WINDOW = 12  # turning points
 _TELLING = 100  # turning points from which a window refutes: over fewer a fit may not have come to rest
+_FILTERED = 10.0  # how much more these have to leave behind a band-pass, where they are not quite those of the motion
 _WINDOW_GROWTH = 3.0
 _PATIENT, _SHORT = 300, 80
 _EVALUATIONS, _LEAST = 2.0, 3  # of the model in an iteration, as a rule; iterations of a fit whatever was spent
@@ -77,9 +78,8 @@ class Descent:
         if not self.batch.has_records:
             return state
         held = replace(layout, low=state.eta.copy(), high=state.eta.copy())
-        found = self.fit(
-            held, self.batch.turning, state, iterations=8, tolerance=_ENOUGH, nuisances=_RELEASE, has_scatter=False
-        )
+        terms = [term.first(_TELLING) for term in self.batch.turning]  # later the phase of a rough start is lost
+        found = self.fit(held, terms, state, iterations=8, tolerance=_ENOUGH, nuisances=_RELEASE, has_scatter=False)
         return state if found is None else found.state
 
     def first_look(self, layout: Layout, state: State) -> tuple[State, float]:
@@ -106,10 +106,6 @@ class Descent:
     def unheard_of(self) -> float:
         """The sum of squares over the turning points that no model leaves which explains the records."""
         return _UNHEARD_OF * self._turning_values
-
-    @property
-    def _is_filtered(self) -> bool:
-        return any(record.band is not None for record in self.batch.records)
 
     @property
     def _turning_values(self) -> float:
@@ -165,9 +161,9 @@ class Descent:
             iterations = _TURNING if is_last else _ON_THE_WAY
             goal = _NEAR_NOISE * sum(term.size for term in terms)
             found = self.fit(layout, terms, state, iterations=iterations, tolerance=_ENOUGH, goal=goal)
-            is_telling = is_last or (window >= _TELLING and not self._is_filtered)
-            if found is not None and found.cost > limit and is_telling and not (is_last or found.is_converged):
-                found = self.fit(layout, terms, found.state, iterations=_TURNING, tolerance=_ENOUGH, goal=limit)
+            is_telling, edge = is_last or window >= _TELLING, limit if is_last else first_limit(self.batch, limit)
+            if found is not None and found.cost > edge and is_telling and not (is_last or found.is_converged):
+                found = self.fit(layout, terms, found.state, iterations=_TURNING, tolerance=_ENOUGH, goal=edge)
             if found is not None:
                 state, cost = found.state, found.cost
             elif is_last:
@@ -178,7 +174,7 @@ class Descent:
                 if any(place == window and abs(cost - known) < near * known for place, known in ways):
                     return None
                 ways.append((window, cost))
-            if is_last or (is_telling and cost > limit):
+            if is_last or (is_telling and cost > edge):
                 return state, cost
             window = int(window * _WINDOW_GROWTH)
 
@@ -228,6 +224,11 @@ class Descent:
         if found is not None:
             self.effort += found.evaluations * each
         return found
+
+
+def first_limit(batch: Batch, limit: float) -> float:
+    """Return what the first turning points may leave where all of them may leave ``limit``."""
+    return limit * (_FILTERED if any(record.band is not None for record in batch.records) else 1.0)
 
 
 def is_heavy(layout: Layout) -> bool:

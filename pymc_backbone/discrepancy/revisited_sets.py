@@ -92,7 +92,10 @@ class RevisitedSets(FittedSets):
             for smaller in combinations(names, max(len(names) - 1, 0)):
                 known = self.fits.get(smaller)
                 close = _GAINED if smaller else _CLOSE_TO_BASE  # whether anything is missing hangs on the base
-                if not names or known is None or known.cost < larger.cost + close or self._was_asked(smaller, larger):
+                if not names or known is None or known.cost < larger.cost + close:
+                    continue
+                # what lies within a set that leaves more than noise leaves more than noise
+                if (not is_explained and self.is_refuted(smaller)) or self._was_asked(smaller, larger):
                     continue
                 layout = self.layout(smaller)
                 found = self.descent.from_near(layout, [self._smaller(layout, larger)], rival=known.cost)

@@ -13,7 +13,7 @@ from .._common.checks import FloatArray
 from . import evidence
 from .batch import Batch
 from .curves import measured
-from .descent import is_heavy
+from .descent import first_limit, is_heavy
 from .drift_course import DRIFT
 from .drift_proposals import sets_beside_drifts, single_beside_drifts
 from .evidence import Drifting
@@ -39,7 +39,8 @@ def drifting_sets(search: Search) -> dict[Set, Drifting]:
     These are what is in the most probable set, where that is not a single effect that leaves noise, and the other laws
     of its mechanism where that effect is a variant of these; where no set leaves noise, what is in the next ones, too.
     Where a drift helps one of them, the same is asked of the other laws of its mechanisms. Sets with an equation of
-    their own are asked where they lack one effect only, or nothing simpler is left.
+    their own are asked where they lack one effect only, or nothing simpler is left; where turning points refuted the
+    most probable set, no set that remembers is.
     """
     best = search.best()
     is_exact = evidence.leaves_noise(search.batch, search.fits[best])
@@ -50,7 +51,7 @@ def drifting_sets(search: Search) -> dict[Set, Drifting]:
     if len(best) > 1 or not is_exact:
         for names in [best] if is_exact else search.ranked()[:_ASKED]:
             within = [part for size in range(1, len(names) + 1) for part in combinations(names, size)]
-            simple = [part for part in within if len(part) == len(names) - 1 or not is_heavy(search.layout(part))]
+            simple = [part for part in within if _is_simple(search, part, names)]
             asked += simple or within[:1]
     found: dict[Set, Drifting] = {}
     limit = search.descent.hopeless(search.fits[best] if is_exact else None)
@@ -89,6 +90,17 @@ def _ask_backbones(search: Search, found: dict[Set, Drifting]) -> None:
             return
 
 
+def _is_simple(search: Search, part: Set, names: Set) -> bool:
+    """Return whether what is in a set is asked with a drift: what is soon simulated, or lacks one effect only.
+
+    Where turning points refuted the most probable set, evidence with a departure decides, which has a drift of its own:
+    then what remembers is not followed through the records for the drift's sake.
+    """
+    if search.is_refuted(search.best()):
+        return not search.layout(part).simulator.needs_decay
+    return len(part) == len(names) - 1 or not is_heavy(search.layout(part))
+
+
 def _ask(search: Search, sets: Iterable[Set], found: dict[Set, Drifting], limit: float) -> None:
     """Add the fits of sets with a drift beside them; that of the base however far it is."""
     for names in dict.fromkeys(sets):
@@ -124,11 +136,11 @@ def drift_fit(batch: Batch, layout: Layout, state: State, limit: float = np.inf)
     if not batch.has_records:
         return None
     nuisances = (*batch.nuisances, *DRIFTS)
-    if not any(record.band is not None for record in batch.records):
-        first = [term.first(_FIRST_TURNS) for term in batch.turning]
-        begun = fit(layout, first, state, iterations=20, nuisances=nuisances, tolerance=1.0, goal=limit)
-        if begun is not None and begun.cost > limit:
-            return None
+    first = [term.first(_FIRST_TURNS) for term in batch.turning]
+    edge = first_limit(batch, limit)
+    begun = fit(layout, first, state, iterations=20, nuisances=nuisances, tolerance=1.0, goal=edge)
+    if begun is not None and begun.cost > edge:
+        return None
     turning = fit(layout, batch.turning, state, iterations=20, nuisances=nuisances, tolerance=1.0)
     found = None
     if turning is not None and turning.cost > limit:

@@ -9,7 +9,7 @@ import numpy as np
 
 from .._common.checks import OBSERVABLES, FloatArray
 from .batch import Batch
-from .curves import curve, level_chi_square, measured, on_levels, one_on_levels, prediction_errors
+from .curves import curve, level_chi_square, measured, on_levels, one_on_levels, prediction_errors, spread_over
 from .data_term import level_term
 from .descent import is_heavy
 from .joint_fit import Fit, fit, parameters_of
@@ -74,7 +74,7 @@ def verify(
 def held_out_levels(batch: Batch, before: Fit, after: Fit | None) -> HeldOut | None:
     """Leave out one level at a time, predict it from the others, and compare; the lowest and highest included.
 
-    Where the extended model takes much longer, some of them.
+    Where the extended model takes much longer, some of them, in some specimens.
     """
     levels = np.asarray(batch.backbones["level"])
     values, errors = measured(batch)
@@ -83,14 +83,16 @@ def held_out_levels(batch: Batch, before: Fit, after: Fit | None) -> HeldOut | N
     rows = _rows(batch)
     results = np.full((2, levels.size), np.nan)
     names = [str(name) for name in batch.backbones["specimen"].values]
-    index = [names.index(name) for name in batch.specimens]
+    chosen = spread_over(len(batch.specimens), (before if after is None else after).layout)
+    values, errors = values[chosen], errors[chosen]
+    index = [names.index(batch.specimens[r]) for r in chosen]
     most = _MOST_HEAVY_LEVELS if after is not None and is_heavy(after.layout) else levels.size
     for k in np.unique(np.linspace(0, levels.size - 1, min(most, levels.size)).round().astype(int)):
         keep = np.arange(levels.size) != k
         found = [level_term(batch.backbones, i, keep) for i in index]
         terms = [
-            replace(term, release=whole.release)
-            for term, whole in zip(found, batch.levels, strict=True)
+            replace(term, release=batch.levels[r].release)
+            for term, r in zip(found, chosen, strict=True)
             if term is not None and term.levels.size >= 3
         ]
         if len(terms) < len(index):
@@ -98,7 +100,8 @@ def held_out_levels(batch: Batch, before: Fit, after: Fit | None) -> HeldOut | N
         for m, model in enumerate((before, after)):
             if model is None:
                 continue
-            solved = fit(model.layout, terms, model.state, iterations=12, nuisances=(0, 1), tolerance=0.1)
+            state = State(model.state.eta, model.state.own[chosen])
+            solved = fit(model.layout, terms, state, iterations=12, nuisances=(0, 1), tolerance=0.1)
             if solved is None:
                 continue
             own = prediction_errors(solved, terms, levels[[k]])[:, rows, 0]
