@@ -42,8 +42,7 @@ def in_two_processes(jobs: Sequence[Callable[[], bytes]]) -> list[bytes]:
         warnings.simplefilter("ignore", DeprecationWarning)  # of forks beside threads: these are known
         child = os.fork()
     if child == 0:
-        os.close(reading)
-        _deliver(there, writing)
+        _deliver(there, reading, writing)
     os.close(writing)
     try:
         with os.fdopen(reading, "rb") as pipe:  # closed early, it ends the child, which then has nobody to write to
@@ -62,9 +61,10 @@ def _is_safe() -> bool:
     return all(name == PROGRESS_THREAD or name.startswith(threads.THREAD_PREFIX) for name in others)
 
 
-def _deliver(jobs: Sequence[Callable[[], bytes]], writing: int) -> NoReturn:
+def _deliver(jobs: Sequence[Callable[[], bytes]], reading: int, writing: int) -> NoReturn:
     """Do the jobs and write what they return, as the child that ends here whatever happens."""
     try:
+        os.close(reading)
         sys.stdout = sys.stderr = open(os.devnull, "w", encoding="utf-8")
         made = [job() for job in jobs]
         with os.fdopen(writing, "wb") as pipe:

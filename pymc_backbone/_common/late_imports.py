@@ -55,15 +55,16 @@ def after_import(name: str, action: Callable[[], None]) -> None:
 
 
 @contextmanager
-def imported_beside(name: str) -> Iterator[None]:
-    """Import the module ``name`` in a thread while the body runs; it is there, and the thread gone, at the end.
+def imported_beside(*names: str) -> Iterator[None]:
+    """Import modules in a thread while the body runs; they are there, and the thread gone, at the end.
 
     An import that fails says nothing: it fails again where the module is needed.
     """
 
     def load() -> None:
-        with suppress(Exception):
-            importlib.import_module(name)
+        for name in names:
+            with suppress(Exception):
+                importlib.import_module(name)
 
     thread = threading.Thread(target=load, name="imports", daemon=True)
     thread.start()

@@ -109,8 +109,8 @@ def _diagnosed(
         settings |= {name: value for name, value in settings_of(measuring).items() if name != "observables"}
     from ..discrepancy.workflow import find_missing_effect
 
-    # figures are drawn at the end, by libraries that take long to import and wait for the disk
-    with nullcontext() if output is None else imported_beside("pymc_backbone.reporting.study_files"):
+    # what draws and writes at the end takes long to import and waits for the disk
+    with nullcontext() if output is None else imported_beside("pymc_backbone.reporting.study_files", "h5netcdf"):
         study = find_missing_effect(oscillator, data, progress=progress, **settings)
     study = replace(study, notes=(*left_out, *study.notes))
     if mass_error:
