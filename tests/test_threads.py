@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 import threading
 import time
 from functools import partial
@@ -9,7 +11,9 @@ from functools import partial
 import numpy as np
 import pytest
 
-from pymc_backbone._common import threads
+from pymc_backbone._common import forked, threads
+from pymc_backbone._common.forked import in_two_processes
+from pymc_backbone._common.late_imports import imported_beside
 from pymc_backbone._common.threads import in_threads
 from pymc_backbone.discrepancy.propose import propose
 from pymc_backbone.oscillator import Oscillator
@@ -23,7 +27,7 @@ def slowly(number: int) -> tuple[int, int]:
 
 
 def cores(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
-    monkeypatch.setattr(threads, "_cores", lambda: count)
+    monkeypatch.setattr(threads, "cores", lambda: count)
 
 
 @pytest.mark.parametrize("count", [1, 3])
@@ -51,9 +55,9 @@ def test_what_fails_in_a_job_is_raised(monkeypatch):
 
 def test_one_core_where_linear_algebra_was_told_so(monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
-    assert threads._cores() == 1
+    assert threads.cores() == 1
     monkeypatch.setenv("OMP_NUM_THREADS", "")
-    assert threads._cores() >= 1
+    assert threads.cores() >= 1
 
 
 def test_a_fit_and_proposals_have_the_same_digits_on_one_core_and_on_many(monkeypatch):
@@ -69,3 +73,63 @@ def test_a_fit_and_proposals_have_the_same_digits_on_one_core_and_on_many(monkey
         )  # fmt: skip
     assert seen[0] == seen[1]
     assert np.frombuffer(seen[0][0])[0] != 0.0
+
+
+def bytes_of(number: int) -> bytes:
+    return f"{number} {os.getpid()}".encode() * (1 + 100_000 * (number == 1))
+
+
+def makers(found: list[bytes]) -> list[bytes]:
+    return [data.split()[1][: len(str(os.getpid()))] for data in found]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="forks on Linux only")
+def test_every_second_job_is_done_in_a_fork_where_all_threads_are_known(monkeypatch):
+    cores(monkeypatch, 2)
+    monkeypatch.setattr(forked, "_is_safe", lambda: True)  # threads of a test runner stand idle
+    found = in_two_processes([partial(bytes_of, k) for k in range(5)])
+    assert [data.split()[0] for data in found] == [b"0", b"1", b"2", b"3", b"4"]
+    here = str(os.getpid()).encode()
+    assert [maker == here for maker in makers(found)] == [True, False, True, False, True]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="forks on Linux only")
+def test_what_a_fork_cannot_deliver_is_made_or_raised_here(monkeypatch):
+    monkeypatch.setattr(forked, "_is_safe", lambda: True)
+    own = os.getpid()
+
+    def only_here() -> bytes:
+        if os.getpid() != own:
+            os._exit(1)
+        return b"here"
+
+    assert in_two_processes([only_here, only_here, only_here]) == [b"here"] * 3
+    with pytest.raises(ZeroDivisionError):
+        in_two_processes([only_here, lambda: bytes(1 // 0)])
+    with pytest.raises(ZeroDivisionError):
+        in_two_processes([lambda: bytes(1 // 0), only_here])
+
+
+def test_no_fork_beside_a_thread_that_nobody_knows_or_on_one_core(monkeypatch):
+    cores(monkeypatch, 2)
+    over = threading.Event()
+    stranger = threading.Thread(target=over.wait, name="stranger")
+    stranger.start()
+    try:
+        assert not forked._is_safe()
+    finally:
+        over.set()
+        stranger.join()
+    cores(monkeypatch, 1)
+    assert not forked._is_safe()
+
+
+def test_a_module_is_there_after_what_went_on_beside_its_import():
+    sys.modules.pop("this_is_no_module", None)
+    with imported_beside("this_is_no_module"):
+        pass
+    sys.modules.pop("colorsys", None)
+    with imported_beside("colorsys"):
+        pass
+    assert "colorsys" in sys.modules
+    assert all(thread.name != "imports" for thread in threading.enumerate())

@@ -1,10 +1,12 @@
-"""What is to be done once another library is imported, without importing it."""
+"""Imports at another time: behind that of a library, whoever asks for it; beside other work, in a thread."""
 
 from __future__ import annotations
 
 import importlib.util
 import sys
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
@@ -50,3 +52,21 @@ def after_import(name: str, action: Callable[[], None]) -> None:
         action()
     else:
         sys.meta_path.insert(0, _Waiting(name, action))
+
+
+@contextmanager
+def imported_beside(*names: str) -> Iterator[None]:
+    """Import modules in a thread while the body runs; they are there, and the thread gone, at the end.
+
+    An import that fails says nothing: it fails again where the module is needed.
+    """
+
+    def load() -> None:
+        for name in names:
+            with suppress(Exception):
+                importlib.import_module(name)
+
+    thread = threading.Thread(target=load, name="imports", daemon=True)
+    thread.start()
+    yield  # where the body raises, nobody waits: the thread ends by itself or with the process
+    thread.join()

@@ -11,6 +11,8 @@ LINE_EVERY = 8.0
 FIRST_AFTER = 1.5
 """Seconds until the first line at the latest."""
 TICK = 0.25
+THREAD = "progress"
+"""Name of the thread that looks after it."""
 ESTIMATE_AFTER = 2.0  # seconds of a stage before the time left is estimated
 _LEAST, _LATELY, _AGREE = 0.05, 0.25, 2.0
 
@@ -96,7 +98,7 @@ class Progress:
 
     def __enter__(self) -> Progress:
         self._over.clear()
-        self._thread = threading.Thread(target=self._run, name="progress", daemon=True)
+        self._thread = threading.Thread(target=self._run, name=THREAD, daemon=True)
         self._thread.start()
         return self
 

@@ -10,6 +10,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 from threadpoolctl import threadpool_limits
 
+THREAD_PREFIX = "backbone"
+"""How the names of the threads begin that wait for jobs."""
 _inside = threading.local()
 
 
@@ -20,8 +22,8 @@ def in_threads[T](jobs: Sequence[Callable[[], T]]) -> list[T]:
     """
     if len(jobs) < 2 or getattr(_inside, "works", False):
         return [job() for job in jobs]
-    cores = _cores()
-    return [job() for job in jobs] if cores < 2 else list(_pool(os.getpid(), cores).map(_run, jobs))
+    count = cores()
+    return [job() for job in jobs] if count < 2 else list(_pool(os.getpid(), count).map(_run, jobs))
 
 
 def with_one_thread[**P, R](function: Callable[P, R]) -> Callable[P, R]:
@@ -40,17 +42,17 @@ def _run[T](job: Callable[[], T]) -> T:
     return job()
 
 
-def _cores() -> int:
+def cores() -> int:
     """Return how many cores this process may use; one where its linear algebra was told to keep to one."""
     told = os.environ.get("OMP_NUM_THREADS", "")
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return max(1, min(cores, int(told))) if told.isdigit() else cores
+    count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, min(count, int(told))) if told.isdigit() else count
 
 
 @functools.cache
-def _pool(_process: int, cores: int) -> ThreadPoolExecutor:
+def _pool(_process: int, count: int) -> ThreadPoolExecutor:
     """Return the threads of a process: a forked one has none of its parent's."""
-    return ThreadPoolExecutor(cores, thread_name_prefix="backbone")
+    return ThreadPoolExecutor(count, thread_name_prefix=THREAD_PREFIX)
 
 
-__all__ = ["in_threads", "with_one_thread"]
+__all__ = ["THREAD_PREFIX", "cores", "in_threads", "with_one_thread"]

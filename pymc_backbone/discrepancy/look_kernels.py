@@ -120,6 +120,9 @@ def averaged(
     largest = np.zeros(n_states)
     z = shifted(address(run.y), 2)
     step = 2.0 * math.pi / points
+    cosines, sines = np.empty(points), np.empty(points)  # once: they took as long as the forces
+    for i in range(points):
+        cosines[i], sines[i] = math.cos((i + 0.5) * step), math.sin((i + 0.5) * step)
     cycles = 2 if n_states > 0 else 1
     for level in range(levels.size):
         amplitude, omega = levels[level], omegas[level]
@@ -153,7 +156,7 @@ def averaged(
                     angle = (i + 0.5) * step
                     if is_moving:
                         _advance(model, own, amplitude, omega, i * step, 0.5 * step, a2, offset, z, room, largest)
-                    cosine, sine = math.cos(angle), math.sin(angle)
+                    cosine, sine = cosines[i], sines[i]
                     double = 2.0 * cosine * cosine - 1.0
                     x = offset + amplitude * cosine + a2 * double
                     pace = -(amplitude * sine + 4.0 * a2 * sine * cosine)

@@ -8,13 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
+from threadpoolctl import threadpool_limits
 
 from .._common.backbone_dataset import FREQUENCY
 from .._common.checks import OBSERVABLES, FloatArray, InputError, check_levels
+from .._common.threads import in_threads
 from .conditioning.condition import condition
 from .conditioning.conditioned import ConditionedRecord
 from .conditioning.wander import of_one_sensor
@@ -34,6 +37,7 @@ REPEATS = 0.002
 """Relative standard deviation of frequency up to which they do: clamping and temperature make as much."""
 LEAST_SHARE = 0.5
 """Share of the records that must remain: where most cannot be used, something is wrong with all of them."""
+_AT_ONCE = 8  # records between two calls of what shows the progress
 _NARROW = 1.5  # the widest range of a specimen over that which all share, from which the search takes the whole range
 _FEWEST_LEVELS, _MOST_LEVELS = 8, 20
 
@@ -128,7 +132,7 @@ def measure_batch(
     refused : sequence of str, optional
         A sentence for each file that could not be read: they count as records that cannot be used.
     progress : callable, optional
-        Called with the stage and the fraction done, before each record.
+        Called with the stage and the fraction done, before every few records.
 
     Returns
     -------
@@ -219,7 +223,7 @@ def extract_all(
     refused : sequence of str, optional
         As in `measure_batch`.
     progress : callable, optional
-        Called with the stage and the fraction done, before each record and once it is conditioned.
+        Called with the stage and the fraction done, before every few records and once they are conditioned.
 
     Returns
     -------
@@ -284,17 +288,32 @@ def _usable[T, R](
     left_out: list[str],
     progress: Callable[[float], None],
 ) -> list[tuple[T, R]]:
-    """Return what became of those that can be used; why the others cannot goes into ``left_out``, or is raised."""
+    """Return what became of those that can be used; why the others cannot goes into ``left_out``, or is raised.
+
+    A few are worked on at the same time; of what cannot be used, the first is told of first.
+    """
     done: list[tuple[T, R]] = []
-    for k, item in enumerate(items):
-        progress(k / len(items))
-        try:
-            done.append((item, work(item)))
-        except InputError as error:
-            if one_must_do:
-                raise
-            left_out.append(str(error))
+    for begin in range(0, len(items), _AT_ONCE):
+        progress(begin / len(items))
+        few = items[begin : begin + _AT_ONCE]
+        with threadpool_limits(1):  # once for all of them: threads that lift the limit in turn would lift it for others
+            results = in_threads([partial(_tried, work, item) for item in few])
+        for item, result in zip(few, results, strict=True):
+            if not isinstance(result, InputError):
+                done.append((item, result))
+            elif one_must_do:
+                raise result
+            else:
+                left_out.append(str(result))
     return done
+
+
+def _tried[T, R](work: Callable[[T], R], item: T) -> R | InputError:
+    """Return what comes of an item, or why it cannot be used."""
+    try:
+        return work(item)
+    except InputError as error:
+        return error
 
 
 def _of_one_sensor(records: Sequence[ConditionedRecord]) -> list[ConditionedRecord]:

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Iterable
+from functools import partial
 from weakref import WeakKeyDictionary
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+
+from .._common.forked import in_two_processes
 
 DPI = 170
 _COMPRESSION = 3  # a tenth larger than with 6, in two thirds of the time
@@ -18,6 +22,12 @@ def png(figure: Figure) -> bytes:
     if figure not in _drawn:
         _drawn[figure] = _at_once(figure)
     return _drawn[figure]
+
+
+def draw_all(figures: Iterable[Figure]) -> None:
+    """Draw finished figures, on two cores where that is safe: `png` has them then."""
+    waiting = [figure for figure in figures if figure not in _drawn]
+    _drawn.update(zip(waiting, in_two_processes([partial(_at_once, figure) for figure in waiting]), strict=True))
 
 
 def _at_once(figure: Figure) -> bytes:
@@ -32,4 +42,4 @@ def _at_once(figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
-__all__ = ["png"]
+__all__ = ["draw_all", "png"]

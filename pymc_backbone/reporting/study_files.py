@@ -30,6 +30,7 @@ from ..discrepancy.study import Estimate, HeldOut, Study
 from .curve_script import curve_script
 from .model_script import model_script
 from .output_folder import CURVE_SCRIPT, REPORT, SCRIPT, package_version, prepare_output, write_results
+from .pictures import draw_all
 from .report import report_html
 from .study_plots import study_figures
 
@@ -153,6 +154,7 @@ def write_study(
     place = prepare_output(Path(folder), overwrite)
     version = package_version()
     figures = study_figures(study, records)
+    draw_all(figures.values())
     texts = {
         REPORT: report_html(study, figures, version=version, command=command),
         SCRIPT: model_script(study, version),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .._common.checks import InputError, check_positive
+from .._common.late_imports import imported_beside
 from .._common.options import settings_of
 from .._common.text import in_words
 from ..discrepancy.options import Searching
@@ -107,7 +109,9 @@ def _diagnosed(
         settings |= {name: value for name, value in settings_of(measuring).items() if name != "observables"}
     from ..discrepancy.workflow import find_missing_effect
 
-    study = find_missing_effect(oscillator, data, progress=progress, **settings)
+    # what draws and writes at the end takes long to import and waits for the disk
+    with nullcontext() if output is None else imported_beside("pymc_backbone.reporting.study_files", "h5netcdf"):
+        study = find_missing_effect(oscillator, data, progress=progress, **settings)
     study = replace(study, notes=(*left_out, *study.notes))
     if mass_error:
         study = with_uncertain_mass(study, mass_error)

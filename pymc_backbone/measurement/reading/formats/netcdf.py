@@ -7,7 +7,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import xarray as xr
 
@@ -90,6 +89,7 @@ def try_netcdf(path: Path) -> None:
 
 def _check_sizes(path: Path, name: str) -> None:
     """Refuse a file whose arrays are larger than what it holds of them: coordinates are loaded when it is opened."""
+    import h5py  # only such files need it, and its import takes as long as reading a batch
 
     def check(key: str, node: Any) -> None:
         if not isinstance(node, h5py.Dataset) or node.size is None:
