@@ -12,10 +12,11 @@ from ..oscillator import Oscillator
 from .batch import Batch
 from .curve_bands import bands_of, mean_values
 from .curve_fit import CurveFit, fit_curves
+from .curve_laws import with_laws
 from .curve_records import ForceCurves
 from .curve_words import Judgement, sentence
 from .evidence import UNEXPLAINED, lack_of_fit
-from .families import proposals
+from .families import judged
 from .joint_fit import Fit, fit
 from .normal_equations import DRIFTS, NUISANCES, State
 from .scatter import SCATTER
@@ -68,19 +69,21 @@ def force_curves(
     found = fit_remainder(batch, start.layout.oscillator, start)
     if found is None:
         return None
-    judged = _judged(batch, start, found, rivals, drifting)
-    told = proposals(found)
+    judgement = _judgement(batch, start, found, rivals, drifting)
+    told, shapes = judged(found)
     after = held_out_curves(batch, found, most) if most > 0 else float("nan")
+    if judgement.p_value >= UNEXPLAINED:  # what leaves more than noise follows no law
+        found = with_laws(found, told, shapes)
     bands = bands_of(batch, found, seed)
     beside = tuple(effect.name for effect in start.layout.oscillator.effects if effect.name not in BASE_EFFECTS)
     return ForceCurves(
-        is_possible=judged.is_possible,
-        sentence=sentence(judged, told, str(batch.backbones.attrs.get("amplitude_unit", "m")), beside),
+        is_possible=judgement.is_possible,
+        sentence=sentence(judgement, told, str(batch.backbones.attrs.get("amplitude_unit", "m")), beside),
         beside=beside,
         bands=bands,
         proposals=told,
-        share_left=judged.share_left,
-        p_value=judged.p_value,
+        share_left=judgement.share_left,
+        p_value=judgement.p_value,
         held_out_before=held_out_before,
         held_out_after=after,
         oscillator=found.fit.layout.oscillator,
@@ -178,7 +181,7 @@ def _either(best: CurveFit, rest: CurveFit) -> CurveFit:
     return replace(best, mean_covariance=covariance, fit=replace(best.fit, covariance=covariance[2:, 2:]))
 
 
-def _judged(batch: Batch, start: Fit, found: CurveFit, rivals: Sequence[Fit], drifting: Fit | None) -> Judgement:
+def _judgement(batch: Batch, start: Fit, found: CurveFit, rivals: Sequence[Fit], drifting: Fit | None) -> Judgement:
     """Return whether forces of displacement and speed can be what is missing and, where not, what speaks against it."""
     count = float(sum(term.size for term in batch.waveform))
     lack = lack_of_fit(batch, found.fit)
