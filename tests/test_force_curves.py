@@ -12,7 +12,7 @@ from scipy.stats import norm
 from threadpoolctl import threadpool_limits
 
 from pymc_backbone import InputError, find_missing_effect
-from pymc_backbone.discrepancy import workflow
+from pymc_backbone.discrepancy import force_curve, workflow
 from pymc_backbone.discrepancy.curve_bands import bands_of, simultaneous
 from pymc_backbone.discrepancy.curve_fit import CurveFit, Known
 from pymc_backbone.discrepancy.curve_laws import with_laws
@@ -150,6 +150,25 @@ def test_what_is_no_curve_goes_to_zero_and_keeps_its_errors():
     for one, other in ((alone.conservative, lawful.conservative), (alone.damping_even, lawful.damping_even)):
         assert np.abs(other.force).max() <= 1.001 * np.abs(one.force).max() + 1e-9 * ELASTIC
         assert np.all(other.standard_error >= 0.95 * one.standard_error - 1e-9 * ELASTIC)
+
+
+def test_what_does_not_arrive_is_approached_slowly(outside, monkeypatch):
+    batch, _ = outside
+    walked, real = [], force_curve._approached
+
+    def approached(*given, is_patient=False):
+        walked.append(is_patient)
+        return real(*given, is_patient=True) if is_patient else None
+
+    monkeypatch.setattr(force_curve, "_approached", approached)
+    found = fit_remainder(batch, Oscillator(MASS))
+    count = sum(term.size for term in batch.waveform)
+    assert walked == [False, True] and 0.8 < found.fit.chi_square.sum() / count < 1.2
+    # negative control: what leaves noise is not approached again
+    walked.clear()
+    monkeypatch.setattr(force_curve, "_approached", lambda *given: walked.append(False) or real(*given))
+    fit_remainder(batch, Oscillator(MASS))
+    assert walked == [False]
 
 
 def test_curves_leave_noise_and_predict_a_specimen_left_out(outside):
