@@ -47,7 +47,7 @@ def with_laws(found: CurveFit, told: Sequence[Proposal], shapes: Mapping[str, Se
         move, spread = _mean(found, effect, laws, chance, mine)
         other = found.tabulated.places(DAMPING if effect == STIFFNESS else STIFFNESS)
         moved = found.known[effect].follows @ move
-        moved[2 + other] = 0.0  # that one has laws of its own
+        moved[2 + other] = moved[1 - own] = 0.0  # that one has laws and a line of its own
         values = values + moved
         covariance[mine], covariance[:, mine] = 0.0, 0.0
         covariance[np.ix_(mine, mine)] = spread
