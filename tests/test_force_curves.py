@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,16 +12,20 @@ from scipy.stats import norm
 from threadpoolctl import threadpool_limits
 
 from pymc_backbone import InputError, find_missing_effect
+from pymc_backbone.discrepancy import force_curve, workflow
 from pymc_backbone.discrepancy.curve_bands import bands_of, simultaneous
 from pymc_backbone.discrepancy.curve_fit import CurveFit, Known
+from pymc_backbone.discrepancy.curve_laws import with_laws
 from pymc_backbone.discrepancy.curve_words import Judgement, sentence
-from pymc_backbone.discrepancy.families import FAMILIES, proposals
+from pymc_backbone.discrepancy.families import FAMILIES, Shape, _curve, judged, places, proposals
 from pymc_backbone.discrepancy.force_curve import fit_remainder, force_curves
 from pymc_backbone.discrepancy.joint_fit import fit
 from pymc_backbone.discrepancy.layout import make_layout
 from pymc_backbone.discrepancy.normal_equations import start_state
 from pymc_backbone.discrepancy.rivals import drift_fit
+from pymc_backbone.discrepancy.study import MissingMechanism
 from pymc_backbone.discrepancy.tabulated import DAMPING, NODES, STIFFNESS, tabulate
+from pymc_backbone.discrepancy.verdict import NamedLevel, Verdict
 from pymc_backbone.oscillator import Oscillator
 from pymc_backbone.reporting.output_folder import plain
 from pymc_backbone.reporting.report import report_html
@@ -103,6 +108,69 @@ def test_bands_hold_the_true_forces(outside):
     assert np.all(bands.damping_even.low <= 1e-12) and np.all(bands.damping_even.high >= -1e-12)
 
 
+def test_a_curve_that_follows_a_law_is_nearer_to_the_truth_and_better_known(outside):
+    batch, found = outside
+    told, shapes = judged(found)
+    alone, lawful = bands_of(batch, found, 1), bands_of(batch, with_laws(found, told, shapes), 1)
+    v = lawful.damping.at
+    shape = dissipative(v)
+
+    def beyond(force):  # the mean specimen's own damper is known to the scatter that was drawn
+        return (force - v * float(v @ force) / float(v @ v)) - (shape - v * float(v @ shape) / float(v @ v))
+
+    near, far = np.abs(beyond(lawful.damping.force)).max(), np.abs(beyond(alone.damping.force)).max()
+    # a power law with exponent 1.6 is one of the families, told with near certainty
+    assert near < 0.02 * np.abs(shape).max() and near < far
+    assert np.median(lawful.damping.high - lawful.damping.low) < 0.7 * np.median(alone.damping.high - alone.damping.low)
+    bound = 0.5 * (lawful.damping.high - lawful.damping.low)
+    assert np.all(np.abs(beyond(lawful.damping.force)) <= bound + 1e-9 * np.abs(shape).max())
+    # the spring is none of them: its curve stays as it is
+    assert next(item for item in told if item.curve == "conservative").family == "none"
+    assert np.abs(lawful.conservative.force - alone.conservative.force).max() < 1e-3 * ELASTIC
+
+
+def test_a_law_that_is_not_the_right_one_is_seen_to_be_wrong(outside):
+    """Negative control: were a saturating damper certain, its band would not hold the truth."""
+    batch, found = outside
+    wrong = np.tanh(np.concatenate([-places(), places()]) / 0.05)
+    effect = _curve(found, DAMPING)
+    column = effect.shape(wrong)
+    forced = Shape(1.0, column, np.array([0.1 * ELASTIC]), effect.beyond(wrong))
+    bands = bands_of(batch, with_laws(found, (), {STIFFNESS: (), DAMPING: (forced,)}), 1)
+    v = bands.damping.at
+    truth = dissipative(v) + VISCOUS * v
+    assert not np.all((bands.damping.low <= truth) & (truth <= bands.damping.high))
+
+
+def test_what_is_no_curve_goes_to_zero_and_keeps_its_errors():
+    batch = batch_of(records_of(np.random.default_rng(8), nothing, nothing))
+    found = fit_remainder(batch, Oscillator(MASS))
+    told, shapes = judged(found)
+    alone, lawful = bands_of(batch, found, 1), bands_of(batch, with_laws(found, told, shapes), 1)
+    for one, other in ((alone.conservative, lawful.conservative), (alone.damping_even, lawful.damping_even)):
+        assert np.abs(other.force).max() <= 1.001 * np.abs(one.force).max() + 1e-9 * ELASTIC
+        assert np.all(other.standard_error >= 0.95 * one.standard_error - 1e-9 * ELASTIC)
+
+
+def test_what_does_not_arrive_is_approached_slowly(outside, monkeypatch):
+    batch, _ = outside
+    walked, real = [], force_curve._approached
+
+    def approached(*given, is_patient=False):
+        walked.append(is_patient)
+        return real(*given, is_patient=True) if is_patient else None
+
+    monkeypatch.setattr(force_curve, "_approached", approached)
+    found = fit_remainder(batch, Oscillator(MASS))
+    count = sum(term.size for term in batch.waveform)
+    assert walked == [False, True] and 0.8 < found.fit.chi_square.sum() / count < 1.2
+    # negative control: what leaves noise is not approached again
+    walked.clear()
+    monkeypatch.setattr(force_curve, "_approached", lambda *given: walked.append(False) or real(*given))
+    fit_remainder(batch, Oscillator(MASS))
+    assert walked == [False]
+
+
 def test_curves_leave_noise_and_predict_a_specimen_left_out(outside):
     batch, found = outside
     count = sum(term.size for term in batch.waveform)
@@ -167,7 +235,8 @@ def curve_like(found: CurveFit, effect: str, law, precision: float) -> CurveFit:
     free = frame.T @ (values - line * float(over @ values) / float(over @ line))
     size = free.size
     prior = found.known[effect].prior
-    known = Known(frame, precision * np.eye(size), prior, precision * free)
+    follows, left = found.known[effect].follows, found.known[effect].left
+    known = Known(frame, precision * np.eye(size), prior, precision * free, follows, left)
     other = DAMPING if effect == STIFFNESS else STIFFNESS
     blind = dataclasses.replace(found.known[other], precision=1e-12 * np.eye(found.known[other].pull.size))
     blind = dataclasses.replace(blind, pull=np.zeros(blind.pull.size))
@@ -179,6 +248,7 @@ LAWS = [
     (STIFFNESS, "power law, even", 2.0, lambda u: -(u**2)),
     (STIFFNESS, "kink", 0.4, lambda u: np.sign(u) * np.maximum(np.abs(u) - 0.4, 0.0)),
     (STIFFNESS, "kink on one side", 0.6, lambda u: -np.maximum(-u - 0.6, 0.0)),
+    (STIFFNESS, "pole on one side", 1.6, lambda u: (1.6 - u) ** -2.0 - 1.6**-2.0),
     (STIFFNESS, "saturation", 0.2, lambda u: np.tanh(u / 0.2)),
     (STIFFNESS, "none", None, lambda u: np.sin(7.0 * u) + 0.3 * np.cos(9.0 * u) - 0.3),
     (DAMPING, "power law", 0.5, lambda u: np.sign(u) * np.sqrt(np.abs(u))),
@@ -253,3 +323,37 @@ def test_report_and_files_hold_the_curves(outside, tmp_path):
     text = (tmp_path / "out" / "model_with_curves.py").read_text()
     compile(text, "model_with_curves.py", "exec")
     assert all(f'"{name}"' in text for name in curves.oscillator.parameter_names)
+
+
+OPEN = Verdict.AMBIGUOUS
+DRAG = MissingMechanism("drag", 0.99, 0.6, (), ())
+SPRING_TOO = MissingMechanism("spring", 0.6, 0.3, (), ())
+
+
+@pytest.mark.parametrize(
+    ("verdict", "level", "is_approximate", "best", "mechanisms", "beside"),
+    [
+        (Verdict.UNEXPLAINED, None, True, ("cubic_stiffness",), (), "base"),
+        (Verdict.FOUND, NamedLevel.MECHANISM, True, ("quadratic_damping",), (DRAG,), "model"),
+        (Verdict.FOUND, NamedLevel.LAW, False, ("quadratic_damping",), (DRAG,), None),
+        (OPEN, None, False, ("quadratic_damping",), (DRAG,), None),
+        (OPEN, None, True, ("quadratic_damping",), (DRAG, SPRING_TOO), "model"),
+        (OPEN, None, True, ("cubic_stiffness", "quadratic_damping"), (DRAG, SPRING_TOO), "base"),
+        (OPEN, None, True, ("cubic_stiffness",), (SPRING_TOO,), "base"),
+        (Verdict.ADEQUATE, None, False, (), (), None),
+    ],
+)
+def test_curves_stand_beside_what_is_certain(monkeypatch, verdict, level, is_approximate, best, mechanisms, beside):
+    kinds = {"quadratic_damping": "drag", "cubic_stiffness": "spring"}
+    decision = SimpleNamespace(
+        verdict=verdict, named_level=level, is_approximate=is_approximate, best=best, mechanisms=mechanisms,
+        on_backbones=None,
+    )  # fmt: skip
+    outcome = SimpleNamespace(
+        search=SimpleNamespace(fits={}, mechanism_of=kinds.get), decision=decision, drifting=None, base="base",
+        model="model",
+    )  # fmt: skip
+    verification = SimpleNamespace(held_out_specimens=SimpleNamespace(before="base", after="model"))
+    monkeypatch.setattr(workflow, "force_curves", lambda batch, start, rivals, drifting, gap, most, seed: (start, gap))
+    drawn = workflow._curves(SimpleNamespace(batch=None), outcome, verification, 2, 1, False, lambda stage, share: None)
+    assert drawn == (None if beside is None else (beside, beside))

@@ -81,11 +81,23 @@ def mean_values(found: CurveFit) -> FloatArray:
 
 def _band(found: CurveFit, effect: str, at: FloatArray, rng: np.random.Generator, mirrored: float) -> Band:
     rows = rows_of(found, effect, at, mirrored)
-    force = rows @ mean_values(found)
+    force = rows @ mean_values(found) + _beyond(found, effect, at, mirrored)
     covariance = rows @ found.mean_covariance @ rows.T
     error = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     factor = simultaneous(covariance, rng)
     return Band(at, force, force - factor * error, force + factor * error, error)
+
+
+def _beyond(found: CurveFit, effect: str, at: FloatArray, mirrored: float) -> FloatArray:
+    """Return what a curve has beyond the one of its nodes at some places; at rest, that just beyond it."""
+    if effect not in found.beyond:
+        return np.zeros(at.size)
+    places, forces = found.beyond[effect]
+    first = float(places[places > 0.0].min())
+    here: FloatArray = np.interp(np.where(at == 0.0, first, at), places, forces)
+    if mirrored:
+        here = 0.5 * (here + mirrored * np.interp(np.where(at == 0.0, -first, -at), places, forces))
+    return here
 
 
 def simultaneous(covariance: FloatArray, rng: np.random.Generator) -> float:

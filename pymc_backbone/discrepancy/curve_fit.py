@@ -9,7 +9,7 @@ goes to nothing. The sum of squares is minimised by Levenberg-Marquardt in one d
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -44,12 +44,26 @@ class Known:
         Of the bends.
     pull : (m,) array
         Slope of the records' logarithm of the likelihood where there is no curve.
+    follows : (2 + q, m) array
+        What the mean specimen's stiffness, damping and shared coordinates do where the free coordinates move.
+    left : (2, 2) array
+        Covariance of that stiffness and damping where the curve is known.
     """
 
     frame: FloatArray
     precision: FloatArray
     prior: FloatArray
     pull: FloatArray
+    follows: FloatArray
+    left: FloatArray
+
+    def place(self) -> FloatArray:
+        """Return the free coordinates (m,) of the curve that the prior of the bends makes most probable."""
+        both = self.precision + self.prior
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(both), 1e-300))
+        found = np.linalg.lstsq(both * np.outer(scale, scale), self.pull * scale, rcond=1e-13)[0]
+        place: FloatArray = scale * found
+        return place
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +88,9 @@ class CurveFit:
         Logarithm of the evidence without that of the noise, of one kind of roughness against another.
     is_settled : bool
         Whether the steps came to rest.
+    beyond : mapping of str to ((n,) array, (n,) array)
+        Displacements or velocities, and what a curve has there beyond the one of its nodes [N], which bends no faster
+        than they allow.
     """
 
     tabulated: Tabulated
@@ -84,6 +101,7 @@ class CurveFit:
     known: Mapping[str, Known]
     log_evidence: float
     is_settled: bool
+    beyond: Mapping[str, tuple[FloatArray, FloatArray]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -345,7 +363,6 @@ def _finished(
     covariance = np.linalg.pinv(scaled, hermitian=True) * np.outer(scale, scale)
     curves = tabulated.layout.free.size - 2
     prior = frame.loose + sum(level * part for level, part in zip(levels, frame.parts, strict=True))
-    known = {effect: _known(tabulated, at, frame, hessian, prior, effect) for effect in (STIFFNESS, DAMPING)}
     log_evidence = 0.5 * float(
         np.linalg.slogdet(prior[:curves, :curves])[1]
         - np.linalg.slogdet(scaled)[1] + 2.0 * np.log(scale).sum() - cost
@@ -357,6 +374,7 @@ def _finished(
     mean[2:, :q] = np.eye(q)
     along = mean @ frame.directions
     whole = along @ covariance @ along.T
+    known = {effect: _known(tabulated, at, frame, hessian, prior, along, effect) for effect in (STIFFNESS, DAMPING)}
     found = replace(_as_fit(tabulated, at, whole[2:, 2:], count), is_converged=is_settled)
     penalty = float((_place(at, frame) ** 2 * frame.scatter).sum())
     return CurveFit(
@@ -364,17 +382,29 @@ def _finished(
     )
 
 
-def _known(tabulated: Tabulated, at: _At, frame: _Frame, hessian: FloatArray, prior: FloatArray, effect: str) -> Known:
+def _known(
+    tabulated: Tabulated,
+    at: _At,
+    frame: _Frame,
+    hessian: FloatArray,
+    prior: FloatArray,
+    along: FloatArray,
+    effect: str,
+) -> Known:
     """Return what the records say of one curve: its own prior is taken off, and all else eliminated."""
     mine = np.zeros(hessian.shape[0], dtype=bool)
     mine[frame.own_columns[effect]] = True
     rest, cross = hessian[np.ix_(~mine, ~mine)], hessian[np.ix_(~mine, mine)]
     scale = 1.0 / np.sqrt(np.maximum(np.diag(rest), 1e-300))
-    within = np.linalg.lstsq(rest * np.outer(scale, scale), cross * scale[:, None], rcond=1e-13)[0]
+    scaled = rest * np.outer(scale, scale)
+    within = np.linalg.lstsq(scaled, cross * scale[:, None], rcond=1e-13)[0]
     own = prior[np.ix_(mine, mine)]
     precision = hessian[np.ix_(mine, mine)] - own - (cross * scale[:, None]).T @ within
     values, vectors = np.linalg.eigh(0.5 * (precision + precision.T))
     precision = (vectors * np.maximum(values, 0.0)) @ vectors.T
     place = _place(at, frame)[mine]
     nodes = frame.directions[: tabulated.layout.free.size][np.ix_(tabulated.places(effect), mine)]
-    return Known(nodes, precision, own, (precision + own) @ place)
+    scaled_along = along[:, ~mine] * scale
+    follows = along[:, mine] - scaled_along @ within
+    left = scaled_along[:2] @ np.linalg.lstsq(scaled, scaled_along[:2].T, rcond=1e-13)[0]
+    return Known(nodes, precision, own, (precision + own) @ place, follows, left)

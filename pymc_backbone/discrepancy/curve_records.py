@@ -58,8 +58,8 @@ class Proposal:
     curve : str
         ``conservative`` or ``damping``.
     family : str
-        ``power law``, ``power law on one side``, ``power law, even``, ``kink``, ``kink on one side``, ``saturation``,
-        ``minimum of damping``, ``none``, or ``nothing`` where there is no curve.
+        ``power law``, ``power law on one side``, ``power law, even``, ``kink``, ``kink on one side``,
+        ``pole on one side``, ``saturation``, ``minimum of damping``, ``none``, or ``nothing`` where there is no curve.
     probability : float
         Against the others.
     number : str

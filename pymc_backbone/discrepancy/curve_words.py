@@ -17,6 +17,7 @@ WORDS = {
     "power law, even": "a power law that is the same on both sides{exponent}",
     "kink": "a straight line from a kink on either side{place}",
     "kink on one side": "a straight line from a kink on one side{place}",
+    "pole on one side": "the pull or push of something on one side{place}, with the square of the distance to it",
     "saturation": "a force that saturates, over a {number}{of}",
     "minimum of damping": "damping that is least at a speed, over a {number}{of}",
     NONE: "none of the families",

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
@@ -22,7 +24,9 @@ Law = Callable[[FloatArray, float], FloatArray]
 _FINE = 161
 _WIDTH = 3.0  # of the prior of a size, in units of what is found
 _EDGE = 0.025
-_INEXACT = 0.005  # of the largest node force: how far off a law may be at any node
+_PLACES = 121
+_COUNTS = 1e-4  # probability from which a law counts
+INEXACT = 0.005  # of the largest node force: how far off a law may be at any node
 
 
 @dataclass(frozen=True)
@@ -66,6 +70,16 @@ def _kink_below(u: FloatArray, g: float) -> FloatArray:
     return -np.maximum(-u - g, 0.0)
 
 
+def _pole_above(u: FloatArray, g: float) -> FloatArray:
+    """Pull of a magnet or a charge beyond the range: with the square of the distance to it."""
+    pull: FloatArray = (g - u) ** -2.0 - g**-2.0
+    return pull
+
+
+def _pole_below(u: FloatArray, g: float) -> FloatArray:
+    return -_pole_above(-u, g)
+
+
 def _saturating(u: FloatArray, s: float) -> FloatArray:
     return np.tanh(u / s)
 
@@ -85,6 +99,7 @@ FAMILIES: dict[str, tuple[_Family, ...]] = {
         _Family("power law, even", "exponent", (_even,), 1.3, 8.0),
         _Family("kink", "displacement", (_kink,), 0.05, 0.95),
         _Family("kink on one side", "displacement", (_kink_above, _kink_below), 0.0, 0.95),
+        _Family("pole on one side", "displacement", (_pole_above, _pole_below), 1.02, 4.0),
         _Family("saturation", "displacement", (_saturating,), 0.02, 0.6),
     ),
     "damping": (
@@ -97,22 +112,72 @@ FAMILIES: dict[str, tuple[_Family, ...]] = {
 }
 
 
+class Shape(NamedTuple):
+    """A law that a curve may follow.
+
+    Attributes
+    ----------
+    probability : float
+        Of the law with this number, against all others, none and nothing.
+    columns : (m, n) array
+        Free coordinates of the curve for sizes of one, then the change of the law from one number to the next.
+    widths : (n,) array
+        Standard deviations beforehand of what multiplies the columns.
+    beyond : (2 n,) array
+        What the law has beyond the nearest curve of nodes, at `places`, minus and plus [N].
+    """
+
+    probability: float
+    columns: FloatArray
+    widths: FloatArray
+    beyond: FloatArray
+
+
+def places() -> FloatArray:
+    """Return the places over the range at which a law is compared with curves of nodes, those of a harmonic motion."""
+    along: FloatArray = np.sin(np.linspace(1e-9, 0.5 * np.pi, _PLACES))
+    return along
+
+
 @dataclass(frozen=True, eq=False)
 class _Curve:
-    """A curve as families are compared with it: places of its odd nodes over the range, its line, what is known."""
+    """A curve as families are compared with it.
 
-    at: FloatArray
+    Attributes
+    ----------
+    odd, even : (n, m) arrays
+        Forces at `places` of the nodes of either part, for node forces of one.
+    line, over_line : (k,) arrays
+        A line as node forces, and what is zero where no line is left.
+    known : Known
+        What the records say.
+    """
+
+    odd: FloatArray
+    even: FloatArray
     line: FloatArray
     over_line: FloatArray
     known: Known
 
-    def coordinates(self, law: FloatArray) -> FloatArray:
-        """Return the free coordinates of a law that is given at (-at, at)."""
-        below, above = law[: self.at.size], law[self.at.size :]
-        nodes = np.concatenate([0.5 * (above - below), 0.5 * (above + below)[self.at > 0.0]])
-        nodes = nodes - self.line * float(self.over_line @ nodes) / float(self.over_line @ self.line)
+    @cached_property
+    def to_nodes(self) -> FloatArray:
+        """Matrix from a law at (-places, places) to the node forces of the curve nearest to it."""
+        odd, even = 0.5 * np.linalg.pinv(self.odd), 0.5 * np.linalg.pinv(self.even)
+        return np.block([[-odd, odd], [even, even]])
+
+    def shape(self, laws: FloatArray) -> FloatArray:
+        """Return the free coordinates (m, n) of one law or several that are given at (-places, places)."""
+        nodes = self.to_nodes @ laws.reshape(laws.shape[0], -1)
+        nodes = nodes - np.outer(self.line, self.over_line @ nodes) / float(self.over_line @ self.line)
         free: FloatArray = self.known.frame.T @ nodes
         return free
+
+    def beyond(self, law: FloatArray) -> FloatArray:
+        """Return what a law at (-places, places) has beyond the curve nearest to it."""
+        nodes = self.to_nodes @ law
+        odd, even = self.odd @ nodes[: self.odd.shape[1]], self.even @ nodes[self.odd.shape[1] :]
+        rest: FloatArray = law - np.concatenate([even - odd, even + odd])
+        return rest
 
     def log_free(self) -> float:
         """Return what the curve itself gains over no curve, its bends integrated out."""
@@ -128,20 +193,35 @@ class _Curve:
 
 def proposals(found: CurveFit) -> tuple[Proposal, ...]:
     """Return the families of both curves, each curve's most probable first."""
+    return judged(found)[0]
+
+
+def judged(found: CurveFit) -> tuple[tuple[Proposal, ...], dict[str, tuple[Shape, ...]]]:
+    """Return the families of both curves, each curve's most probable first, and the laws that each curve may follow."""
     told: list[Proposal] = []
+    shapes: dict[str, tuple[Shape, ...]] = {}
     for curve, effect in (("conservative", STIFFNESS), ("damping", DAMPING)):
-        told += _of_curve(curve, _curve(found, effect), found, effect)
-    return tuple(told)
+        mine, shapes[effect] = _of_curve(curve, _curve(found, effect), found, effect)
+        told += mine
+    return tuple(told), shapes
 
 
 def _curve(found: CurveFit, effect: str) -> _Curve:
     """Return one curve of a fit."""
-    tabulated, nodes, places = found.tabulated, NODES[effect], found.tabulated.places(effect)
-    odd = next(part.places.size for part in tabulated.parts if (part.effect, part.side) == (effect, "odd"))
-    at = nodes[nodes.size - odd :]
-    over = tabulated.lines()[0 if effect == STIFFNESS else 1][places]
-    known = _blurred(found.known[effect])
-    return _Curve(at, np.concatenate([at, np.zeros(places.size - odd)]), over, known)
+    tabulated = found.tabulated
+    which = 0 if effect == STIFFNESS else 1
+    rows = tabulated.forces(effect, places() * tabulated.ranges()[which])
+    odd, even = (part.places for part in tabulated.parts if part.effect == effect)
+    at = NODES[effect][-odd.size :]
+    return _Curve(
+        rows[:, odd], rows[:, even], np.concatenate([at, np.zeros(even.size)]),
+        tabulated.lines()[which][tabulated.places(effect)], _blurred(found.known[effect]),
+    )  # fmt: skip
+
+
+def inexact_by(known: Known) -> float:
+    """Return how far off a law may be at any node of a curve [N]."""
+    return INEXACT * float(np.abs(known.frame @ known.place()).max())
 
 
 def _blurred(known: Known) -> Known:
@@ -149,74 +229,112 @@ def _blurred(known: Known) -> Known:
 
     Nor is a spline a kink or a root, by about as much.
     """
-    both = known.precision + known.prior
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(both), 1e-300))
-    place = scale * np.linalg.lstsq(both * np.outer(scale, scale), known.pull * scale, rcond=1e-13)[0]
-    inexact = _INEXACT * float(np.abs(known.frame @ place).max())
+    inexact = inexact_by(known)
     values, vectors = np.linalg.eigh(known.precision)
     less = 1.0 / (1.0 + inexact**2 * np.maximum(values, 0.0))
     precision = (vectors * (np.maximum(values, 0.0) * less)) @ vectors.T
     return replace(known, precision=precision, pull=(vectors * less) @ (vectors.T @ known.pull))
 
 
-def _of_curve(curve: str, known: _Curve, found: CurveFit, effect: str) -> list[Proposal]:
-    """Return the families of one curve, most probable first."""
+def _of_curve(curve: str, known: _Curve, found: CurveFit, effect: str) -> tuple[list[Proposal], tuple[Shape, ...]]:
+    """Return the families of one curve, most probable first, and their laws."""
     reach = found.tabulated.ranges()[0 if effect == STIFFNESS else 1]
-    told: dict[str, Proposal] = {}
+    weighed: dict[str, _Weighed] = {}
     logs: dict[str, float] = {NOTHING: 0.0, NONE: known.log_free()}
     for family in FAMILIES[curve]:
-        log, proposal = _weighed(curve, family, known, reach)
-        if log > logs.get(family.name, -np.inf):
-            logs[family.name], told[family.name] = log, proposal
+        each = _weighed(family, known)
+        if each is not None and each.log > logs.get(family.name, -np.inf):
+            logs[family.name], weighed[family.name] = each.log, each
     logs[NOTHING] += np.log(len(logs) - 1.0)  # as probable beforehand as all others together
     total = float(logsumexp(list(logs.values())))
     nan = float("nan")
-    made = []
+    made: list[Proposal] = []
+    shapes: list[Shape] = []
     for name in sorted(logs, key=lambda key: -logs[key]):
         chance = float(np.exp(logs[name] - total))
-        held = told.get(name, Proposal(curve, name, chance, "", nan, nan, nan, nan))
-        made.append(Proposal(curve, name, chance, held.number, held.value, held.low, held.high, held.size))
-    return made
+        if name in weighed:
+            made.append(weighed[name].told(curve, chance, reach))
+            shapes += weighed[name].shapes(known, chance)
+        else:
+            made.append(Proposal(curve, name, chance, "", nan, nan, nan, nan))
+    return made, tuple(shapes)
 
 
-def _weighed(curve: str, family: _Family, known: _Curve, reach: float) -> tuple[float, Proposal]:
-    """Return the logarithm of a family's evidence, and what it says."""
+@dataclass(frozen=True, eq=False)
+class _Weighed:
+    """A family with its evidence: the better one of its laws, over all numbers."""
+
+    family: _Family
+    law: Law
+    u: FloatArray
+    numbers: FloatArray
+    logs: FloatArray
+    sizes: list[FloatArray]
+    log: float
+
+    @property
+    def share(self) -> FloatArray:
+        """Probability of each number, in units of the largest."""
+        share: FloatArray = np.exp(self.logs - self.logs.max())
+        return share
+
+    def told(self, curve: str, chance: float, reach: float) -> Proposal:
+        """Return what the family says."""
+        share = self.share
+        below = (np.cumsum(share) - 0.5 * share) / share.sum()
+        low, high = np.interp([_EDGE, 1.0 - _EDGE], below, self.numbers)
+        top = int(np.argmax(self.logs))
+        unit = 1.0 if self.family.number == "exponent" else reach
+        return Proposal(
+            curve, self.family.name, chance, self.family.number, float(self.numbers[top]) * unit, float(low) * unit,
+            float(high) * unit, float(self.sizes[top][0]),
+        )  # fmt: skip
+
+    def shapes(self, known: _Curve, chance: float) -> list[Shape]:
+        """Return the laws that count."""
+        made = []
+        chances = chance * self.share / self.share.sum()
+        step = (self.family.high - self.family.low) / (_FINE - 1)
+        for i in np.flatnonzero(chances > _COUNTS):
+            number, size = float(self.numbers[i]), self.sizes[i]
+            ends = np.clip([number - step, number + step], self.family.low, self.family.high)
+            law = self.law(self.u, number).reshape(self.u.size, -1)
+            before, here, after = (known.shape(self.law(self.u, float(at))) for at in (ends[0], number, ends[1]))
+            change = (after - before) @ size * (step / (ends[1] - ends[0]))
+            # within a step of the grid a number is as probable anywhere
+            made.append(Shape(
+                float(chances[i]), np.column_stack([here, change]),
+                np.append(_WIDTH * np.abs(size), np.sqrt(1.0 / 12.0)), known.beyond(law @ size),
+            ))  # fmt: skip
+        return made
+
+
+def _weighed(family: _Family, known: _Curve) -> _Weighed | None:
+    """Return a family with its evidence; None where no number of it has a size of the right sign."""
     numbers = np.linspace(family.low, family.high, _FINE)
     out = family.is_left_out
     numbers = numbers[(numbers <= out[0]) | (numbers >= out[1])] if out[0] < out[1] else numbers
-    u = np.concatenate([-known.at, known.at])
-    if known.at[0] == 0.0:  # friction begins just beyond rest
-        u = np.where(u == 0.0, np.where(np.arange(u.size) < known.at.size, -1e-12, 1e-12), u)
-    best, logs, sizes = -np.inf, np.empty(0), np.empty(0)
+    u = np.concatenate([-places(), places()])
+    best: _Weighed | None = None
     for law in family.laws:
-        each, size = np.full(numbers.size, -np.inf), np.zeros(numbers.size)
+        logs, sizes = np.full(numbers.size, -np.inf), []
         for i, number in enumerate(numbers):
-            each[i], size[i] = _evidence(known, law(u, float(number)).reshape(u.size, -1), family.sign)
-        if each.max() > best:
-            best, logs, sizes = float(each.max()), each, size
-    if not np.isfinite(best):
-        return -np.inf, Proposal(curve, family.name, 0.0, "", *(float("nan"),) * 4)
-    log = float(logsumexp(logs)) - np.log(numbers.size) - np.log(len(family.laws))
-    share = np.exp(logs - best)
-    below = (np.cumsum(share) - 0.5 * share) / share.sum()
-    low, high = np.interp([_EDGE, 1.0 - _EDGE], below, numbers)
-    top = int(np.argmax(logs))
-    unit = 1.0 if family.number == "exponent" else reach
-    return log, Proposal(
-        curve, family.name, 0.0, family.number, float(numbers[top]) * unit, float(low) * unit, float(high) * unit,
-        float(sizes[top]),
-    )  # fmt: skip
+            logs[i], size = _evidence(known, known.shape(law(u, float(number))), family.sign)
+            sizes.append(size)
+        if np.isfinite(logs.max()) and (best is None or logs.max() > best.logs.max()):
+            log = float(logsumexp(logs)) - np.log(numbers.size) - np.log(len(family.laws))
+            best = _Weighed(family, law, u, numbers, logs, sizes, log)
+    return best
 
 
-def _evidence(known: _Curve, columns: FloatArray, sign: float) -> tuple[float, float]:
-    """Return the logarithm of a shape's evidence against no curve, its sizes integrated out, and the first size."""
-    shape = np.column_stack([known.coordinates(column) for column in columns.T])
+def _evidence(known: _Curve, shape: FloatArray, sign: float) -> tuple[float, FloatArray]:
+    """Return the logarithm of a shape's evidence against no curve, its sizes integrated out, and the sizes."""
     weight, slope = shape.T @ known.known.precision @ shape, shape.T @ known.known.pull
     scale = 1.0 / np.sqrt(np.maximum(np.diag(weight), 1e-300))
     size = scale * np.linalg.lstsq(weight * np.outer(scale, scale), slope * scale, rcond=1e-9)[0]
     if not (np.diag(weight) > 0.0).all() or size[0] * sign < 0.0:
-        return -np.inf, 0.0
+        return -np.inf, size
     width = np.maximum(_WIDTH * np.abs(size), 1e-300)
     inner = np.eye(size.size) + weight * np.outer(width, width)
     gain = (slope * width) @ np.linalg.solve(inner, slope * width)
-    return 0.5 * float(gain - np.linalg.slogdet(inner)[1]), float(size[0])
+    return 0.5 * float(gain - np.linalg.slogdet(inner)[1]), size

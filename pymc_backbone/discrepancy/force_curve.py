@@ -7,15 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 
+from .._common.checks import FloatArray
 from ..effects import BASE_EFFECTS
 from ..oscillator import Oscillator
 from .batch import Batch
 from .curve_bands import bands_of, mean_values
 from .curve_fit import CurveFit, fit_curves
+from .curve_laws import with_laws
 from .curve_records import ForceCurves
 from .curve_words import Judgement, sentence
 from .evidence import UNEXPLAINED, lack_of_fit
-from .families import proposals
+from .families import judged
 from .joint_fit import Fit, fit
 from .normal_equations import DRIFTS, NUISANCES, State
 from .scatter import SCATTER
@@ -24,7 +26,7 @@ from .verify import held_out_specimens
 
 _NUISANCES = (0, 1, 2, 3, 4)
 _RELEASE = (2, 3, 4)
-_WINDOW, _GROWTH = 12, 3  # turning points of the first window, and by which factor it grows
+_WINDOW, _GROWTH, _SLOW_GROWTH = 12, 3, 1.5  # turning points of the first window, and by which factor it grows
 _NEAR_NOISE = 1.3  # of the turning points' reduced chi-square, from which the samples take over
 _LEAST_REACH = 0.3  # of the amplitude: over less the line is not known
 _AMONG = 3  # last turning points of a record, whose amplitude it reaches
@@ -68,19 +70,21 @@ def force_curves(
     found = fit_remainder(batch, start.layout.oscillator, start)
     if found is None:
         return None
-    judged = _judged(batch, start, found, rivals, drifting)
-    told = proposals(found)
+    judgement = _judgement(batch, start, found, rivals, drifting)
+    told, shapes = judged(found)
     after = held_out_curves(batch, found, most) if most > 0 else float("nan")
+    if judgement.p_value >= UNEXPLAINED:  # what leaves more than noise follows no law
+        found = with_laws(found, told, shapes)
     bands = bands_of(batch, found, seed)
     beside = tuple(effect.name for effect in start.layout.oscillator.effects if effect.name not in BASE_EFFECTS)
     return ForceCurves(
-        is_possible=judged.is_possible,
-        sentence=sentence(judged, told, str(batch.backbones.attrs.get("amplitude_unit", "m")), beside),
+        is_possible=judgement.is_possible,
+        sentence=sentence(judgement, told, str(batch.backbones.attrs.get("amplitude_unit", "m")), beside),
         beside=beside,
         bands=bands,
         proposals=told,
-        share_left=judged.share_left,
-        p_value=judged.p_value,
+        share_left=judgement.share_left,
+        p_value=judgement.p_value,
         held_out_before=held_out_before,
         held_out_after=after,
         oscillator=found.fit.layout.oscillator,
@@ -91,9 +95,10 @@ def force_curves(
 def fit_remainder(batch: Batch, oscillator: Oscillator, start: Fit | None = None) -> CurveFit | None:
     """Return the curves of a batch beside a model; ``start`` is the model's own fit, where its effects are known.
 
-    From afar as other fits come: backbones, release, a growing window of turning points, samples. Damping may bend as
-    fast anywhere, or faster close to rest: whichever the evidence asks for, with what the other says added to the
-    errors.
+    From afar as other fits come: backbones, release, a growing window of turning points, samples. Where that leaves
+    more than noise, the window grows again, slowly and with the smoothness inferred in each: friction that is taken too
+    large at first ends the motion too early, from where no fit comes back. Damping may bend as fast anywhere, or
+    faster close to rest: whichever the evidence asks for, with what the other says added to the errors.
     """
     scatter = SCATTER if start is None else start.layout.scatter
     lowest = min(float(np.abs(term.values[-_AMONG:]).max()) for term in batch.turning)
@@ -101,21 +106,11 @@ def fit_remainder(batch: Batch, oscillator: Oscillator, start: Fit | None = None
     begun = fit_curves(tabulated, batch.levels, _began(tabulated, batch, start), nuisances=(0, 1), iterations=15)
     if begun is None:
         return None
-    state, precisions = _released(tabulated, batch, begun.fit.state), begun.precisions
-    most, window = max(term.times.size for term in batch.turning), _WINDOW
-    while True:
-        terms = [term.first(window) for term in batch.turning]
-        is_last = window >= most
-        reached = fit_curves(
-            tabulated, terms, state, nuisances=_NUISANCES, precisions=precisions, is_learning=is_last,
-            iterations=12 if is_last else 5, goal=_NEAR_NOISE * sum(term.size for term in terms),
-        )  # fmt: skip
-        if reached is not None:
-            state, precisions = reached.fit.state, reached.precisions
-        if is_last:
-            break
-        window *= _GROWTH
-    found = fit_curves(tabulated, batch.waveform, state, nuisances=_NUISANCES, precisions=precisions)
+    state = _released(tabulated, batch, begun.fit.state)
+    found = _approached(tabulated, batch, state, begun.precisions)
+    if found is None or lack_of_fit(batch, found.fit).p_value < UNEXPLAINED:
+        patient = _approached(tabulated, batch, state, begun.precisions, is_patient=True)
+        found = min((each for each in (found, patient) if each is not None), key=_left, default=None)
     if found is None:
         return None
     sharp = tabulate(oscillator, batch, tabulated.reach, is_sharp=True, scatter=scatter)
@@ -124,6 +119,32 @@ def fit_remainder(batch: Batch, oscillator: Oscillator, start: Fit | None = None
         return _widened(batch, found)
     best, rest = (found, other) if found.log_evidence >= other.log_evidence else (other, found)
     return _either(_widened(batch, best), rest)
+
+
+def _left(found: CurveFit) -> float:
+    """Return the chi-square that curves leave."""
+    return float(found.fit.chi_square.sum())
+
+
+def _approached(
+    tabulated: Tabulated, batch: Batch, state: State, precisions: FloatArray, *, is_patient: bool = False
+) -> CurveFit | None:
+    """Return the curves fitted to the samples by way of a growing window of turning points."""
+    most, window = max(term.times.size for term in batch.turning), _WINDOW
+    while True:
+        terms = [term.first(window) for term in batch.turning]
+        is_last = window >= most
+        reached = fit_curves(
+            tabulated, terms, state, nuisances=_NUISANCES, precisions=precisions, is_learning=is_last or is_patient,
+            iterations=12 if is_last else 8 if is_patient else 5,
+            goal=_NEAR_NOISE * sum(term.size for term in terms),
+        )  # fmt: skip
+        if reached is not None:
+            state, precisions = reached.fit.state, reached.precisions
+        if is_last:
+            break
+        window = int(window * (_SLOW_GROWTH if is_patient else _GROWTH))
+    return fit_curves(tabulated, batch.waveform, state, nuisances=_NUISANCES, precisions=precisions)
 
 
 def _began(tabulated: Tabulated, batch: Batch, start: Fit | None) -> State:
@@ -178,7 +199,7 @@ def _either(best: CurveFit, rest: CurveFit) -> CurveFit:
     return replace(best, mean_covariance=covariance, fit=replace(best.fit, covariance=covariance[2:, 2:]))
 
 
-def _judged(batch: Batch, start: Fit, found: CurveFit, rivals: Sequence[Fit], drifting: Fit | None) -> Judgement:
+def _judgement(batch: Batch, start: Fit, found: CurveFit, rivals: Sequence[Fit], drifting: Fit | None) -> Judgement:
     """Return whether forces of displacement and speed can be what is missing and, where not, what speaks against it."""
     count = float(sum(term.size for term in batch.waveform))
     lack = lack_of_fit(batch, found.fit)

@@ -361,8 +361,8 @@ class Study:
     remainder : tuple of Remainder
         What the most probable set leaves by observable, where no law is exact; else empty.
     force_curves : ForceCurves or None
-        What is left as forces of displacement and of speed, where no law is exact: beside the named mechanisms, or
-        beside the base where none is named; None elsewhere, and without records.
+        What is left as forces of displacement and of speed, where no law is exact: beside the mechanisms that are
+        named or certain, or beside the base where none is; None elsewhere, and without records.
     scatter : ScatterOfEffects or None
         How much the effects of the extended model differ between specimens; None without effects, or of one specimen.
     evidence_basis : EvidenceBasis or None

@@ -30,6 +30,7 @@ from .design import Contender, Plan, contender, present_design
 from .extend import Inference, infer
 from .fitted_sets import BUDGET, Progress
 from .force_curve import force_curves
+from .inexact import certain_sets
 from .joint_fit import Fit
 from .locate import where_different
 from .plan import plan_tests
@@ -208,13 +209,17 @@ def find_missing_effect(
 def _curves(
     question: Question, outcome: Outcome, verification: Verification, most: int, seed: int, quick: bool, say: Progress
 ) -> ForceCurves | None:
-    """Return as forces what is left where no law explains the records: beside what is named, or beside the base."""
+    """Return as forces what is left where no law is exact: beside what is named or certain, or beside the base."""
     search, decision = outcome.search, outcome.decision
     held_out = verification.held_out_specimens
-    if decision.verdict is Verdict.UNEXPLAINED:
-        start, gap = outcome.base, float("nan") if held_out is None else held_out.before
-    elif decision.named_level is NamedLevel.MECHANISM and decision.is_approximate:
+    is_open = decision.verdict is Verdict.AMBIGUOUS and decision.is_approximate
+    is_named = decision.named_level is NamedLevel.MECHANISM and decision.is_approximate
+    if is_open:  # a set that holds laws of what is certain and of nothing else stands for that
+        is_named = bool(certain_sets(search, decision.mechanisms, (decision.best,)))
+    if is_named:
         start, gap = outcome.model, float("nan") if held_out is None else held_out.after
+    elif is_open or decision.verdict is Verdict.UNEXPLAINED:
+        start, gap = outcome.base, float("nan") if held_out is None else held_out.before
     else:
         return None
     if (quick and is_heavy(start.layout)) or outcome.model is decision.on_backbones:

@@ -51,8 +51,8 @@ DIAGNOSIS_KEYS = {
     "remainder": "what the most probable set leaves where no law is exact, by observable: size where it is largest, "
     "unit, standard_errors of it, share_of_gap (root mean square over that of the base), amplitude_low, "
     "amplitude_high [m or rad], and the curve: amplitude, values, errors; empty where a law is exact",
-    "force_curves": "what no law explains as forces, beside the effects in 'beside' (where nothing is named, beside "
-    "the base); null where a law is exact, where the verdict is ambiguous or adequate, and without records: "
+    "force_curves": "what no law explains as forces, beside the effects in 'beside' (where nothing is named or "
+    "certain, beside the base); null where a law is exact, where the verdict is adequate, and without records: "
     "is_possible (whether forces of displacement and speed can be it), sentence, share_left (of the gap), p_value (of "
     "what they leave being noise), range (displacement and speed visited: low, high), curves (conservative, "
     "conservative_odd, conservative_even, beyond the linear spring, over displacement [m or rad]; damping, "
