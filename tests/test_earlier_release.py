@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import pymc_backbone as pb
+from pymc_backbone.discrepancy import earlier_release as module
 from pymc_backbone.discrepancy import evidence
 from pymc_backbone.discrepancy.earlier_release import Earlier, earlier
 from pymc_backbone.discrepancy.search import Search
@@ -67,6 +68,14 @@ def test_a_record_that_holds_the_release_was_not_released_before_it_began(rng):
     longer = replace(held, measured=replace(held.measured, time=held.measured.time - 2.0 / FREQUENCY))
     search.batch = replace(search.batch, records=(search.batch.records[0], longer))
     assert earlier(search) is None
+
+
+def test_a_record_that_holds_the_later_of_two_turning_points_is_asked_for_the_earlier(rng, monkeypatch):
+    """One that began between them: what it holds is no release, and counts are not mistaken for places in a list."""
+    search = begun(rng, (0.2, 0.7))
+    monkeypatch.setattr(module, "_holds", lambda own, count: count == 1)
+    monkeypatch.setattr(module, "_left", lambda own, found, specimen, count: {0: 900.0, 2: 100.0}[count])
+    assert earlier(search).turns == {"specimen 1": 2, "specimen 2": 2}
 
 
 def test_releases_go_on_from_the_turning_points(rng):

@@ -50,6 +50,20 @@ def test_nothing_stands_out_among_equals(usual):
     assert survey_of(usual).sentence == "12 of 12 decided structures lack Coulomb friction."
 
 
+def test_a_structure_whose_law_is_open_does_not_stand_out_for_it(rng):
+    law, other = ("cubic_stiffness",), ("quintic_stiffness",)
+    known = [structure(f"beam_{k}", rng, effect=law[0]) for k in range(4)]
+    open_law = structure("open", rng, missing_effects=(), mechanisms=("spring",), ambiguous_sets=(law, other))
+    assert majority([*known, open_law]) == (law, 4, 4)
+    assert stand_out([*known, open_law]) == {}
+    # negative control: of another mechanism, the usual law not among its sets
+    strange = dataclasses.replace(open_law, mechanisms=("hysteresis",), ambiguous_sets=(("iwan",), ("jenkins",)))
+    assert "none of its possible sets is the usual one" in stand_out([*known, strange])["open"][0]
+    # where no law is known anywhere, mechanisms are what structures have in common
+    assert majority([open_law] * 3) == (("spring",), 3, 3)
+    assert stand_out([open_law] * 3) == {}
+
+
 def test_what_stands_out_is_ranked_and_said(usual, rng):
     usual[3] = dataclasses.replace(usual[3], frequency=13.0)
     usual[5] = dataclasses.replace(usual[5], verdict="unexplained", missing_effects=())

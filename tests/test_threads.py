@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import subprocess
 import sys
 import threading
 import time
@@ -108,6 +109,33 @@ def test_what_a_fork_cannot_deliver_is_made_or_raised_here(monkeypatch):
         in_two_processes([only_here, lambda: bytes(1 // 0)])
     with pytest.raises(ZeroDivisionError):
         in_two_processes([lambda: bytes(1 // 0), only_here])
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="forks on Linux only")
+def test_jobs_are_done_here_where_no_process_more_is_to_be_had(monkeypatch):
+    monkeypatch.setattr(forked, "_is_safe", lambda: True)
+
+    def refused() -> int:
+        raise BlockingIOError("no process more")
+
+    monkeypatch.setattr(os, "fork", refused)
+    before = len(os.listdir("/proc/self/fd"))
+    found = in_two_processes([partial(bytes_of, k) for k in range(3)])
+    assert [data.split()[0] for data in found] == [b"0", b"1", b"2"]
+    assert len(os.listdir("/proc/self/fd")) == before
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="forks on Linux only")
+def test_idle_threads_of_jobs_and_of_the_progress_are_known():
+    script = (
+        "import sys; from pymc_backbone._common import forked, progress, threads\n"
+        "threads.cores = lambda: 2\n"
+        "with progress.Progress(lambda line: None):\n"
+        "    threads.in_threads([int, int]); print(forked._is_safe())\n"
+        "    sys.modules['jax'] = sys; print(forked._is_safe())\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["True", "False"], done.stderr
 
 
 def test_no_fork_beside_a_thread_that_nobody_knows_or_on_one_core(monkeypatch):

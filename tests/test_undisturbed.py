@@ -11,7 +11,7 @@ from pymc_backbone.discrepancy.evidence import Drifting
 
 
 @pytest.mark.parametrize("is_drifting", [True, False])
-def test_a_drift_is_asked_before_cycles_are_left_out_and_sensors_straightened(is_drifting, monkeypatch):
+def test_a_drift_is_asked_before_cycles_are_left_out_and_noise_is_weighed(is_drifting, monkeypatch):
     left = {"base": False, "drift": is_drifting}
     asked = []
 
@@ -21,6 +21,7 @@ def test_a_drift_is_asked_before_cycles_are_left_out_and_sensors_straightened(is
     for name in ("earlier", "begun", "motion_noise", "disturbed"):
         monkeypatch.setattr(module, name, says(name))
     monkeypatch.setattr(module.evidence, "leaves_noise", lambda _, found: left[found])
+    monkeypatch.setattr(module, "_over_motion", lambda *_: 1e-3)
     search = SimpleNamespace(batch=None, fits={(): "base"}, best=tuple)
 
     def drifting(_):
@@ -29,5 +30,23 @@ def test_a_drift_is_asked_before_cycles_are_left_out_and_sensors_straightened(is
 
     known = module.undisturbed(SimpleNamespace(), search, [], None, says("searched"), drifting)
     assert known.search is search and known.is_drifting == is_drifting
-    first, last = (["earlier", "drift"], ["motion_noise"])
-    assert asked == (first + last if is_drifting else [*first, "begun", *last, "disturbed"])
+    between = [] if is_drifting else ["begun", "motion_noise"]
+    assert asked == ["earlier", "drift", *between, "disturbed"]
+
+
+@pytest.mark.parametrize(("quieter", "is_straightened"), [(0.95, False), (0.5, True)])
+def test_sensors_are_straightened_beside_a_drift_where_less_noise_is_left(quieter, is_straightened, monkeypatch):
+    """A noise that was estimated with the disturbance in it hides that, and a drift takes the rest."""
+    for name in ("earlier", "begun", "motion_noise"):
+        monkeypatch.setattr(module, name, lambda *_: None)
+    bent = SimpleNamespace(is_bent=True, undisturbed=lambda records: records)
+    monkeypatch.setattr(module, "disturbed", lambda _: bent)
+    monkeypatch.setattr(module, "sentences", lambda found: [])
+    left = {"base": 1.0, "drift": 1e-3, "straight": quieter * 1e-3}
+    monkeypatch.setattr(module.evidence, "leaves_noise", lambda _, found: found != "base")
+    monkeypatch.setattr(module, "_over_motion", lambda _, found: left[found])
+    search, straight = (SimpleNamespace(batch=None, fits={(): name}, best=tuple) for name in ("base", "straight"))
+    question = SimpleNamespace(of_records=lambda *_: SimpleNamespace())
+    drifting = {(): Drifting("drift", 0.0)}
+    known = module.undisturbed(question, search, [], None, lambda _: straight, lambda _: drifting)
+    assert known.search is (straight if is_straightened else search) and known.is_bent == is_straightened

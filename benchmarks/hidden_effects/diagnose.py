@@ -58,15 +58,15 @@ def _one(task: tuple[Path, float | None, str, bool]) -> str:
         result = {"verdict": "failed", "sentence": repr(error), "seconds": time.perf_counter() - begin}
     finally:
         workflow._decided = decided
+    text = json.dumps(plain(result), indent=1)
+    target.with_suffix(".tmp").write_text(text + "\n")
+    target.with_suffix(".tmp").replace(target)
     if is_compared and ended:
         from search_success import compared
 
         said = {"tier": truth["tier"], "seconds": result["seconds"], "used": result["seconds"]}
         said |= compared(ended[-1].search, truth)
         (folder / "search.json").write_text(json.dumps(plain(said), indent=1) + "\n")
-    text = json.dumps(plain(result), indent=1)
-    target.with_suffix(".tmp").write_text(text + "\n")
-    target.with_suffix(".tmp").replace(target)
     return f"{folder.name} {result['verdict']}"
 
 
@@ -77,7 +77,9 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--tolerance", type=float, default=0.0, help="0, or -1 for the default of the tool")
     parser.add_argument("--name", default="result.json")
-    parser.add_argument("--search", action="store_true", help="also fit what is hidden from the truth")
+    parser.add_argument(
+        "--search", action="store_true", help="also fit what is hidden from the truth, where no result is yet"
+    )
     options = parser.parse_args()
     tolerance = None if options.tolerance < 0.0 else options.tolerance
     folders = sorted(options.folder.glob("batch_*"))

@@ -120,7 +120,9 @@ def judge(task: tuple[Path, bool, bool]) -> dict[str, Any]:
             outcome = "wrong"
         if study.verdict == "adequate" and hidden:
             outcome = "missed"
-        if study.verdict == "ambiguous" and hidden in listed:
+        if study.named_level == "mechanism":
+            outcome = "mechanism"
+        if hidden in listed:
             outcome = "listed"
         said |= {"outcome": outcome, "named": named, "diagnosis": time.perf_counter() - begin}
     return said

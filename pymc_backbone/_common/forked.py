@@ -18,6 +18,7 @@ from typing import BinaryIO, NoReturn
 from . import threads
 from .progress import THREAD as PROGRESS_THREAD
 
+_FOREIGN_THREADS = frozenset(("jax", "tensorflow", "torch"))  # modules with threads that Python does not know
 _LENGTH = 8  # bytes that say how many follow
 
 
@@ -38,9 +39,14 @@ def in_two_processes(jobs: Sequence[Callable[[], bytes]]) -> list[bytes]:
         return [job() for job in jobs]
     there = jobs[1::2]
     reading, writing = os.pipe()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # of forks beside threads: these are known
-        child = os.fork()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # of forks beside threads: these are known
+            child = os.fork()
+    except OSError:  # no memory, or no process more
+        os.close(reading)
+        os.close(writing)
+        return [job() for job in jobs]
     if child == 0:
         _deliver(there, reading, writing)
     os.close(writing)
@@ -49,13 +55,14 @@ def in_two_processes(jobs: Sequence[Callable[[], bytes]]) -> list[bytes]:
             here = [job() for job in jobs[::2]]
             arrived = _arrived(pipe)
     finally:
-        os.waitpid(child, 0)
+        with suppress(ChildProcessError):  # reaped already, where somebody ignores the ends of children
+            os.waitpid(child, 0)
     others = [*arrived, *(job() for job in there[len(arrived) :])]
     return [(others if k % 2 else here)[k // 2] for k in range(len(jobs))]
 
 
 def _is_safe() -> bool:
-    if sys.platform != "linux" or threads.cores() < 2:
+    if sys.platform != "linux" or threads.cores() < 2 or not _FOREIGN_THREADS.isdisjoint(sys.modules):
         return False
     others = {thread.name for thread in threading.enumerate() if thread is not threading.current_thread()}
     return all(name == PROGRESS_THREAD or name.startswith(threads.THREAD_PREFIX) for name in others)

@@ -202,7 +202,8 @@ def _by_mechanism(search: Search, decision: Decision) -> Decision:
     )
     known = replace(decision, mechanisms=mechanisms)
     is_open = decision.verdict is Verdict.AMBIGUOUS and is_exact and not decision.unfinished
-    is_doubtful = not np.isnan(decision.against) or decision.drift_probability >= DRIFT_POSSIBLE
+    is_against = best in decision.drifts and level_chi_square(search.batch, search.fits[best]) >= AGREE
+    is_doubtful = is_against or not np.isnan(decision.against) or decision.drift_probability >= DRIFT_POSSIBLE
     if not is_open or is_doubtful or not is_told_apart(mechanisms):
         return known
     return replace(known, verdict=Verdict.FOUND, named_level=NamedLevel.MECHANISM)

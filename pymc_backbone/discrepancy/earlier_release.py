@@ -73,8 +73,8 @@ def _released(batch: Batch, found: Fit) -> tuple[float, dict[str, int]] | None:
     for r, name in enumerate(batch.specimens):
         own = batch.subset([r])
         most = _MOST if own.turning[0].times.size >= _FEWEST else 0
-        left = [_left(own, found, r, k) for k in range(most + 1) if k == 0 or not _holds(own, k)]
-        best = min(range(len(left)), key=lambda k: left[k] + (_WORTH if k else 0.0))
+        left = {k: _left(own, found, r, k) for k in range(most + 1) if k == 0 or not _holds(own, k)}
+        best = min(left, key=lambda k: left[k] + (_WORTH if k else 0.0))
         if not np.isfinite(left[best]):
             return None
         cost += left[best]

@@ -40,7 +40,8 @@ def drifting_sets(search: Search) -> dict[Set, Drifting]:
     of its mechanism where that effect is a variant of these; where no set leaves noise, what is in the next ones, too.
     Where a drift helps one of them, the same is asked of the other laws of its mechanisms. Sets with an equation of
     their own are asked where they lack one effect only, or nothing simpler is left; where turning points refuted the
-    most probable set, no set that remembers is.
+    most probable set, no set that remembers is. Where nothing leaves noise even so, the backbones are asked beside
+    drifts.
     """
     best = search.best()
     is_exact = evidence.leaves_noise(search.batch, search.fits[best])
@@ -72,12 +73,15 @@ def drifting_sets(search: Search) -> dict[Set, Drifting]:
 def _ask_backbones(search: Search, found: dict[Set, Drifting]) -> None:
     """Add the fits of what the backbones propose beside drifts: single effects, and sets where none of these explains.
 
-    A drift that bends the backbones as much as a law does has led to other sets than those that act.
+    A drift that bends the backbones as much as a law does has led to other sets than those that act. What has an
+    equation of its own is left out where something simpler explains, or the effort is spent.
     """
     is_exact = False
     for begun in (single_beside_drifts, sets_beside_drifts):
         for names, state in begun(search):
-            if is_exact and is_heavy(search.layout(names)):
+            if is_heavy(search.layout(names)) and (is_exact or search.is_cut):
+                continue
+            if names in found and evidence.leaves_noise(search.batch, found[names].fit):
                 continue
             drifting = drift_fit(search.batch, search.layout(names), state, search.descent.unheard_of)
             is_lower = names not in found or (drifting is not None and drifting.cost < found[names].fit.cost)

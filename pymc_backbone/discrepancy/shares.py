@@ -34,7 +34,8 @@ def missing_mechanisms(
     search : Search
         All sets and their fits.
     probabilities : mapping of Set to float
-        Of every set; a mechanism is as probable as the sets that hold a law of it together.
+        Of every set; a mechanism is as probable as the sets that hold a law of it together, and their part of
+        ``elsewhere``.
     best : tuple of str
         The set whose parameters are told.
     gaps : mapping of Set to float

@@ -136,7 +136,8 @@ class MissingMechanism:
     mechanism : str
         A key of `MECHANISMS`.
     probability : float
-        Of all sets together that hold a law of it.
+        Of all sets together that hold a law of it; where sets are exact, with half of the probability that no known
+        effect does it, shared out alike.
     share_of_gap : float
         By what share of the base's gap it lowers that, the mean over all orders of adding mechanisms; zero where the
         best set does not hold it. The gap is the root mean square of the departure as a force or, where a set leaves

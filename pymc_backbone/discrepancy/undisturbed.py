@@ -5,18 +5,22 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from ..measurement.options import Measuring
 from ..measurement.reading.record import Record
 from . import evidence
 from .earlier_release import Earlier, earlier
 from .evidence import Drifting
 from .first_cycles import begun
+from .joint_fit import Fit
 from .motion_noise import MotionNoise, motion_noise
 from .question import Question
 from .readings import Disturbed, disturbed, sentences
 from .search import Search, Set
 
 _PASSES = 2  # times that bent sensors and lines are looked for
+_QUIETER = 0.8  # of the noise that a drift leaves over the motion, up to which straightened records explain more
 _LESS = 0.5  # of what the best set left, where first cycles are left out or the release is another
 
 
@@ -35,8 +39,14 @@ class Undisturbed:
     @property
     def is_drifting(self) -> bool:
         """Whether a set leaves noise with a drift in time beside it."""
-        fits = (item.fit for item in (self.drifting or {}).values())
-        return any(evidence.leaves_noise(self.search.batch, found) for found in fits)
+        return self.noise_beside_drift < np.inf
+
+    @property
+    def noise_beside_drift(self) -> float:
+        """The least that a set leaves over the motion which leaves noise with a drift beside it; infinite for none."""
+        fits = [item.fit for item in (self.drifting or {}).values()]
+        exact = [found for found in fits if evidence.leaves_noise(self.search.batch, found)]
+        return min((_over_motion(self.search, found) for found in exact), default=np.inf)
 
 
 @dataclass(eq=False)
@@ -72,8 +82,9 @@ def undisturbed(
     Specimens are released earlier, or else first cycles left out, where a set of effects leaves noise then, or half of
     what was left at most. Where the noise grows with the motion, samples count by the noise that they have. A bent
     sensor and another mode's line are taken out where a set leaves noise then; what was found with the noise of
-    disturbed records is found again without it. No cycle is left out and no sensor straightened where a set leaves
-    noise with a drift in time beside it, which is likelier.
+    disturbed records is found again without it. Where a set leaves noise with a drift in time beside it, which is
+    likelier, no cycle is left out, and sensors are straightened only where clearly less noise is left then: an estimate
+    of the noise that holds the disturbance hides it.
     """
     known, again = Undisturbed(question, search), search
     said: tuple[str, ...] = ()
@@ -93,7 +104,7 @@ def undisturbed(
         again = tried.search
         if _is_better(again, search):
             known = tried
-    asked.noise = motion_noise(again)
+    asked.noise = None if known.is_drifting else motion_noise(again)
     if asked.noise is not None:
         said = (*said, asked.noise.sentence)
         known = asked.of(records, said)
@@ -101,9 +112,11 @@ def undisturbed(
     if (first is not None or asked.release is not None) and _is_exact(again):
         return known
     known = _with_drifts(known, drifting)
-    if known.is_drifting:
+    straight = _straightened(asked, again, records, said)
+    if straight is None:
         return known
-    return _straightened(asked, again, records, said) or known
+    left = _over_motion(straight.search, straight.search.fits[straight.search.best()])
+    return straight if left < _QUIETER * known.noise_beside_drift else known
 
 
 def _with_drifts(known: Undisturbed, drifting: Callable[[Search], Mapping[Set, Drifting]]) -> Undisturbed:
@@ -124,6 +137,11 @@ def _straightened(asked: _Asked, again: Search, records: Sequence[Record], said:
         if _is_exact(again):
             return replace(tried, is_bent=any(item.is_bent for item in found))
     return None
+
+
+def _over_motion(search: Search, found: Fit) -> float:
+    """Return what a fit leaves as a share of the motion."""
+    return float(np.sqrt(found.chi_square.sum())) / evidence.size_of_motion(search.batch)
 
 
 def _left(search: Search) -> evidence.LackOfFit:

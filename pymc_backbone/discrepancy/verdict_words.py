@@ -43,28 +43,32 @@ def _chance(probability: float) -> str:
     return f"{100.0 * probability:.3g} %" if probability > 0.99 else f"{100.0 * probability:.0f} %"
 
 
-def _of_mechanism(item: MissingMechanism, is_approximate: bool) -> str:
-    """Return the sentence that names a mechanism, with the laws that it may be."""
+def _of_mechanism(item: MissingMechanism, is_like: bool) -> str:
+    """Return the sentence that names a mechanism, with the laws that it may be, or may be like."""
     laws = [law for law in item.laws if law.probability > _UNLIKELY]
     together = [in_words(law.effect) for law in laws if law.probability >= MECHANISM_NAMED]
-    like = " or one like it, not exactly" if is_approximate else ""
     if len(together) > 1:  # not one or the other: every set that explains holds them all
-        like = ", or ones like them, not exactly" if is_approximate else ""
+        like = ", or ones like them, not exactly" if is_like else ""
         which = f"its laws are {', '.join(together[:-1])} and {together[-1]} together{like}"
-    elif len(laws) > 1 and (is_approximate or not together):
+    elif len(laws) > 1 and (is_like or not together):
         told = ", ".join(f"{in_words(law.effect)} {100.0 * law.probability:.0f} %" for law in laws[:_SPOKEN])
         which = f"which law these records do not tell: {told}"
     else:
-        which = f"its law is {in_words(laws[0].effect)}{like}"
+        which = f"its law is {in_words(laws[0].effect)}{' or one like it, not exactly' if is_like else ''}"
+        beside = [f"{in_words(law.effect)} ({_chance(law.probability)})" for law in laws[1:] if law.probability > _REST]
+        which += f", beside it perhaps {', '.join(beside)}" if beside else ""
     share = f"{_chance(item.probability)}, {100.0 * item.share_of_gap:.0f} % of the gap"
     return f"{MECHANISMS[item.mechanism].capitalize()} is missing ({share}); {which}."
 
 
 def _of_mechanisms(decision: Decision) -> str:
     """Return the sentences that name mechanisms; where sets are exact, also what else may be missing."""
-    said = " ".join(_of_mechanism(item, decision.is_approximate) for item in decision.mechanisms if item.is_certain)
+    is_like = decision.is_approximate or not decision.listed  # of a bent sensor no law is told, however exact it is
+    said = " ".join(_of_mechanism(item, is_like) for item in decision.mechanisms if item.is_certain)
+    if not is_like and decision.best in decision.drifts:
+        said += " Frequency or damping also change with time."
     others = [item for item in decision.mechanisms if not item.is_certain and item.probability > _REST]
-    if decision.is_approximate or not others:
+    if is_like or not others:
         return said
     kinds = ", ".join(f"{MECHANISMS[item.mechanism]} ({_chance(item.probability)})" for item in others)
     return f"{said} What may be missing, too: {kinds}."

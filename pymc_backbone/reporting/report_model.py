@@ -69,7 +69,8 @@ def mechanisms(study: Study) -> str:
         inside = details(laws, bullets(sets[:MOST_SETS])) if sets else escape(laws)
         share = Raw(f"{number(100.0 * item.share_of_gap, 3)} %")
         rows.append((mechanism_name(item.mechanism), _bar(item.probability), share, Raw(inside)))
-    note = "A mechanism is as probable as all sets together that hold a law of it."
+    note = "A mechanism is as probable as all sets together that hold a law of it"
+    note += "." if study.remainder else ", and half of the probability that no known effect does it."
     if study.remainder:
         note += " None of these laws is exact: a smooth departure of unknown size is allowed for."
     if not rows:

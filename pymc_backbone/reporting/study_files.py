@@ -70,8 +70,8 @@ DIAGNOSIS_KEYS = {
     "median, low (5 %), high (95 %) of the relative standard deviation; null without effects, or of one specimen",
     "evidence_basis": "what the probabilities rest on: sentence (whether Laplace's method was corrected by importance "
     "sampling, and why for no more sets), sets (asked), cycles (simulated for it)",
-    "ambiguous_sets": "the sets that cannot be told apart; empty where a law is named, nothing is missing or nothing "
-    "explains",
+    "ambiguous_sets": "the sets that cannot be told apart: where the verdict is ambiguous, or exact sets agree on the "
+    "mechanism and on no more; else empty",
     "advice": "sentences on what measurement would tell more",
     "reasons": "sentences that give the naming in physical words",
     "below_tolerance": "effects that are detectable but smaller than the tolerance",
@@ -105,7 +105,7 @@ DIAGNOSIS_KEYS = {
     "(standard deviation in the measured quantity), quantity, added_mass; null where only backbones were given",
     "contenders": "the sets that remain possible, for `pymc-backbone plan`: effects, probability, parameters and "
     "errors by name, of the whole model, chi_square (of these records), imitation (probability that it imitates what "
-    "the library lacks); empty unless ambiguous",
+    "the library lacks); empty where no sets remain, and without records",
     "plan": "tests that would tell these apart, the most promising first: best and repeat (the same test again), each "
     "with design, probability, by_set, seconds; null where none was looked for",
     "files": "written by this run, relative to the folder",

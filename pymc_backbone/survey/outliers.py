@@ -14,6 +14,7 @@ from ..discrepancy.verdict import Verdict
 from ..reporting.words import set_name
 from .structure import Structure
 
+_FEWEST_DECIDED = 3  # structures from which a majority is told
 LEAST = 6
 """Structures that must share a quantity before one of them can stand out."""
 _NORMAL = 1.4826  # median absolute deviation to standard deviation, for a normal distribution
@@ -115,19 +116,28 @@ def quantities(structures: Sequence[Structure]) -> list[Quantity]:
 def majority(structures: Sequence[Structure]) -> tuple[tuple[str, ...], int, int] | None:
     """Return the set of missing effects (empty: nothing) of more than half of the decided structures, with the counts.
 
-    Counts are those that share it and those that are decided: ``adequate`` or ``found``. None: there is no such set,
-    or fewer than three are decided.
+    Counts are those that share it and those that are decided: ``adequate`` or ``found``, with no other set possible.
+    Where fewer than three laws are, mechanisms count whose law is open. None: there is no such set, or fewer than three
+    are decided even so.
     """
-    decided = [frozenset(item.named) for item in structures if item.verdict in (Verdict.ADEQUATE, Verdict.FOUND)]
-    if len(decided) < 3:
+    known = _decided(structures)
+    decided = [frozenset(item.named) for item in known]
+    if len(decided) < _FEWEST_DECIDED:
         return None
     chosen, count = Counter(decided).most_common(1)[0]
     return (tuple(sorted(chosen)), count, len(decided)) if 2 * count > len(decided) else None
 
 
+def _decided(structures: Sequence[Structure]) -> list[Structure]:
+    """Return the structures whose verdict leaves no other set; where these are few, also those whose law is open."""
+    answered = [item for item in structures if item.verdict in (Verdict.ADEQUATE, Verdict.FOUND)]
+    closed = [item for item in answered if not item.ambiguous_sets]
+    return closed if len(closed) >= _FEWEST_DECIDED else answered
+
+
 def share_with_more(structures: Sequence[Structure], usual: Sequence[str]) -> int:
     """Return how many of the decided structures lack all of a set of effects, and others beside it."""
-    decided = [set(item.named) for item in structures if item.verdict in (Verdict.ADEQUATE, Verdict.FOUND)]
+    decided = [set(item.named) for item in _decided(structures)]
     return sum(set(usual) < named for named in decided) if usual else 0
 
 
@@ -174,8 +184,8 @@ def _verdict_reason(item: Structure, most: tuple[tuple[str, ...], int, int] | No
     usual, count, decided = most
     alone = " alone" if set(usual) & set(item.named) else ""
     said = f"{count} of {decided} lack {words(usual)}{alone}"
-    if item.verdict == Verdict.AMBIGUOUS:
-        sets = [frozenset(names) for names in item.ambiguous_sets]
+    if item.ambiguous_sets or item.verdict == Verdict.AMBIGUOUS:
+        sets = [frozenset(item.named), *map(frozenset, item.ambiguous_sets)]
         return "" if frozenset(usual) in sets else f"none of its possible sets is the usual one ({said})"
     return "" if frozenset(item.named) == frozenset(usual) else f"lacks {words(item.named)}; {said}"
 

@@ -95,7 +95,7 @@ def _of(result: Mapping[str, Any], folder: Path) -> tuple[Design, Sequence[Conte
     """Return the test and the sets that a result holds, or say what is lacking."""
     if "verdict" not in result:
         raise InputError(f"{folder} is no output folder of `diagnose`; make one with `pymc-backbone diagnose`.")
-    if not result["ambiguous_sets"]:
+    if not result.get("ambiguous_sets"):
         raise InputError(f"the verdict in {folder} is `{result['verdict']}`: there are no sets left to tell apart.")
     if not result.get("present"):
         raise InputError(f"{folder} was made from backbones alone; a plan needs to know how the records were made.")
