@@ -541,6 +541,12 @@ def test_no_name_is_given_against_the_backbones(left, is_named, monkeypatch):
     assert decide._mind_backbones(search, alone) is alone
 
 
+def test_what_lies_below_the_tolerance_is_nothing_that_may_be_missing():
+    known = {"named_level": NamedLevel.MECHANISM, "mechanisms": (HYSTERESIS, CLEARANCE), "listed": (("iwan",),)}
+    assert verdict_words.sentence(decision_of("found", **known)).endswith("clearance or contact (30 %).")
+    assert verdict_words.sentence(decision_of("found", **known, below=("freeplay",))).endswith("Bouc-Wen 20 %.")
+
+
 def test_what_no_known_set_holds_of_the_probability_is_said():
     """20, 2.9 and 0.26 % leave 76 %; where the sets hold nearly all of it, nothing is said."""
     sets = (("coulomb_friction",), ("jenkins",), ("freeplay",))

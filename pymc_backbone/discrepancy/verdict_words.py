@@ -67,7 +67,11 @@ def _of_mechanisms(decision: Decision) -> str:
     said = " ".join(_of_mechanism(item, is_like) for item in decision.mechanisms if item.is_certain)
     if not is_like and decision.best in decision.drifts:
         said += " Frequency or damping also change with time."
-    others = [item for item in decision.mechanisms if not item.is_certain and item.probability > _REST]
+    others = [
+        item
+        for item in decision.mechanisms
+        if not item.is_certain and item.probability > _REST and item.laws[0].effect not in decision.below
+    ]
     if is_like or not others:
         return said
     kinds = ", ".join(f"{MECHANISMS[item.mechanism]} ({_chance(item.probability)})" for item in others)
