@@ -12,7 +12,7 @@ from scipy.stats import norm
 from threadpoolctl import threadpool_limits
 
 from pymc_backbone import InputError, find_missing_effect
-from pymc_backbone.discrepancy import curve_laws, force_curve, workflow
+from pymc_backbone.discrepancy import curve_laws, families, force_curve, workflow
 from pymc_backbone.discrepancy.curve_bands import bands_of, simultaneous
 from pymc_backbone.discrepancy.curve_fit import CurveFit, Known, fit_curves
 from pymc_backbone.discrepancy.curve_laws import with_laws
@@ -136,7 +136,7 @@ def test_a_law_that_is_not_the_right_one_is_seen_to_be_wrong(outside, monkeypatc
     wrong = np.tanh(np.concatenate([-places(), places()]) / 0.05)
     effect = _curve(found, DAMPING)
     column = effect.shape(wrong)
-    forced = Shape(1.0, column, np.array([0.1 * ELASTIC]), effect.beyond(wrong))
+    forced = Shape(1.0, column, np.array([0.1 * ELASTIC]), effect.beyond(wrong), np.zeros(column.shape[0]))
     alone, laws = bands_of(batch, found, 1), {STIFFNESS: (), DAMPING: (forced,)}
     kept = bands_of(batch, with_laws(found, (), laws, alone), 1)
     assert np.array_equal(kept.damping.force, alone.damping.force) and np.array_equal(
@@ -156,7 +156,8 @@ def test_a_law_that_is_right_is_not_held_to_be_wrong(outside):
     u = np.concatenate([-places(), places()])
     effect = _curve(found, DAMPING)
     right = np.sign(u) * np.abs(u) ** 1.6
-    shape = Shape(1.0, effect.shape(right[:, None]), np.array([0.1 * ELASTIC]), effect.beyond(right))
+    column = effect.shape(right[:, None])
+    shape = Shape(1.0, column, np.array([0.1 * ELASTIC]), effect.beyond(right), np.zeros(column.shape[0]))
     alone = bands_of(batch, found, 1)
     kept = bands_of(batch, with_laws(found, (), {STIFFNESS: (), DAMPING: (shape,)}, alone), 1)
     v, truth = kept.damping.at, dissipative(kept.damping.at)
@@ -333,6 +334,31 @@ def test_each_family_is_proposed_for_a_law_of_it(outside, effect, family, number
         assert mine[0].low <= mine[0].value * 1.02 and mine[0].high >= mine[0].value * 0.98
     blind = [item for item in told if item not in mine]
     assert blind[0].family == "nothing"
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0, 2.0, 3.0])
+def test_a_root_is_one_whichever_spline_stands_for_it(outside, monkeypatch, share):
+    """From the spline nearest to the root to the one through it, and beyond: the records may take any."""
+    _, found = outside
+
+    def root(u):
+        return np.sign(u) * np.sqrt(np.abs(u))
+
+    exact = curve_like(found, DAMPING, root, 1e11 / ELASTIC**2)
+    curve, known = _curve(found, DAMPING), exact.known[DAMPING]
+    near = curve.shape(root(np.concatenate([-places(), places()])))[:, 0]
+    through = curve.through(lambda u, q: np.sign(u) * np.abs(u) ** q, 0.5)[:, 0]
+    assert known.pull == pytest.approx(known.precision @ through)
+    between = dataclasses.replace(known, pull=known.precision @ (near + share * (through - near)))
+    given = dataclasses.replace(exact, known={**exact.known, DAMPING: between})
+
+    def best():
+        return next(item for item in proposals(given) if item.curve == "damping")
+
+    assert best().family == "power law" and best().probability > 0.9 and best().value == pytest.approx(0.5, abs=0.04)
+    # negative control: held to the nearest one, what lies beyond the one through the law follows none
+    monkeypatch.setattr(families, "spared", lambda known, ambiguity: (known, 0.0))
+    assert (best().family == "power law") == (share <= 1.0)
 
 
 def test_families_have_names_that_words_know():

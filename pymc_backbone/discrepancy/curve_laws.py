@@ -3,8 +3,8 @@
 A curve of nodes is known to what smoothness says, worst at its ends and close to rest. Where the records say that it
 follows a law of a family, the law says the rest: the curve becomes the mean over all laws, each as probable as it is,
 and over the curve of nodes, as far as it is none of these. What is more probably no curve at all than any law goes to
-zero, but keeps its errors. A curve of laws that leaves the band of the nodes contradicts the records, however probable
-a law seems: the nodes stand.
+zero, but keeps its errors. A curve of laws that leaves the band of the nodes contradicts what was fitted without them,
+however probable a law seems: the nodes stand.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from .._common.checks import FloatArray, IntArray
 from .curve_bands import mean_values, rows_of
 from .curve_fit import CurveFit
 from .curve_records import NOTHING, Band, Bands, Proposal
-from .families import Shape, inexact_by, places
+from .families import Shape, inexact_by, places, spared
 from .normal_equations import State
 from .tabulated import DAMPING, STIFFNESS
 
@@ -94,7 +94,8 @@ def _mean(
     at, spreads = [here, np.zeros(here.size)], [free, free]
     follows = known.follows[mine]
     for shape in shapes:
-        place, spread = _posterior(known.precision, known.pull, shape, inexact_by(known))
+        less, _ = spared(known, shape.ambiguity)
+        place, spread = _posterior(less.precision, less.pull, shape, inexact_by(known))
         at.append(place)
         spread = follows @ spread @ follows.T
         spread[-1, -1] += known.left[own, own]
