@@ -12,9 +12,9 @@ from scipy.stats import norm
 from threadpoolctl import threadpool_limits
 
 from pymc_backbone import InputError, find_missing_effect
-from pymc_backbone.discrepancy import force_curve, workflow
+from pymc_backbone.discrepancy import curve_laws, families, force_curve, workflow
 from pymc_backbone.discrepancy.curve_bands import bands_of, simultaneous
-from pymc_backbone.discrepancy.curve_fit import CurveFit, Known
+from pymc_backbone.discrepancy.curve_fit import CurveFit, Known, fit_curves
 from pymc_backbone.discrepancy.curve_laws import with_laws
 from pymc_backbone.discrepancy.curve_words import Judgement, sentence
 from pymc_backbone.discrepancy.families import FAMILIES, Shape, _curve, judged, places, proposals
@@ -111,7 +111,8 @@ def test_bands_hold_the_true_forces(outside):
 def test_a_curve_that_follows_a_law_is_nearer_to_the_truth_and_better_known(outside):
     batch, found = outside
     told, shapes = judged(found)
-    alone, lawful = bands_of(batch, found, 1), bands_of(batch, with_laws(found, told, shapes), 1)
+    alone = bands_of(batch, found, 1)
+    lawful = bands_of(batch, with_laws(found, told, shapes, alone), 1)
     v = lawful.damping.at
     shape = dissipative(v)
 
@@ -129,24 +130,84 @@ def test_a_curve_that_follows_a_law_is_nearer_to_the_truth_and_better_known(outs
     assert np.abs(lawful.conservative.force - alone.conservative.force).max() < 1e-3 * ELASTIC
 
 
-def test_a_law_that_is_not_the_right_one_is_seen_to_be_wrong(outside):
-    """Negative control: were a saturating damper certain, its band would not hold the truth."""
+def test_a_law_that_is_not_the_right_one_is_seen_to_be_wrong(outside, monkeypatch):
+    """Were a saturating damper certain, its band would not hold the truth; but it leaves that of the nodes."""
     batch, found = outside
     wrong = np.tanh(np.concatenate([-places(), places()]) / 0.05)
     effect = _curve(found, DAMPING)
     column = effect.shape(wrong)
-    forced = Shape(1.0, column, np.array([0.1 * ELASTIC]), effect.beyond(wrong))
-    bands = bands_of(batch, with_laws(found, (), {STIFFNESS: (), DAMPING: (forced,)}), 1)
+    forced = Shape(1.0, column, np.array([0.1 * ELASTIC]), effect.beyond(wrong), np.zeros(column.shape[0]))
+    alone, laws = bands_of(batch, found, 1), {STIFFNESS: (), DAMPING: (forced,)}
+    kept = bands_of(batch, with_laws(found, (), laws, alone), 1)
+    assert np.array_equal(kept.damping.force, alone.damping.force) and np.array_equal(
+        kept.damping.low, alone.damping.low
+    )
+    # negative control: not held to that band, the law is taken for the curve
+    monkeypatch.setattr(curve_laws, "_is_within", lambda band, moves: True)
+    bands = bands_of(batch, with_laws(found, (), laws, alone), 1)
     v = bands.damping.at
     truth = dissipative(v) + VISCOUS * v
     assert not np.all((bands.damping.low <= truth) & (truth <= bands.damping.high))
+
+
+def test_a_law_that_is_right_is_not_held_to_be_wrong(outside):
+    """Negative control: it stays in the band of the nodes, and the curve is its own."""
+    batch, found = outside
+    u = np.concatenate([-places(), places()])
+    effect = _curve(found, DAMPING)
+    right = np.sign(u) * np.abs(u) ** 1.6
+    column = effect.shape(right[:, None])
+    shape = Shape(1.0, column, np.array([0.1 * ELASTIC]), effect.beyond(right), np.zeros(column.shape[0]))
+    alone = bands_of(batch, found, 1)
+    kept = bands_of(batch, with_laws(found, (), {STIFFNESS: (), DAMPING: (shape,)}, alone), 1)
+    v, truth = kept.damping.at, dissipative(kept.damping.at)
+
+    def apart(force):  # the mean specimen's own damper is known to the scatter that was drawn
+        return np.abs(
+            (force - v * float(v @ force) / float(v @ v)) - (truth - v * float(v @ truth) / float(v @ v))
+        ).max()
+
+    assert apart(kept.damping.force) < 0.8 * apart(alone.damping.force)
+    assert np.all((alone.damping.low <= kept.damping.force) & (kept.damping.force <= alone.damping.high))
+
+
+def test_what_records_say_of_a_curve_is_that_of_the_minimum_also_beside_it():
+    """A fit rests within a share of an error; of a part that went to nothing, its prior would make that a force."""
+    batch = batch_of(records_of(np.random.default_rng(8), nothing, nothing))
+    found = fit_remainder(batch, Oscillator(MASS))
+    known = found.known[DAMPING]
+    values, vectors = np.linalg.eigh(known.prior)
+    eta = found.fit.state.eta.copy()
+    eta[found.tabulated.places(DAMPING)] += known.frame @ vectors[:, -1] * np.sqrt(0.05 / values[-1])
+    near, at = (
+        fit_curves(
+            found.tabulated, batch.waveform, dataclasses.replace(found.fit.state, eta=start),
+            nuisances=(0, 1, 2, 3, 4), precisions=found.precisions, is_learning=False, iterations=most,
+        )
+        for start, most in ((eta, 0), (found.fit.state.eta, 30))
+    )  # fmt: skip
+    assert near is not None and at is not None
+    for one, other in zip(proposals(near), proposals(at), strict=True):
+        assert (one.curve, one.family) == (other.curve, other.family)
+        # what is left is that forces are no linear function of nodes
+        assert one.probability == pytest.approx(other.probability, abs=0.01)
+    # negative control: with the slope at the point left out, the prior's pull is taken for the records'
+    here = near.known[DAMPING]
+    free = here.frame.T @ near.fit.state.eta[near.tabulated.places(DAMPING)]
+    without = dataclasses.replace(here, pull=(here.precision + here.prior) @ free)
+    told, wrong = (
+        next(item for item in proposals(each) if item.curve == "damping")
+        for each in (near, dataclasses.replace(near, known={**near.known, DAMPING: without}))
+    )
+    assert told.family == "nothing" and wrong.family != "nothing" and wrong.probability > 0.99
 
 
 def test_what_is_no_curve_goes_to_zero_and_keeps_its_errors():
     batch = batch_of(records_of(np.random.default_rng(8), nothing, nothing))
     found = fit_remainder(batch, Oscillator(MASS))
     told, shapes = judged(found)
-    alone, lawful = bands_of(batch, found, 1), bands_of(batch, with_laws(found, told, shapes), 1)
+    alone = bands_of(batch, found, 1)
+    lawful = bands_of(batch, with_laws(found, told, shapes, alone), 1)
     for one, other in ((alone.conservative, lawful.conservative), (alone.damping_even, lawful.damping_even)):
         assert np.abs(other.force).max() <= 1.001 * np.abs(one.force).max() + 1e-9 * ELASTIC
         assert np.all(other.standard_error >= 0.95 * one.standard_error - 1e-9 * ELASTIC)
@@ -273,6 +334,31 @@ def test_each_family_is_proposed_for_a_law_of_it(outside, effect, family, number
         assert mine[0].low <= mine[0].value * 1.02 and mine[0].high >= mine[0].value * 0.98
     blind = [item for item in told if item not in mine]
     assert blind[0].family == "nothing"
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0, 2.0, 3.0])
+def test_a_root_is_one_whichever_spline_stands_for_it(outside, monkeypatch, share):
+    """From the spline nearest to the root to the one through it, and beyond: the records may take any."""
+    _, found = outside
+
+    def root(u):
+        return np.sign(u) * np.sqrt(np.abs(u))
+
+    exact = curve_like(found, DAMPING, root, 1e11 / ELASTIC**2)
+    curve, known = _curve(found, DAMPING), exact.known[DAMPING]
+    near = curve.shape(root(np.concatenate([-places(), places()])))[:, 0]
+    through = curve.through(lambda u, q: np.sign(u) * np.abs(u) ** q, 0.5)[:, 0]
+    assert known.pull == pytest.approx(known.precision @ through)
+    between = dataclasses.replace(known, pull=known.precision @ (near + share * (through - near)))
+    given = dataclasses.replace(exact, known={**exact.known, DAMPING: between})
+
+    def best():
+        return next(item for item in proposals(given) if item.curve == "damping")
+
+    assert best().family == "power law" and best().probability > 0.9 and best().value == pytest.approx(0.5, abs=0.04)
+    # negative control: held to the nearest one, what lies beyond the one through the law follows none
+    monkeypatch.setattr(families, "spared", lambda known, ambiguity: (known, 0.0))
+    assert (best().family == "power law") == (share <= 1.0)
 
 
 def test_families_have_names_that_words_know():

@@ -81,7 +81,7 @@ def _one(folder: Path, truth: dict[str, Any]) -> dict[str, Any]:
     row |= {"p": lack.p_value, "is_noise": bool(lack.p_value >= UNEXPLAINED), "settled": found.is_settled}
     both = [bands_of(batch, found, 1)] * 2
     if row["is_noise"]:
-        both[1] = bands_of(batch, with_laws(found, told, shapes), 1)
+        both[1] = bands_of(batch, with_laws(found, told, shapes, both[0]), 1)
     row["held_out"] = held_out_curves(batch, found, _HELD_OUT)
     row["seconds"] = time.process_time() - begin
     count = sum(term.size for term in batch.waveform)

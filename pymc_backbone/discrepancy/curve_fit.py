@@ -357,7 +357,7 @@ def _finished(
     """Return the minimum with the covariance of the mean specimen."""
     sizes = _sizes(tabulated, terms, at)
     weight = _weight(at, float(sizes.sum()), None)
-    hessian, _, cost = _objective(at, frame, levels, weight, tabulated)
+    hessian, downhill, cost = _objective(at, frame, levels, weight, tabulated)
     scale = 1.0 / np.sqrt(np.maximum(np.diag(hessian), 1e-300))
     scaled = hessian * np.outer(scale, scale)
     covariance = np.linalg.pinv(scaled, hermitian=True) * np.outer(scale, scale)
@@ -374,7 +374,10 @@ def _finished(
     mean[2:, :q] = np.eye(q)
     along = mean @ frame.directions
     whole = along @ covariance @ along.T
-    known = {effect: _known(tabulated, at, frame, hessian, prior, along, effect) for effect in (STIFFNESS, DAMPING)}
+    known = {
+        effect: _known(tabulated, at, frame, (hessian, downhill), prior, along, effect)
+        for effect in (STIFFNESS, DAMPING)
+    }
     found = replace(_as_fit(tabulated, at, whole[2:, 2:], count), is_converged=is_settled)
     penalty = float((_place(at, frame) ** 2 * frame.scatter).sum())
     return CurveFit(
@@ -386,12 +389,18 @@ def _known(
     tabulated: Tabulated,
     at: _At,
     frame: _Frame,
-    hessian: FloatArray,
+    objective: tuple[FloatArray, FloatArray],
     prior: FloatArray,
     along: FloatArray,
     effect: str,
 ) -> Known:
-    """Return what the records say of one curve: its own prior is taken off, and all else eliminated."""
+    """Return what the records say of one curve: its own prior is taken off, and all else eliminated.
+
+    ``objective`` is the Hessian and the downhill slope. A fit that has settled is at its minimum to a share of an error
+    only, and the precisions of the bends have moved since. Times the precision of a part that went to nothing even that
+    is more than the records say, so that the slope that is left belongs to it.
+    """
+    hessian, downhill = objective
     mine = np.zeros(hessian.shape[0], dtype=bool)
     mine[frame.own_columns[effect]] = True
     rest, cross = hessian[np.ix_(~mine, ~mine)], hessian[np.ix_(~mine, mine)]
@@ -407,4 +416,5 @@ def _known(
     scaled_along = along[:, ~mine] * scale
     follows = along[:, mine] - scaled_along @ within
     left = scaled_along[:2] @ np.linalg.lstsq(scaled, scaled_along[:2].T, rcond=1e-13)[0]
-    return Known(nodes, precision, own, (precision + own) @ place, follows, left)
+    pull = (precision + own) @ place + downhill[mine] - within.T @ (downhill[~mine] * scale)
+    return Known(nodes, precision, own, pull, follows, left)

@@ -25,13 +25,17 @@ _FINE = 161
 _WIDTH = 3.0  # of the prior of a size, in units of what is found
 _EDGE = 0.025
 _PLACES = 121
+_AT_REST = 1e-12  # of the range: where friction is that just beyond rest
 _COUNTS = 1e-4  # probability from which a law counts
 INEXACT = 0.005  # of the largest node force: how far off a law may be at any node
 
 
 @dataclass(frozen=True)
 class _Family:
-    """A family: its name, what its number is, shapes over the range, where the number lies, the sign of its size."""
+    """A family: its name, what its number is, shapes over the range, where the number lies, the sign of its size.
+
+    One that is steep has laws whose slope at rest has no bound, so that no spline is close to them there.
+    """
 
     name: str
     number: str
@@ -40,6 +44,7 @@ class _Family:
     high: float
     sign: float = 0.0
     is_left_out: tuple[float, float] = (1.0, 1.0)
+    is_steep: bool = False
 
 
 def _power(u: FloatArray, q: float) -> FloatArray:
@@ -103,7 +108,7 @@ FAMILIES: dict[str, tuple[_Family, ...]] = {
         _Family("saturation", "displacement", (_saturating,), 0.02, 0.6),
     ),
     "damping": (
-        _Family("power law", "exponent", (_power,), 0.0, 5.0, is_left_out=(0.85, 1.15)),
+        _Family("power law", "exponent", (_power,), 0.0, 5.0, is_left_out=(0.85, 1.15), is_steep=True),
         _Family("power law on one side", "exponent", (_above, _below), 1.15, 5.0),
         _Family("saturation", "speed", (_saturating,), 0.02, 0.6, sign=1.0),
         _Family("minimum of damping", "speed", (_falling,), 0.02, 0.6, sign=1.0),
@@ -125,12 +130,16 @@ class Shape(NamedTuple):
         Standard deviations beforehand of what multiplies the columns.
     beyond : (2 n,) array
         What the law has beyond the nearest curve of nodes, at `places`, minus and plus [N].
+    ambiguity : (m,) array
+        Free coordinates by which the curve that stands for the law in a fit may differ from the nearest one, a
+        standard deviation.
     """
 
     probability: float
     columns: FloatArray
     widths: FloatArray
     beyond: FloatArray
+    ambiguity: FloatArray
 
 
 def places() -> FloatArray:
@@ -167,7 +176,17 @@ class _Curve:
 
     def shape(self, laws: FloatArray) -> FloatArray:
         """Return the free coordinates (m, n) of one law or several that are given at (-places, places)."""
-        nodes = self.to_nodes @ laws.reshape(laws.shape[0], -1)
+        return self._free(self.to_nodes @ laws.reshape(laws.shape[0], -1))
+
+    def through(self, law: Law, number: float) -> FloatArray:
+        """Return the free coordinates (m, n) of the curve whose nodes lie on a law."""
+        count, even = self.odd.shape[1], self.even.shape[1]
+        at = np.maximum(self.line[:count], _AT_REST)
+        above, below = (law(each, number).reshape(count, -1) for each in (at, -at))
+        return self._free(np.vstack([0.5 * (above - below), 0.5 * (above + below)[count - even :]]))
+
+    def _free(self, nodes: FloatArray) -> FloatArray:
+        """Return the free coordinates (m, n) of node forces, the line taken off."""
         nodes = nodes - np.outer(self.line, self.over_line @ nodes) / float(self.over_line @ self.line)
         free: FloatArray = self.known.frame.T @ nodes
         return free
@@ -236,6 +255,19 @@ def _blurred(known: Known) -> Known:
     return replace(known, precision=precision, pull=(vectors * less) @ (vectors.T @ known.pull))
 
 
+def spared(known: Known, ambiguity: FloatArray) -> tuple[Known, float]:
+    """Return what is known of a law whose curve in the fit may differ from the nearest one, and the evidence of that.
+
+    Where a law bends faster than a spline does, as a root at rest, the records and not the forces say which spline
+    stands for it: somewhere about the one nearest to it and the one through it.
+    """
+    seen = known.precision @ ambiguity
+    less, pull = 1.0 + float(ambiguity @ seen), float(ambiguity @ known.pull)
+    gain = 0.5 * (pull**2 / less - float(np.log(less)))
+    precision = known.precision - np.outer(seen, seen) / less
+    return replace(known, precision=precision, pull=known.pull - seen * (pull / less)), gain
+
+
 def _of_curve(curve: str, known: _Curve, found: CurveFit, effect: str) -> tuple[list[Proposal], tuple[Shape, ...]]:
     """Return the families of one curve, most probable first, and their laws."""
     reach = found.tabulated.ranges()[0 if effect == STIFFNESS else 1]
@@ -270,6 +302,7 @@ class _Weighed:
     numbers: FloatArray
     logs: FloatArray
     sizes: list[FloatArray]
+    ambiguities: list[FloatArray]
     log: float
 
     @property
@@ -304,7 +337,7 @@ class _Weighed:
             # within a step of the grid a number is as probable anywhere
             made.append(Shape(
                 float(chances[i]), np.column_stack([here, change]),
-                np.append(_WIDTH * np.abs(size), np.sqrt(1.0 / 12.0)), known.beyond(law @ size),
+                np.append(_WIDTH * np.abs(size), np.sqrt(1.0 / 12.0)), known.beyond(law @ size), self.ambiguities[i],
             ))  # fmt: skip
         return made
 
@@ -317,19 +350,26 @@ def _weighed(family: _Family, known: _Curve) -> _Weighed | None:
     u = np.concatenate([-places(), places()])
     best: _Weighed | None = None
     for law in family.laws:
-        logs, sizes = np.full(numbers.size, -np.inf), []
+        logs, sizes, ambiguities = np.full(numbers.size, -np.inf), [], []
         for i, number in enumerate(numbers):
-            logs[i], size = _evidence(known, known.shape(law(u, float(number))), family.sign)
+            shape = known.shape(law(u, float(number)))
+            logs[i], size = _evidence(known.known, shape, family.sign)
+            ambiguities.append(np.zeros(shape.shape[0]))
+            if family.is_steep:
+                ambiguities[i] = (known.through(law, float(number)) - shape) @ size
+                less, gain = spared(known.known, ambiguities[i])
+                logs[i], size = _evidence(less, shape, family.sign)
+                logs[i] += gain
             sizes.append(size)
         if np.isfinite(logs.max()) and (best is None or logs.max() > best.logs.max()):
             log = float(logsumexp(logs)) - np.log(numbers.size) - np.log(len(family.laws))
-            best = _Weighed(family, law, u, numbers, logs, sizes, log)
+            best = _Weighed(family, law, u, numbers, logs, sizes, ambiguities, log)
     return best
 
 
-def _evidence(known: _Curve, shape: FloatArray, sign: float) -> tuple[float, FloatArray]:
+def _evidence(known: Known, shape: FloatArray, sign: float) -> tuple[float, FloatArray]:
     """Return the logarithm of a shape's evidence against no curve, its sizes integrated out, and the sizes."""
-    weight, slope = shape.T @ known.known.precision @ shape, shape.T @ known.known.pull
+    weight, slope = shape.T @ known.precision @ shape, shape.T @ known.pull
     scale = 1.0 / np.sqrt(np.maximum(np.diag(weight), 1e-300))
     size = scale * np.linalg.lstsq(weight * np.outer(scale, scale), slope * scale, rcond=1e-9)[0]
     if not (np.diag(weight) > 0.0).all() or size[0] * sign < 0.0:

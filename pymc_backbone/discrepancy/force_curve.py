@@ -73,9 +73,10 @@ def force_curves(
     judgement = _judgement(batch, start, found, rivals, drifting)
     told, shapes = judged(found)
     after = held_out_curves(batch, found, most) if most > 0 else float("nan")
-    if judgement.p_value >= UNEXPLAINED:  # what leaves more than noise follows no law
-        found = with_laws(found, told, shapes)
     bands = bands_of(batch, found, seed)
+    if judgement.p_value >= UNEXPLAINED:  # what leaves more than noise follows no law
+        found = with_laws(found, told, shapes, bands)
+        bands = bands_of(batch, found, seed)
     beside = tuple(effect.name for effect in start.layout.oscillator.effects if effect.name not in BASE_EFFECTS)
     return ForceCurves(
         is_possible=judgement.is_possible,
