@@ -162,6 +162,7 @@ def test_the_table_of_inputs_is_tested_row_by_row():
 ROWS = {
     "`.csv .tsv": "test_other_separators_are_noted test_line_ends_encodings_comments_and_blank_lines",
     "lines of a logger": "test_what_a_logger_writes_above_the_table_is_skipped test_text_exported_from_tdms",
+    "a line of names": "test_settings_above_a_column_without_a_header",
     "a line of units": "test_trailing_separators_quotes_and_a_line_of_units",
     "`0,5` in": "test_decimal_commas test_decimal_comma_that_first_appears_late",
     "`1.234,5` or": "test_decimal_mark_is_decided_by_the_whole_file test_numbers_survive_every_dialect",
