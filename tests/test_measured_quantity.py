@@ -157,3 +157,63 @@ def test_offset_of_the_sensor_is_a_nuisance_of_its_own_quantity(rng):
     # what conditioning subtracted already is a median: the rest is small, in units of displacement
     assert abs(found.state.own[0, 4]) < 0.1 * AMPLITUDE
     assert found.state.own[0, 2] == pytest.approx(AMPLITUDE, rel=2e-3)
+
+
+def falling_noise(rng, size: int) -> np.ndarray:
+    """Noise of unit variance, half of its power white, half falling with the frequency from a tenth of the motion's."""
+    frequency = np.maximum(np.fft.rfftfreq(size, 1.0 / RATE), 0.1 * FREQUENCY)
+    slow = np.fft.irfft(np.fft.rfft(rng.standard_normal(size)) / np.sqrt(frequency), size)
+    return np.sqrt(0.5) * (slow / slow.std() + rng.standard_normal(size))
+
+
+def lack_of(rng, quantity: str, candidate: tuple[str, ...] = ()) -> evidence.LackOfFit:
+    """What a set leaves of records of a damper that rises with the speed, with noise that falls with the frequency."""
+    from pymc_backbone.simulation.decay import simulate_waveform
+
+    from .discrepancy_cases import batch_of as batch_of_made
+
+    effects = ("quadratic_damping",)
+    records = []
+    for k in range(3):
+        exact = simulate_waveform(
+            Oscillator(MASS, effects), truth_of(effects), TIME, AMPLITUDE, release_time=RELEASE_TIME, quantity=quantity
+        ).values
+        values = exact + 3e-3 * np.abs(exact).max() * falling_noise(rng, TIME.size)
+        records.append(Record(f"record {k}", TIME, values, quantity, "m/s^2" if quantity == "acceleration" else "m"))
+    batch = batch_of_made(records)
+    layout = make_layout(Oscillator(MASS, candidate), AMPLITUDE, OMEGA)
+    eta = layout.coordinates(np.array([truth_of(candidate)[name] for name in layout.names]))
+    found = fit(layout, batch.waveform, start_state(layout, eta, batch.own), iterations=60, nuisances=batch.nuisances)
+    return evidence.lack_of_fit(batch, found)
+
+
+def test_noise_of_an_accelerometer_that_falls_with_the_frequency_is_noise_to_the_right_set():
+    seeds = range(6)
+    right = [lack_of(np.random.default_rng(seed), "acceleration", ("quadratic_damping",)).p_value for seed in seeds]
+    assert min(right) > evidence.UNEXPLAINED and np.median(right) > 0.05
+    # negative control: what lacks the damper is no noise
+    assert max(lack_of(np.random.default_rng(seed), "acceleration").p_value for seed in (0, 1)) < 1e-20
+
+
+def test_a_line_midway_between_the_harmonics_or_an_error_that_fades_is_not_the_level_of_the_noise(rng):
+    windows, lines = [slice(60 * k, 60 * (k + 1)) for k in range(9)], 16
+    bases = [np.linalg.qr(rng.standard_normal((60, lines)))[0] for _ in windows]
+    white = rng.standard_normal(540)
+    fading, line = white.copy(), white.copy()
+    for k, (window, basis) in enumerate(zip(windows, bases, strict=True)):
+        fading[window] += basis @ np.full(lines, 10.0 if k < 3 else 0.0)
+        line[window] += basis[:, :2] @ np.full(2, 20.0)
+    beside = list(zip(windows, bases, strict=True))
+    for residuals, expected in ((white, 1.0), (fading, 1.0), (line, 1.0), (3.0 * white, 9.0)):
+        most, count = evidence._between(residuals, beside, in_most=True)
+        # the median of nine estimates from twelve squares each: a fifth, and as much again by what was added
+        assert count == 9 * lines and most == pytest.approx(expected, rel=0.6)
+    assert min(evidence._between(item, beside, in_most=False)[0] for item in (fading, line)) > 20.0
+    assert evidence._between(white, [], in_most=True) == (0.0, 0.0)
+
+
+def test_the_variance_from_most_squares_is_that_of_all(rng):
+    for size in (8, 16, 40):
+        found = [evidence._of_most(4.0 * rng.standard_normal(size) ** 2) for _ in range(8000)]
+        assert np.mean(found) == pytest.approx(4.0, rel=0.03), size  # five standard errors, and what bias is left
+    assert evidence._of_most(np.array([2.0])) == pytest.approx(2.0)

@@ -10,7 +10,7 @@ from pymc_backbone.discrepancy import evidence
 from pymc_backbone.discrepancy.motion_noise import motion_noise
 from pymc_backbone.discrepancy.search import Search
 
-from .discrepancy_cases import AMPLITUDE, FREQUENCY, MASS, TIME, batch_of, make_records, noisy
+from .discrepancy_cases import AMPLITUDE, FREQUENCY, MASS, TIME, batch_of, make_records, noisy, truth_of
 
 CANDIDATES = ("cubic_stiffness", "quadratic_stiffness", "quintic_stiffness", "freeplay")
 JITTER = 3e-3 / FREQUENCY  # standard deviation of the instants [s]
@@ -54,6 +54,23 @@ def test_how_the_noise_grows_is_found_and_the_samples_weighed(rng, kind, words):
     for window, basis in weighed.waveform[0].subspace:
         np.testing.assert_allclose(basis.T @ basis, np.eye(basis.shape[1]), atol=1e-10)
         assert basis.shape[0] == window.stop - window.start
+
+
+@pytest.mark.parametrize("share", [0.0, SHARE])
+def test_samples_of_an_accelerometer_that_are_averaged_are_asked_as_well(share, rng):
+    time = np.arange(2400) / (100.0 * FREQUENCY)  # a hundred samples a cycle, of which four are one value
+    truth = truth_of(())
+    exact = pb.simulate_waveform(pb.Oscillator(MASS), truth, time, AMPLITUDE, quantity="acceleration").values
+    noise = 1e-3 * np.abs(exact).max() * rng.standard_normal(time.size)
+    values = exact * (1.0 + share * rng.standard_normal(time.size)) + noise
+    search = searched([pb.Record("one", time, values, "acceleration", "m/s^2")], ("cubic_stiffness",))
+    assert search.batch.waveform[0].size < time.size / 2
+    found = motion_noise(search)
+    if not share:
+        assert found is None
+    else:
+        assert "share of its reading" in found.sentence
+        assert found.weighed(search.batch).waveform[0].size == search.batch.waveform[0].size
 
 
 def test_noise_that_is_the_same_everywhere_is_left_alone(rng):

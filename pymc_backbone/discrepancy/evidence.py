@@ -9,7 +9,7 @@ from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from scipy.special import chdtrc, fdtrc, logsumexp, ndtr, ndtri
+from scipy.special import chdtr, chdtrc, chdtri, fdtrc, logsumexp, ndtr, ndtri
 
 from .._common.checks import FloatArray
 from .batch import Batch
@@ -40,6 +40,8 @@ DRIFT = ("drift with time",)
 """What stands beside the effects of a set whose frequency and damping change with time as well."""
 UNEXPLAINED = 1e-4
 """p-value of a set's residuals below which it does not explain the records."""
+_MOST = 0.75  # of the lines midway between harmonics that say how loud the noise is
+_PLACE = 0.4  # of a number beyond those kept, where the quantile lies that leaves no bias
 _INDEPENDENT = 8.0  # the effects of the library count as so many independent attempts
 
 # Sets are ranked again after each fit, and most fits are those of the last time.
@@ -220,7 +222,9 @@ def lack_of_fit(batch: Batch, found: Fit, *, is_local: bool = False) -> LackOfFi
 
     The noise level comes from the residuals beside, so that an error in its estimate does not matter: from all of them,
     or, where ``is_local``, midway between the harmonics if there is more of it. Noise often grows towards low
-    frequencies; but of strongly damped motion a small model error is found midway, too.
+    frequencies; but of strongly damped motion a small model error is found midway, too. Of a measured velocity or
+    acceleration, which hold less of what is slow, that level counts always, as it is in most parts of the record: a
+    model error fades with the motion, and noise does not.
     """
     fitted = found.layout.free.size / max(len(batch.specimens), 1) + len(batch.nuisances)
     z, ratios, shares = [], [], []
@@ -232,9 +236,9 @@ def lack_of_fit(batch: Batch, found: Fit, *, is_local: bool = False) -> LackOfFi
             outside = float(residuals @ residuals) - inside
             rest = residuals.size - degrees - fitted
             noise = outside / max(rest, 1.0)
-            between, lines = _power(residuals, term.beside)
-            if is_local and lines > 0 and between > noise * lines:
-                noise, rest = between / lines, lines
+            level, lines = _between(residuals, term.beside, in_most=not is_local)
+            if (is_local or term.order) and level > noise:
+                noise, rest = level, lines
             ratio = inside / max(degrees, 1.0) / max(noise, 1e-300)
             p = float(fdtrc(max(degrees, 1.0), max(rest, 1.0), ratio))
             shares.append(np.sqrt(max(inside - degrees * noise, 0.0)) / _size_of_motion(term))
@@ -264,6 +268,28 @@ def _power(residuals: FloatArray, lines: Subspace) -> tuple[float, float]:
         sum(float(((basis.T @ residuals[window]) ** 2).sum()) for window, basis in lines),
         float(sum(basis.shape[1] for _, basis in lines)),
     )
+
+
+def _between(residuals: FloatArray, lines: Subspace, *, in_most: bool) -> tuple[float, float]:
+    """Return the mean square of residuals along lines and how many these are; zero where there are none.
+
+    Over all of a record; or as it is along most lines in most parts of the record, so that neither another mode's line
+    nor what fades counts.
+    """
+    if not lines:
+        return 0.0, 0.0
+    power, count = _power(residuals, lines)
+    if not in_most:
+        return power / count, count
+    return float(np.median([_of_most((basis.T @ residuals[window]) ** 2) for window, basis in lines])), count
+
+
+def _of_most(squares: FloatArray) -> float:
+    """Return the variance of normal numbers from all but the largest of their squares."""
+    kept = max(int(_MOST * squares.size), 1)
+    share = min((kept + _PLACE) / squares.size, 1.0)
+    largest = chdtri(1.0, 1.0 - share) if share < 1.0 else np.inf
+    return float(np.sort(squares)[:kept].mean() * share / chdtr(3.0, largest))
 
 
 def p_nothing_missing(fits: Mapping[tuple[str, ...], Fit], batch: Batch) -> float:
