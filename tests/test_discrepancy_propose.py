@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numba
 import numpy as np
 import pytest
@@ -209,6 +211,20 @@ def test_hard_cases_are_among_the_first_ten(case):
             Oscillator(MASS, ["coulomb_friction", "freeplay"]), batch.amplitude, batch.angular_frequency
         )
         assert abs(true.eta[layout.names.index("friction_force")]) < 3e-4 * SPRING * AMPLITUDE
+
+
+def test_what_was_only_looked_at_is_likelier_than_nothing_that_was_simulated():
+    """A look at a costly triple promised 18 in log evidence that its simulation did not keep."""
+    kept = {("a",): (-140.0, True), ("b", "c"): (-120.0, False), ("b",): (-150.0, True), ("d",): (-160.0, False)}
+    proposer = object.__new__(_Proposer)
+    proposer.sets, proposer.scatter = list(kept), 0.1
+    proposer.batch = SimpleNamespace(own=np.zeros((1, 2)))
+    point = {names: SimpleNamespace(eta=None, own=None, cost=1.0, is_exact=kept[names][1]) for names in kept}
+    proposer.points = {names: [point[names]] for names in kept}
+    proposer._log_evidence = lambda names, best: kept[names][0]
+    assert [(item.names, item.log_evidence) for item in proposer._ranked()] == [
+        (("a",), -140.0), (("b", "c"), -140.0), (("b",), -150.0), (("d",), -160.0),
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("is_hysteretic", [False, True])

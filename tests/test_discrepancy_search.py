@@ -556,6 +556,14 @@ def test_a_search_ends_when_its_budget_does(cubic):
     assert {(name,) for name in CANDIDATES} < set(search.proposals)  # what the backbones say of all stays
 
 
+def test_a_few_simple_sets_follow_although_a_costly_one_took_the_effort(cubic):
+    search = Search(cubic.batch, Oscillator(MASS), (*CANDIDATES, "bouc_wen"), 2, budget=10.0)
+    assert search._is_affordable(("bouc_wen",)) and not search.is_cut
+    search.descent.effort = 11.0
+    assert not search._is_affordable(("bouc_wen",)) and search.is_cut
+    assert [search._is_affordable(("cubic_stiffness",)) for _ in range(8)] == [True] * 6 + [False] * 2
+
+
 def test_deciding_does_not_need_all_subsets_to_be_fitted(cubic):
     """A set found by replacement may have subsets that were never fitted; the tolerance asks for them."""
     search = Search(cubic.batch, Oscillator(MASS), CANDIDATES, 2)

@@ -67,6 +67,8 @@ class FittedSets:
         Sets that were not fitted to the samples, because the turning points leave no doubt.
     scatter : float
         How much the effects are taken to differ between specimens, relative to their value.
+    beyond : int
+        Sets that were followed although the effort was spent.
     """
 
     batch: Batch
@@ -79,6 +81,7 @@ class FittedSets:
     layouts: dict[Set, Layout] = field(default_factory=dict)
     budget: float = BUDGET
     is_cut: bool = False
+    beyond: int = 0
     own: Mapping[str, Effect] = field(default_factory=dict)
     variants: tuple[str, ...] = ()
     tolerance: Mapping[str, float] = field(default_factory=dict)

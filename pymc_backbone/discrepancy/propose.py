@@ -8,7 +8,7 @@ regression is repeated. Then each set within reach is refined with its own defec
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations, pairwise
 from typing import Any
@@ -377,7 +377,11 @@ class _Proposer:
         return float(np.logaddexp.reduce(logs))
 
     def _ranked(self) -> list[Proposal]:
-        """Return all sets, best first."""
+        """Return all sets, best first.
+
+        What was looked at and not simulated is likelier than nothing that was: a look may promise what no simulation
+        keeps.
+        """
         proposals = []
         for names in self.sets:
             starts = self.points[names]
@@ -401,8 +405,9 @@ class _Proposer:
                     self.scatter,
                 )
             )
-        proposals.sort(key=lambda item: -item.log_evidence)
-        return proposals
+        most = max((item.log_evidence for item in proposals if item.is_exact), default=np.inf)
+        known = [replace(item, log_evidence=min(item.log_evidence, most)) for item in proposals]
+        return sorted(known, key=lambda item: (-item.log_evidence, not item.is_exact))
 
 
 def _is_apart(point: Point, other: Point) -> bool:

@@ -22,6 +22,7 @@ _KEPT_PARENTS = 2
 _ROUNDS = 2
 _MOST_FOLLOWED = 24  # sets that are followed from the backbones to the waveforms before anything explains these
 _LEAST_FOLLOWED = 2  # sets that are followed although a base with a law of its own has taken all the effort
+_STILL = 6  # simple sets within reach that are followed although the effort is spent
 _PASSED = 6  # less likely simple sets that are followed before one that costs much
 _CLEARLY = 5.0  # logarithm of evidence by which wider scatter must be likelier
 _FEW_FOLLOWED = 6  # sets that are followed where not even the backbones are explained
@@ -146,9 +147,8 @@ class Search(VariedSets):
                 continue
             if proposal.log_evidence < likeliest - _REACH and self._is_floor():
                 continue
-            if self._is_spent and fitted >= _LEAST_FOLLOWED:
-                self.is_cut = True
-                break
+            if fitted >= _LEAST_FOLLOWED and not self._is_affordable(names):
+                continue
             is_likeliest = all(proposal.log_evidence > self.proposals[known].log_evidence for known in explained)
             if self._is_costly(names) and not is_likeliest and self._is_settled():
                 continue  # asked later, if at all: what is simple leaves noise
@@ -164,6 +164,16 @@ class Search(VariedSets):
                 explained.append(names)
                 reach = max(reach, proposal.log_evidence - _REACH)
         self._follow_left(left, explained, reach)
+
+    def _is_affordable(self, names: Set) -> bool:
+        """Return whether a set is fitted after what was spent: a few simple ones do not pay for what costly ones took."""
+        if not self._is_spent:
+            return True
+        self.is_cut = True
+        if self._is_costly(names) or self.beyond >= _STILL:
+            return False
+        self.beyond += 1
+        return True
 
     def _follow_left(self, left: Sequence[Set], explained: Sequence[Set], reach: float) -> None:
         """Fit the likeliest of the sets that were left for what they add to, where that leaves more than another."""
