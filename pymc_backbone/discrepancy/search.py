@@ -166,7 +166,7 @@ class Search(VariedSets):
         self._follow_left(left, explained, reach)
 
     def _is_affordable(self, names: Set) -> bool:
-        """Return whether a set is fitted after what was spent: a few simple ones do not pay for what costly ones took."""
+        """Return whether a set is fitted after what was spent: a few simple ones do not pay for the costly ones."""
         if not self._is_spent:
             return True
         self.is_cut = True
