@@ -468,7 +468,8 @@ def test_words_of_each_verdict():
         (
             "found",
             {"named_level": NamedLevel.MECHANISM, "mechanisms": (HARDENING,), "listed": (("cubic_stiffness",),)},
-            "Hardening or softening of the spring is missing (99.2 %, 98 % of the gap); its law is cubic stiffness.",
+            "Hardening or softening of the spring is missing (99.2 %, 98 % of the gap); its law is cubic stiffness "
+            "(96 %).",
         ),
         (
             "found",
@@ -479,7 +480,7 @@ def test_words_of_each_verdict():
                 "best": ("cubic_stiffness",),
                 "drifts": (("cubic_stiffness",),),
             },
-            "its law is cubic stiffness, beside it perhaps quintic stiffness (40 %). Frequency or damping also change",
+            "its law is cubic stiffness (97 %), beside it perhaps quintic stiffness (40 %). Frequency or damping also",
         ),
         (  # behind a bent sensor no law is told, and no set listed
             "found",
