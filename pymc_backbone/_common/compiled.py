@@ -76,9 +76,14 @@ def cached[**P, R](function: Callable[P, R]) -> Callable[P, R]:
     It runs without the interpreter's lock, so that threads run beside each other.
     """
     dispatcher = numba.njit(function, nogil=True)
-    dispatcher._cache = DigestCache(dispatcher.py_func)
+    keep(dispatcher)
     result: Callable[P, R] = dispatcher
     return result
+
+
+def keep(dispatcher: Any) -> None:
+    """Keep the machine code of a compiled function on disk, keyed on all compiled sources."""
+    dispatcher._cache = DigestCache(dispatcher.py_func)
 
 
 class NativeFunction:

@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from . import evidence
+from .compensation import compensation
 from .corrected_evidence import Corrected, corrections
 from .curves import level_chi_square
 from .decision import AGREE, DRIFT_POSSIBLE, NAMED, Decision, listed
@@ -24,6 +25,8 @@ from .verdict import AdequateBy, NamedLevel, Verdict
 
 _IMITATES = (0.0, 0.03, 0.06, 0.15)  # how probable it is that a set of so many effects imitates what the library lacks
 _HARDLY = 200.0  # gap in standard deviations of the noise beyond which that is rarer, in proportion
+_ASKED = 0.01  # probability of a set from which it is asked whether its effects compensate each other
+_COMPENSATED = 2.0  # times as much as is left, beyond which an imitation is more probable, with the square
 _STANDS_IN = 0.2  # how probable it is that the weakest of several effects stands in for what the library lacks
 _SMALL = 12.0  # gap that it closes, in standard deviations of the noise, beyond which that is rarer
 _LARGE = 0.01  # share of the motion that this gap is, beyond which that is rarer, too
@@ -119,10 +122,14 @@ def _weighed(search: Search, drifting: Mapping[Set, Drifting]) -> Decision:
         if rival.log_posterior > evidences[best].log_posterior:
             left = evidence.lack_of_fit(search.batch, drifting[()].fit)  # what explains the records best may be no set
     explained = library_holds(left.p_value)
-    probabilities = {
-        names: explained * is_none_other(search, names, names in drifts) * evidences[names].probability
+    none_other = {
+        names: is_none_other(
+            search, names, names in drifts,
+            compensation(search, names) if len(names) > 1 and evidences[names].probability > _ASKED else 1.0,
+        )
         for names in search.fits
-    }
+    }  # fmt: skip
+    probabilities = {names: explained * none_other[names] * evidences[names].probability for names in search.fits}
     return Decision(
         verdict=Verdict.AMBIGUOUS,
         best=best,
@@ -135,6 +142,7 @@ def _weighed(search: Search, drifting: Mapping[Set, Drifting]) -> Decision:
         drift_probability=explained * drift_probability,
         drifts=drifts,
         corrected=corrected,
+        none_other=none_other,
     )
 
 
@@ -209,15 +217,17 @@ def _by_mechanism(search: Search, decision: Decision) -> Decision:
     return replace(known, verdict=Verdict.FOUND, named_level=NamedLevel.MECHANISM)
 
 
-def is_none_other(search: Search, names: Set, has_drift: bool = False) -> float:
+def is_none_other(search: Search, names: Set, has_drift: bool = False, compensated: float = 1.0) -> float:
     """Return the probability that a set which leaves noise is not the imitation of something the library lacks.
 
     The more effects a set has, the less probable it is beforehand, and the more it can imitate; but what explains a gap
     of thousands of standard deviations to the noise is hardly ever an imitation. A drift beside it counts as one more.
+    Effects that are ``compensated`` by each other (`compensation`) imitate more often.
     """
     size = min(len(names) + has_drift, len(_IMITATES) - 1)
     gap = float(np.sqrt(max(search.fits[()].cost - search.fits[names].cost, 0.0)))
     imitates = _IMITATES[size] * min(1.0, _HARDLY / max(gap, 1.0))
+    imitates = min(imitates * max(compensated / _COMPENSATED, 1.0) ** 2, 1.0)
     prior = evidence.PRIOR_OF_SIZE[size]
     return prior / (prior + evidence.PRIOR_NONE * imitates)
 

@@ -74,6 +74,8 @@ class Decision:
         The best set fitted to the backbones, where no fit of it keeps the phase of the records; then it is believed.
     corrected : Corrected
         By how much Laplace's method was off, for the sets between which the verdict lies.
+    none_other : mapping of tuple of str to float
+        Probability that a set which leaves noise is no imitation of what the library lacks.
     """
 
     verdict: Verdict
@@ -99,6 +101,7 @@ class Decision:
     is_single_valued: bool = True
     on_backbones: Fit | None = None
     corrected: Corrected = field(default_factory=Corrected)
+    none_other: Mapping[Set, float] = field(default_factory=dict)
 
 
 def listed(chances: Mapping[Set, float], total: float) -> tuple[Set, ...]:

@@ -26,16 +26,18 @@ _RIDGE = 1e-9
 
 
 def single_beside_drifts(search: Search) -> Iterator[tuple[Set, State]]:
-    """Yield every single effect and two starts, by its backbones beside drifts alone, those that cost much last.
+    """Yield every single effect and its start, by its backbones beside drifts, those that remember last.
 
-    What looks lack is taken from the exact simulation of what leads: beside others a slider is led astray. It slips in
-    some records and not in others: then only wide scatter leads there.
+    What looks lack is taken from the exact simulation of what leads: beside others a slider is led astray, and is asked
+    alone. It slips in some records and not in others: then only wide scatter leads there, and it begins twice.
     """
     batch = beside_drifts(search.batch)
-    for name in search.candidates:
-        for scatter in (SCATTER, WIDE_SCATTER):
-            found = propose(batch, search.base, (name,), 1, search.own, scatter=scatter)
-            yield from _begun(search, [item for item in found if item.names])
+    sliders = [name for name in search.candidates if search.layout((name,)).simulator.needs_decay]
+    others = tuple(name for name in search.candidates if name not in sliders)
+    asked = [(others, SCATTER), *(((name,), scatter) for name in sliders for scatter in (SCATTER, WIDE_SCATTER))]
+    for names, scatter in asked:
+        found = propose(batch, search.base, names, 1, search.own, scatter=scatter)
+        yield from _begun(search, [item for item in found if item.names])
 
 
 def sets_beside_drifts(search: Search) -> Iterator[tuple[Set, State]]:

@@ -109,6 +109,9 @@ class RevisitedSets(FittedSets):
                 known = self.fits.get(smaller)
                 is_behind = known is not None and known.cost < self.fits[names].cost and self.explains(known)
                 if names and known is not None and is_behind and not self._was_asked(names, known):
+                    if self._is_spent:
+                        self.is_cut = True
+                        return
                     found = self._extended(names, self.layout(names), known, None)
                     self.fits[names] = min([self.fits[names], *found], key=lambda item: item.cost)
 

@@ -31,6 +31,7 @@ _HELPED = 20.0  # fall of chi-square by a drift from which other laws of the sam
 _KINDS_OF_DRIFT = ((0.25, 0.5, 0.25), (0.5, 0.25, 0.25))  # priors of none, common and own: of frequency, of damping
 _FIRST_TURNS = 108  # turning points that may refute a set with a drift, before all are looked at
 _NEAR = 2.0  # reduced chi-square with a drift up to which they are
+_BENT = 0.5  # of what the base leaves, that a drift leaves at most which bends the backbones as much as a law does
 
 
 def drifting_sets(search: Search) -> dict[Set, Drifting]:
@@ -41,7 +42,7 @@ def drifting_sets(search: Search) -> dict[Set, Drifting]:
     Where a drift helps one of them, the same is asked of the other laws of its mechanisms. Sets with an equation of
     their own are asked where they lack one effect only, or nothing simpler is left; where turning points refuted the
     most probable set, no set that remembers is. Where nothing leaves noise even so, the backbones are asked beside
-    drifts.
+    drifts, unless a drift alone explains less than half of what is missing.
     """
     best = search.best()
     is_exact = evidence.leaves_noise(search.batch, search.fits[best])
@@ -64,10 +65,15 @@ def drifting_sets(search: Search) -> dict[Set, Drifting]:
     ]
     helped.sort(key=lambda names: found[names].fit.cost)
     _ask(search, [other for names in helped[:_ASKED] for other in _of_the_same_kind(search, names)], found, limit)
-    if not is_exact and search.batch.has_open_records:
+    if not is_exact and search.batch.has_open_records and _is_bent(search, found):
         if not any(evidence.leaves_noise(search.batch, item.fit) for item in found.values()):
             _ask_backbones(search, found)
     return found
+
+
+def _is_bent(search: Search, found: dict[Set, Drifting]) -> bool:
+    """Return whether a drift may bend the backbones as much as a law: by itself it explains half of what is missing."""
+    return () in found and found[()].fit.cost < _BENT * search.fits[()].cost
 
 
 def _ask_backbones(search: Search, found: dict[Set, Drifting]) -> None:

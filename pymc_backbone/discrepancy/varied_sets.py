@@ -87,9 +87,19 @@ class VariedSets(RevisitedSets):
                             self.fits[names] = found
 
     def _is_needed(self, names: Set) -> bool:
-        """Return whether a fitted set leaves less than it does with what a variant in it varies in its place."""
-        known = [self.fits[plain].cost for plain in self._plain(names) if plain in self.fits]
+        """Return whether a fitted set leaves less than it does with what a variant in it varies in its place.
+
+        What is of another mechanism and no simpler does not say the same: its evidence decides.
+        """
+        known = [
+            self.fits[plain].cost for plain in self._plain(names) if plain in self.fits and self._says(plain, names)
+        ]
         return names not in self.fits or not min(known, default=np.inf) < self.fits[names].cost + NEEDED
+
+    def _says(self, plain: Set, names: Set) -> bool:
+        """Return whether a set says what another says that explains no more: it is simpler, or of its mechanisms."""
+        kinds = [sorted(self.mechanism_of(name) for name in some) for some in (plain, names)]
+        return kinds[0] == kinds[1] or self.layout(plain).free.size < self.layout(names).free.size
 
     def _fit_varied(self, names: Set) -> Fit | None:
         """Return the fit of a set with a variant, begun from its look in the backbones; None where that is far off."""

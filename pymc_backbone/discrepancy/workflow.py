@@ -354,7 +354,7 @@ def _contenders(outcome: Outcome) -> tuple[Contender, ...]:
             names,
             decision.probabilities[names],
             search.fits[names],
-            1.0 - is_none_other(search, names, names in decision.drifts),
+            1.0 - decision.none_other.get(names, is_none_other(search, names, names in decision.drifts)),
         )
         for names in decision.listed
         if decision.probabilities[names] > 0.0

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from .._common.checks import InputError, check_choice
+from .._common.compiled import keep
 from ._base import EITHER, MECHANISMS, ROLES, Effect, Mechanism, Parameter, Role, Signature
 
 BASE_EFFECTS: tuple[str, str] = ("linear_stiffness", "viscous_damping")
@@ -33,6 +34,8 @@ def _load_library() -> Mapping[str, Effect]:
                     f"parameter {parameter!r} belongs to both {owners[parameter]!r} and {name!r}; rename one of them."
                 )
             owners[parameter] = name
+        for function in (effect.force, effect.gradient):
+            keep(function)  # who calls them by themselves, for a few forces, does not compile them each time
         library[name] = effect
     _check_variants(library)
     return MappingProxyType(library)
