@@ -11,13 +11,16 @@ import xarray as xr
 from scipy.stats import f, kstest, multivariate_normal
 
 from pymc_backbone.discrepancy import evidence, rivals, starts, verify
+from pymc_backbone.discrepancy.compensation import compensation
 from pymc_backbone.discrepancy.curves import curve, level_chi_square, on_levels, prediction_errors, simulate
 from pymc_backbone.discrepancy.decide import decide, doubted, is_none_other
 from pymc_backbone.discrepancy.decision import NAMED
 from pymc_backbone.discrepancy.drift_proposals import beside_drifts
 from pymc_backbone.discrepancy.joint_fit import fit
+from pymc_backbone.discrepancy.layout import make_layout
 from pymc_backbone.discrepancy.locate import mean_gap, where_different
 from pymc_backbone.discrepancy.normal_equations import information, start_state
+from pymc_backbone.discrepancy.scatter import SCATTER
 from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.discrepancy.study import HeldOut
 from pymc_backbone.effects import LIBRARY
@@ -172,6 +175,42 @@ def test_larger_sets_imitate_more_and_small_gaps_most():
     assert chance(3, 500.0) < NAMED < chance(3, 5000.0)
     assert all(chance(size, 1e3) > chance(size, 100.0) for size in (1, 2, 3))
     assert chance(2, 100.0, has_drift=True) == chance(3, 100.0) and chance(1, 100.0, has_drift=True) > NAMED
+
+
+def test_effects_that_take_each_others_doing_back_are_noticed(cubic):
+    """Against the first-order frequency of two springs: of third power 3/8 of its share, of fifth power 5/16."""
+
+    def found(names, values):
+        layout = make_layout(Oscillator(MASS, names), AMPLITUDE, OMEGA, SCATTER)
+        known = {"linear_stiffness": STIFFNESS, "viscous_damping": DAMPING} | values
+        vector = np.array([known[name] for name in layout.oscillator.parameter_names])
+        fits = {names: SimpleNamespace(layout=layout, parameters=lambda r: vector)}
+        return compensation(SimpleNamespace(fits=fits, batch=cubic.batch, own={}), names)
+
+    springs = ("cubic_stiffness", "quintic_stiffness")
+    expected = []
+    for fifth in (1.0, -1.2, -1.8):
+        third = 0.05 * STIFFNESS / AMPLITUDE**2
+        values = {"cubic_stiffness": third, "quintic_stiffness": fifth * third / AMPLITUDE**2}
+        worst = 1.0
+        for term in cubic.batch.levels:
+            share = term.levels / AMPLITUDE
+            each = [0.5 * 0.05 * 0.75 * share**2, 0.5 * fifth * 0.05 * 0.625 * share**4]
+            sizes = [np.std(item) for item in (*each, sum(each))]
+            worst = max(worst, max(sizes[:2]) / sizes[2])
+        assert found(springs, values) == pytest.approx(worst, rel=0.1)
+        expected.append(worst)
+    assert expected[0] < 1.01 and expected[2] > 3.0
+    drag = {"quadratic_damping": 0.6 * DAMPING / (OMEGA * AMPLITUDE)}
+    assert found(("cubic_stiffness", "quadratic_damping"), values | drag) == pytest.approx(1.0, abs=0.1)  # a stiffer spring is damped less
+
+
+def test_compensated_sets_are_rather_imitations():
+    fits = {(): SimpleNamespace(cost=1e4), ("a", "b"): SimpleNamespace(cost=0.0)}
+    chances = [
+        is_none_other(SimpleNamespace(fits=fits), ("a", "b"), compensated=ratio) for ratio in (1.0, 2.0, 4.0, 20.0)
+    ]
+    assert chances[0] == chances[1] > NAMED > chances[2] > chances[3] == pytest.approx(0.5, abs=0.01)
 
 
 @pytest.mark.parametrize("large", [1.0, 0.2])  # share of the motion that the gap is, beyond which it counts less
@@ -474,6 +513,20 @@ def test_backbones_agree_with_a_spring_whose_stiffness_drifts(random_seed):
     assert level_chi_square(batch, still) > 30.0
 
 
+@pytest.mark.parametrize(("share", "is_asked"), [(0.2, True), (0.8, False)])
+def test_backbones_are_asked_beside_drifts_where_a_drift_explains_half(cubic, monkeypatch, share, is_asked):
+    asked = []
+    search = Search(cubic.batch, Oscillator(MASS), ("coulomb_friction",), 1)
+    search.run()
+    base = search.fits[()]
+    drifting = replace(base, chi_square=share * base.chi_square, penalty=share * base.penalty)
+    monkeypatch.setattr(rivals, "drift_fit", lambda *_, **__: drifting)
+    monkeypatch.setattr(rivals, "drift_bonus", lambda _: 0.0)
+    monkeypatch.setattr(rivals, "_ask_backbones", lambda _, found: asked.append(list(found)))
+    rivals.drifting_sets(search)
+    assert bool(asked) == is_asked
+
+
 def test_no_drift_is_seen_where_there_is_none(cubic):
     found = rivals.drifting_sets(cubic)
     assert list(found) == [()]  # a single effect leaves noise: nothing for a drift to explain beside it
@@ -537,6 +590,25 @@ def test_every_set_is_kept_and_a_base_may_hold_effects():
     assert search.reduced(search.fits[("coulomb_friction",)]) == pytest.approx(1.0, abs=0.1)
     layout = search.layout(("coulomb_friction",))
     assert "cubic_stiffness" in layout.names and "friction_force" in layout.names
+
+
+def test_a_base_begins_from_further_starts_only_until_two_agree(cubic, monkeypatch):
+    """Friction that is not there finds its way to zero from every start."""
+    search = Search(cubic.batch, Oscillator(MASS, ("cubic_stiffness", "coulomb_friction")), ("quadratic_damping",), 1)
+    begun = []
+    reached = search.descent.from_afar
+    monkeypatch.setattr(search.descent, "from_afar", lambda *a, **k: begun.append(reached(*a, **k)) or begun[-1])
+    search.fit_set(())
+    assert len(begun) <= 2 and search.explains(search.fits[()])
+    lacking = Search(cubic.batch, Oscillator(MASS, ("coulomb_friction",)), ("quadratic_damping",), 1)
+    lacking.fit_set(())
+    ended = [
+        reached(
+            lacking.layout(()), lacking.descent.released(lacking.layout(()), np.array([scale]), cubic.batch.own[:, :2])
+        )
+        for scale in (0.0, 0.05 * starts.typical(lacking.layout(()))[0], starts.typical(lacking.layout(()))[0])
+    ]
+    assert lacking.fits[()].cost < min(item.cost for item in ended) + 1.0
 
 
 def test_search_over_backbones_alone():
@@ -647,6 +719,19 @@ def test_variants_are_looked_for_in_the_place_of_what_they_vary():
     assert ("power_damping",) in search.proposals
     assert ("power_damping",) not in search.fits  # the square is one of its powers, and leaves as little
     assert ("stribeck_friction",) not in search.fits
+
+
+def test_a_variant_of_another_mechanism_that_is_as_simple_stays_beside_what_it_varies():
+    """Damping with the displacement's size makes the backbones of drag: where no harmonic tells, both remain."""
+    batch = batch_of(make_records(np.random.default_rng(36), ("quadratic_damping",), decibels=40.0))
+    search = Search(
+        batch, Oscillator(MASS), ("quadratic_damping", "displacement_dependent_damping"), 1,
+        variants=("absolute_displacement_damping", "asymmetric_drag"),
+    )  # fmt: skip
+    search.run()
+    drag, size = search.fits[("quadratic_damping",)], search.fits[("absolute_displacement_damping",)]
+    assert abs(drag.cost - size.cost) < 5.0
+    assert ("asymmetric_drag",) not in search.fits  # of the mechanism, and less simple
 
 
 def test_what_made_up_for_the_lack_of_a_variant_is_left_out():

@@ -5,6 +5,8 @@ from __future__ import annotations
 import ast
 import itertools
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numba
@@ -728,3 +730,16 @@ def test_signature_is_what_the_simulation_shows(effect):
 def test_a_signature_begins_with_a_trend():
     with pytest.raises(InputError, match="must begin with"):
         Signature("Goes up.", "Constant.", "Zero.", "nothing", lambda mass, amplitude, angular_frequency: ())
+
+
+def test_a_second_process_compiles_no_force_of_the_library():
+    script = (
+        "import numpy as np; from pymc_backbone.effects import LIBRARY; e = LIBRARY['tabulated_stiffness']; "
+        "p = np.ones(len(e.parameters)); e.force(0.1, 0.2, 1.0, np.zeros(0), p); "
+        "e.gradient(0.1, 0.2, 1.0, np.zeros(0), p, np.empty(2 + p.size)); "
+        "print(sum(e.force.stats.cache_hits.values()), sum(e.gradient.stats.cache_hits.values()))"
+    )
+    runs = [
+        subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True) for _ in range(2)
+    ]
+    assert runs[1].stdout.split() == ["1", "1"]
