@@ -202,7 +202,8 @@ def test_effects_that_take_each_others_doing_back_are_noticed(cubic):
         expected.append(worst)
     assert expected[0] < 1.01 and expected[2] > 3.0
     drag = {"quadratic_damping": 0.6 * DAMPING / (OMEGA * AMPLITUDE)}
-    assert found(("cubic_stiffness", "quadratic_damping"), values | drag) == pytest.approx(1.0, abs=0.1)  # a stiffer spring is damped less
+    # a stiffer spring is damped less
+    assert found(("cubic_stiffness", "quadratic_damping"), values | drag) == pytest.approx(1.0, abs=0.1)
 
 
 def test_compensated_sets_are_rather_imitations():
