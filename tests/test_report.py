@@ -224,6 +224,16 @@ def test_an_adequate_model_agrees_only_where_the_test_says_so(studies, p_value, 
     assert said in text and ("within measurement error" in text) == (p_value > 0.01)
 
 
+def test_a_range_of_one_level_is_one_number(studies):
+    known = studies[Verdict.FOUND]
+    first = known.where[0]
+    levels = known.backbones["level"].values
+    single = dataclasses.replace(first, amplitude_low=float(levels[1]), amplitude_high=float(levels[1]))
+    text = Page(report_html(dataclasses.replace(known, where=(single,)), {}, version="0.0")).text
+    said = f"{1e3 * levels[1]:.3g} mm"
+    assert said in text and f" to {said}" not in text
+
+
 def test_effects_are_in_words_wherever_people_read(studies):
     """Underscores stay where something is typed: settings, the command."""
     for study in studies.values():

@@ -40,7 +40,7 @@ def where(study: Study) -> str:
         rows.append(
             (
                 item.observable,
-                Raw(f"{low} to {high} {escape(name)}"),
+                Raw(f"{low if low == high else f'{low} to {high}'} {escape(name)}"),
                 f"measurement {item.direction} the model",
                 gap,
                 number(item.standard_errors, 3),
