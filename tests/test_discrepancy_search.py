@@ -22,6 +22,7 @@ from pymc_backbone.discrepancy.locate import mean_gap, where_different
 from pymc_backbone.discrepancy.normal_equations import information, start_state
 from pymc_backbone.discrepancy.scatter import SCATTER
 from pymc_backbone.discrepancy.search import Search
+from pymc_backbone.discrepancy.second_mode import second_mode_check
 from pymc_backbone.discrepancy.study import HeldOut
 from pymc_backbone.effects import LIBRARY
 from pymc_backbone.oscillator import Oscillator
@@ -540,22 +541,39 @@ def test_no_drift_is_seen_where_there_is_none(cubic):
     assert rivals.drift_check(None, 0.0, True).passed
 
 
-@pytest.mark.parametrize("frequency", [3.1, 7.3, 12.7])
+@pytest.mark.parametrize("frequency", [3.1, 7.3, 12.7, 10.5, 14.5])  # the last two within three bins of a harmonic
 def test_a_second_mode_is_seen(frequency, rng):
     records = make_records(rng, ())
     beating = decaying_sinusoid(0.08 * AMPLITUDE, frequency)
     batch = batch_of([replace(record, values=record.values + beating) for record in records])
     search = Search(batch, Oscillator(MASS), CANDIDATES, 1)
     search.fit_set(())
-    check = rivals.second_mode_check(batch, search.fits[()])
+    check = second_mode_check(batch, search.fits[()])
     assert not check.passed
     said = float(check.message.split(" Hz")[0].split()[-1])
     assert said == pytest.approx(frequency, abs=0.3)  # a bin of a record of five seconds is 0.2 Hz wide
 
 
 def test_no_second_mode_is_seen_in_noise_and_harmonics(cubic, linear):
-    assert rivals.second_mode_check(cubic.batch, cubic.fits[("cubic_stiffness",)]).passed
-    assert rivals.second_mode_check(linear.batch, linear.fits[()]).passed
+    assert second_mode_check(cubic.batch, cubic.fits[("cubic_stiffness",)]).passed
+    assert second_mode_check(linear.batch, linear.fits[()]).passed
+
+
+@pytest.mark.parametrize("name", ["softer on one side", "hardening by a third"])
+def test_harmonics_that_a_model_lacks_are_no_second_mode(name, rng):
+    """Springs whose frequency sweeps by per cents, against the linear model: large and broad harmonics."""
+    even, odd = (0.35, 0.3) if name == "softer on one side" else (0.0, 0.35)
+
+    def force(x: float, v: float, _: float) -> float:
+        u = x / AMPLITUDE
+        return STIFFNESS * AMPLITUDE * (u + even * u * u + odd * u**3) + DAMPING * v
+
+    decays = [free_decay(force, AMPLITUDE * share, TIME - RELEASE_TIME) for share in (1.0, 0.7)]
+    batch = batch_of([noisy(rng, f"specimen {r + 1}", TIME, decay, 55.0) for r, decay in enumerate(decays)])
+    search = Search(batch, Oscillator(MASS), CANDIDATES, 1)
+    base = search.fit_set(())
+    assert base.cost > 100.0 * search.count
+    assert second_mode_check(batch, base).passed
 
 
 def test_specimens_alike_or_not(cubic, linear, rng):

@@ -360,23 +360,4 @@ def _modes(term: WaveformTerm, item: Disturbance, *, is_bent: bool) -> FloatArra
     return term.whiten(term.compared(columns))
 
 
-def line_beside(time: FloatArray, residuals: FloatArray, frequency: float) -> tuple[float, float]:
-    """Return amplitude and frequency [Hz] of the highest line beside the harmonics of a motion, or zeros."""
-    n = residuals.size
-    step = float(np.median(np.diff(time)))
-    power = np.abs(np.fft.rfft(residuals * np.hanning(n))) ** 2
-    grid = np.fft.rfftfreq(n, step)
-    order = grid / frequency
-    beside = np.abs(order - np.round(order)) * frequency * n * step > _FAR
-    beside &= grid > 2.0 / (n * step)
-    if np.count_nonzero(beside) < 8:
-        return 0.0, 0.0
-    peak = int(np.flatnonzero(beside)[np.argmax(power[beside])])
-    level = float(np.median(power[beside]))
-    around = power[max(peak - 3, 0) : peak + 4]
-    if power[peak] < _LINE * level or power[peak] < around.max():
-        return 0.0, 0.0
-    return float(4.0 * np.sqrt(power[peak]) / n), float(grid[peak])
-
-
-__all__ = ["Disturbance", "Disturbed", "disturbed", "line_beside", "sentences"]
+__all__ = ["Disturbance", "Disturbed", "disturbed", "sentences"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -20,11 +19,9 @@ from .evidence import Drifting
 from .joint_fit import Fit, fit
 from .layout import Layout
 from .normal_equations import DRIFTS, NUISANCES, State
-from .readings import line_beside
 from .search import Search, Set
 from .study import Check
 
-_BEATING = 0.02
 _ALIKE = 4.0
 _ASKED = 3  # sets that are asked with a drift beside them where none leaves noise, and with other laws
 _HELPED = 20.0  # fall of chi-square by a drift from which other laws of the same mechanisms are asked
@@ -232,30 +229,6 @@ def _rate(drifting: Fit) -> float:
     return DRIFT * float(np.abs(drifting.state.own[:, DRIFTS[0]]).mean())
 
 
-def second_mode_check(batch: Batch, best: Fit) -> Check:
-    """Look for a line beside the harmonics in what the best model leaves, and in what conditioning saw."""
-    name = "no second mode"
-    worst: tuple[float, float, str] = (0.0, 0.0, "")
-    for r, term in enumerate(batch.waveform):
-        if batch.records[r].band is not None:
-            continue  # one mode has been chosen, the others are kept out
-        # not whitened: the estimate of the noise holds a second mode too, and whitening would take most of it away
-        plain = replace(term, whiten=lambda columns: columns)
-        left = evidence.residuals_of(plain, best, r)
-        height, frequency = line_beside(term.time[: left.size], left, batch.records[r].frequency)
-        share = height / (np.sqrt(2.0) * term.signal)
-        if share > worst[0]:
-            worst = (share, frequency, batch.specimens[r])
-    if worst[0] > _BEATING:
-        return Check(
-            name,
-            False,
-            f"{worst[2]} holds a line at {worst[1]:.4g} Hz, {worst[0]:.1%} of the motion, that no effect of a single "
-            "mode makes: a second mode beats with it; keep one mode with `band`",
-        )
-    return Check(name, True, "what the model leaves holds no line beside the harmonics of the mode")
-
-
 def alike_check(batch: Batch, best: Fit) -> Check:
     """Say whether the specimens share one curve once each has its own stiffness and damping."""
     name = "specimens alike"
@@ -305,5 +278,4 @@ __all__ = [
     "drift_check",
     "drift_fit",
     "drifting_sets",
-    "second_mode_check",
 ]  # fmt: skip

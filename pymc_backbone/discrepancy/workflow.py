@@ -37,6 +37,7 @@ from .plan import plan_tests
 from .portraits import portraits
 from .question import Question, ask, is_of_records
 from .search import Search
+from .second_mode import second_mode_check
 from .study import Check, EvidenceBasis, Study
 from .undisturbed import Undisturbed, undisturbed
 from .verdict import NamedLevel, Verdict
@@ -253,7 +254,7 @@ def _decided(known: Undisturbed) -> Outcome:
     decision = decide(search, drifting, question.tolerance)
     second_mode = Check("no second mode", True, "not testable without records")
     if question.batch.has_records:
-        second_mode = rivals.second_mode_check(question.batch, search.fits[decision.best])
+        second_mode = second_mode_check(question.batch, search.fits[decision.best])
         if not second_mode.passed:
             decision = mind_second_mode(decision)
     if known.is_bent:

@@ -1,0 +1,127 @@
+"""Another mode's line in what the best model leaves: beside the harmonics of the motion, or close to one of them.
+
+A harmonic lies at a multiple of the frequencies that the motion had. A line that does not, though it is closer to one
+than what is looked at beside the harmonics, is another mode all the same: what it makes of the mid-line and of the
+decrement, a spring that differs between the sides, a clearance or a drag make as well.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from .._common.checks import FloatArray
+from . import evidence
+from .batch import Batch
+from .data_term import LevelTerm
+from .joint_fit import Fit
+from .study import Check
+
+_BEATING = 0.02  # of the motion
+_LINE = 25.0  # peak of the residuals' periodogram over its median that a line has at least
+_FAR = 4.0  # bins between a line and a harmonic, where it is looked for beside these
+_OFF = 0.75  # bins from where a harmonic may lie, beyond which a peak close to one is another mode
+_BEYOND = 0.5  # of the range of the measured frequencies, by which those of the motion may go beyond it
+_ERRORS = 1.0  # standard errors of a measured frequency by which the range goes beyond it
+_WIDE = 0.5  # of the frequency, from which the ranges of harmonics run into one another
+_FEWEST = 8  # bins beside the harmonics that tell how high nothing is
+
+
+class Line(NamedTuple):
+    """Amplitude, as the residuals, and frequency [Hz] of a line; zeros where there is none."""
+
+    height: float = 0.0
+    frequency: float = 0.0
+
+
+def second_mode_check(batch: Batch, best: Fit) -> Check:
+    """Look for a line beside the harmonics in what the best model leaves, and for one close to a harmonic."""
+    name = "no second mode"
+    worst: tuple[float, float, str] = (0.0, 0.0, "")
+    for r, term in enumerate(batch.waveform):
+        if batch.records[r].band is not None:
+            continue  # one mode has been chosen, the others are kept out
+        # not whitened: the estimate of the noise holds a second mode too, and whitening would take most of it away
+        plain = replace(term, whiten=lambda columns: columns)
+        left = evidence.residuals_of(plain, best, r)
+        time, frequency = term.time[: left.size], batch.records[r].frequency
+        for line in (line_beside(time, left, frequency), line_near(time, left, _range(batch.levels[r], frequency))):
+            share = line.height / (np.sqrt(2.0) * term.signal)
+            if share > worst[0]:
+                worst = (share, line.frequency, batch.specimens[r])
+    if worst[0] > _BEATING:
+        return Check(
+            name,
+            False,
+            f"{worst[2]} holds a line at {worst[1]:.4g} Hz, {worst[0]:.1%} of the motion, that no effect of a single "
+            "mode makes: a second mode beats with it; keep one mode with `band`",
+        )
+    return Check(name, True, "what the model leaves holds no line beside the harmonics of the mode")
+
+
+def line_beside(time: FloatArray, residuals: FloatArray, frequency: float) -> Line:
+    """Return the highest line beside the harmonics of a motion."""
+    grid, power = _periodogram(time, residuals)
+    beside = _beside(grid, frequency)
+    if np.count_nonzero(beside) < _FEWEST:
+        return Line()
+    peak = int(np.flatnonzero(beside)[np.argmax(power[beside])])
+    return _line(grid, power, peak, float(np.median(power[beside])))
+
+
+def line_near(time: FloatArray, residuals: FloatArray, between: tuple[float, float]) -> Line:
+    """Return the highest line close to a harmonic of a motion whose frequency was in a range, and none of them."""
+    low, high = between
+    grid, power = _periodogram(time, residuals)
+    beside = _beside(grid, 0.5 * (low + high))
+    if np.count_nonzero(beside) < _FEWEST:
+        return Line()
+    level, width, highest = float(np.median(power[beside])), float(grid[1]), Line()
+    for k in range(2, int(grid[-1] / high)):
+        if k * (high - low) > _WIDE * low:
+            break
+        close = np.flatnonzero((grid > k * low - _FAR * width) & (grid < k * high + _FAR * width))
+        line = _line(grid, power, int(close[np.argmax(power[close])]), level)
+        is_off = max(k * low - line.frequency, line.frequency - k * high) > _OFF * width
+        if is_off and line.height > highest.height:
+            highest = line
+    return highest
+
+
+def _range(term: LevelTerm, frequency: float) -> tuple[float, float]:
+    """Return between which frequencies [Hz] a specimen moved, by its level values; the first cycles are beyond them."""
+    rows = term.rows[:, 0] == 0
+    if not rows.any():
+        return frequency, frequency
+    root = np.linalg.inv(term.whitening)
+    error = _ERRORS * np.sqrt((root**2).sum(axis=1))[rows]
+    low, high = float((term.values[rows] - error).min()), float((term.values[rows] + error).max())
+    further = _BEYOND * float(np.ptp(term.values[rows]))
+    return min(low - further, frequency), max(high + further, frequency)
+
+
+def _periodogram(time: FloatArray, residuals: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the frequencies [Hz] and the power of residuals, windowed."""
+    power = np.abs(np.fft.rfft(residuals * np.hanning(residuals.size))) ** 2
+    return np.fft.rfftfreq(residuals.size, float(np.median(np.diff(time)))), power
+
+
+def _beside(grid: FloatArray, frequency: float) -> np.ndarray:
+    """Return which frequencies are beside the harmonics, and not as slow as the record is long."""
+    order = grid / frequency
+    return np.asarray((np.abs(order - np.round(order)) * frequency > _FAR * grid[1]) & (grid > 2.0 * grid[1]))
+
+
+def _line(grid: FloatArray, power: FloatArray, peak: int, level: float) -> Line:
+    """Return the line at the highest of some bins, where it is a peak and clearly above the ``level`` of the others."""
+    around = power[max(peak - 3, 0) : peak + 4]
+    if power[peak] < _LINE * level or power[peak] < around.max() or not 0 < peak < power.size - 1:
+        return Line()
+    left, middle, right = np.log(power[peak - 1 : peak + 2])
+    shift = 0.5 * (left - right) / (left - 2.0 * middle + right)
+    return Line(float(2.0 * np.sqrt(power[peak]) / (power.size - 1)), float(grid[peak] + shift * grid[1]))
+
+
+__all__ = ["Line", "line_beside", "line_near", "second_mode_check"]
