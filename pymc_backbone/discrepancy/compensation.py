@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from .._common.checks import FloatArray
 from ..effects import LIBRARY
 from .batch import Batch
 from .curves import curve, spread_over
@@ -34,21 +35,25 @@ def _of_specimen(search: Search, found: Fit, names: Set, batch: Batch, specimen:
         return 1.0
     parameters = found.parameters(specimen)
 
-    def bends(absent: Set) -> np.ndarray:
-        """Return frequency, relative, and damping (2, l) without some effects, less their means."""
+    def curves(absent: Set) -> FloatArray:
+        """Return frequency and damping (2, l) without some effects; NaN where a level cannot be simulated."""
         vector = parameters.copy()
         for name in absent:
             effect = search.own.get(name) or LIBRARY[name]
             for parameter in effect.parameters:
                 if parameter.role == "strength":
                     vector[found.layout.oscillator.index(parameter.name)] = 0.0
-        values = curve(found, vector, term.levels, term.release)[:_OBSERVABLES].copy()
-        values[0] /= np.nanmean(values[0])
-        return np.asarray(values - np.nanmean(values, axis=1, keepdims=True))
+        return curve(found, vector, term.levels, term.release)[:_OBSERVABLES].copy()
 
-    whole = bends(())
-    together = _size(whole - bends(names))
-    each = np.max([_size(whole - bends((name,))) for name in names], axis=0)
+    asked: list[Set] = [(), names, *((name,) for name in names)]
+    simulated = np.array([curves(absent) for absent in asked])
+    held = np.isfinite(simulated).all(axis=(0, 1))
+    if np.count_nonzero(held) < _LEAST_LEVELS:
+        return 1.0
+    bends = simulated[:, :, held]
+    bends[:, 0] /= bends[:, 0].mean(axis=-1, keepdims=True)
+    changes = (bends[0] - bends[1:]).std(axis=-1)  # without all of them, and without each
+    together, each = changes[0], changes[1:].max(axis=0)
     root = np.linalg.inv(term.whitening)
     errors = np.sqrt((root**2).sum(axis=1))
     for k in range(_OBSERVABLES):
@@ -59,11 +64,6 @@ def _of_specimen(search: Search, found: Fit, names: Set, batch: Batch, specimen:
     with np.errstate(invalid="ignore", divide="ignore"):
         share = each / together
     return float(max(1.0, *np.nan_to_num(share, nan=1.0, posinf=1.0)))
-
-
-def _size(values: np.ndarray) -> np.ndarray:
-    """Return the root mean square over the levels (2,); NaN where none can be simulated."""
-    return np.asarray(np.sqrt(np.nanmean(values**2, axis=1)))
 
 
 __all__ = ["compensation"]
