@@ -7,7 +7,7 @@ of them to all; these hand over to the samples.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,6 +30,7 @@ _NEAR_NOISE = 1.3  # of the turning points' reduced chi-square, from which the s
 PER_CYCLE = 40.0  # values that a cycle counts for at least: it is simulated however few samples are kept
 _HOPELESS = 4.0  # sum of squares over the turning points, over that of a model that explains the records
 _UNHEARD_OF = 10.0  # reduced chi-square of the turning points that no model leaves which explains the records
+_SAME = 1.0  # chi-square within which two starts ended at the same place
 _SAME_WAY = 0.005  # relative difference of two costs over all turning points that were reached on the same way
 _SAME_PLACE = 1e-4  # the same over the first of them
 _SAME_FAILURE = 0.05  # the same where the other start stayed above what can be rivalled
@@ -143,6 +144,20 @@ class Descent:
         return self.fit(
             layout, batch.deciding, state, iterations=_SHORT, tolerance=0.03, rival=rival, nuisances=batch.nuisances
         )
+
+    def from_several(
+        self, layout: Layout, states: Sequence[State], is_enough: Callable[[Sequence[Fit]], bool]
+    ) -> list[Fit]:
+        """Return the minima that some starts lead to, until they are enough or the two lowest came to rest together."""
+        found: list[Fit] = []
+        for state in states:
+            reached = self.from_afar(layout, state)
+            found += [] if reached is None else [reached]
+            lowest = sorted(found, key=lambda item: item.cost)[:2]
+            is_same = len(lowest) > 1 and lowest[1].cost < lowest[0].cost + _SAME
+            if is_enough(found) or (is_same and all(item.is_converged for item in lowest)):
+                break
+        return found
 
     def _over_turning_points(
         self, layout: Layout, state: State, ways: list[Way], limit: float

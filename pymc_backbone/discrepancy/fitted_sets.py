@@ -40,7 +40,6 @@ _MUCH_MORE = 10.0  # chi-square of the backbones above their lowest minimum, fro
 _MINIMA, _ALIKE = 2, 3.0  # fits of a single effect of several shapes; chi-square within which its minima are alike
 _LOST = 6.0  # reduced chi-square of the backbones, over what was promised, from which a fit ended elsewhere
 _NOTED = 1.0  # chi-square above that of the smaller set up to which one step is enough to note a set
-_SAME = 1.0  # chi-square within which two starts of the base ended at the same place
 _WORTH = 5.0  # fall of chi-square by which one more effect begins to earn its place
 
 
@@ -224,12 +223,7 @@ class FittedSets:
             self.descent.released(layout, np.where(layout.is_strength, eta * scale, eta), self.batch.own[:, :2])
             for scale in scales
         ]
-        found: list[Fit] = []
-        for state in states:
-            reached = self.descent.from_afar(layout, state)
-            found += [] if reached is None else [reached]
-            if self.is_any_exact(found) or _agree(found):
-                break
+        found = self.descent.from_several(layout, states, self.is_any_exact)
         if eta.size and not self.is_any_exact(found):
             found += self._proposed((), None)
         return found
@@ -422,9 +416,3 @@ class FittedSets:
     def _names(self, found: Fit) -> Set:
         held = {effect.name for effect in self.base.effects}
         return tuple(effect.name for effect in found.layout.oscillator.effects if effect.name not in held)
-
-
-def _agree(found: list[Fit]) -> bool:
-    """Return whether the two lowest of some fits came to rest at the same place."""
-    lowest = sorted(found, key=lambda item: item.cost)[:2]
-    return len(lowest) > 1 and all(item.is_converged for item in lowest) and lowest[1].cost < lowest[0].cost + _SAME
