@@ -20,7 +20,7 @@ def compensation(search: Search, names: Set) -> float:
 
     Of frequency and damping, the changes over amplitude count: their means are each specimen's own stiffness and
     damper. What a set does is no less than the levels' errors. Effects of structures that hold several of them do not
-    know of each other, and seldom take back most of what another does: more than twice as much as is left in 6 of 106
+    know of each other, and seldom take back most of what another does: more than twice as much as is left in 7 of 106
     sets of two and three that were drawn independently, more than five times in none. What is no effect of the library,
     and is imitated by several, has no such bound.
     """
