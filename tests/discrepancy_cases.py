@@ -135,10 +135,17 @@ def batch_of(records: Sequence[Record], mass: float = MASS) -> Batch:
     return batch_of_records(mass, backbones, conditioned, cycles)
 
 
-def drifting_records(rng: np.random.Generator, change: float, specimens: int = 2, cubic: float = 0.0) -> list[Record]:
+def drifting_records(
+    rng: np.random.Generator,
+    change: float,
+    specimens: int = 2,
+    cubic: float = 0.0,
+    damping: tuple[float, float] = (1, 0),
+) -> list[Record]:
     """Specimens whose stiffness changes linearly with time by ``change`` over the record, by SciPy.
 
-    ``cubic`` is the force of a cubic spring at `AMPLITUDE`, over that of the linear one.
+    ``cubic`` is the force of a cubic spring at `AMPLITUDE`, over that of the linear one; ``damping`` that at release
+    over `DAMPING`, and by how much of itself it changes over the record.
     """
     length = TIME[-1] - RELEASE_TIME
     records = []
@@ -148,7 +155,8 @@ def drifting_records(rng: np.random.Generator, change: float, specimens: int = 2
         def rate(t: float, state: Any) -> list[float]:
             stiffness = STIFFNESS * (1.0 + change * t / length)
             harder = cubic * STIFFNESS * state[0] * (state[0] / AMPLITUDE) ** 2
-            return [state[1], -(stiffness * state[0] + harder + DAMPING * state[1]) / MASS]
+            loss = DAMPING * damping[0] * (1.0 + damping[1] * t / length)
+            return [state[1], -(stiffness * state[0] + harder + loss * state[1]) / MASS]
 
         after = np.maximum(TIME - RELEASE_TIME, 0.0)
         held = np.unique(after)

@@ -504,6 +504,29 @@ def test_a_drift_is_not_taken_for_an_effect(random_seed):
     assert not rivals.drift_check(drifting, decision.drift_probability, True).passed
 
 
+@pytest.mark.parametrize("share", [0.3, 1.0])
+def test_a_unit_of_drifting_damping_is_half_of_the_damping_in_a_short_record(random_seed, share):
+    """However little the record decays: a unit that is the same in all would be more than all its damping."""
+    change = 0.4
+    records = drifting_records(np.random.default_rng(random_seed), 0.0, 1, damping=(share, change))
+    batch = batch_of(records)
+    fades = np.array([term.fade for term in batch.waveform])
+    np.testing.assert_array_equal(fades, [term.fade for term in batch.turning])
+    found = rivals.drift_fit(batch, make_layout(Oscillator(MASS), AMPLITUDE, OMEGA), batch_start(batch))
+    length = TIME[-1] - RELEASE_TIME
+    lost = share * DAMPING / (2.0 * MASS) * length  # of the logarithm of the amplitude, without the drift
+    np.testing.assert_allclose(fades, np.minimum(0.5 * lost * (1.0 + 0.5 * change), 1.0), rtol=0.15)  # less a cycle
+    drifts = found.state.own[:, 6]
+    errors = np.sqrt(found.own_covariance[:, 6])
+    assert (np.abs(drifts - change * lost / fades * (1.0 - errors**2)) < 4.0 * errors).all()
+    assert (errors < 0.5).all()
+
+
+def batch_start(batch):
+    layout = make_layout(Oscillator(MASS), AMPLITUDE, OMEGA)
+    return start_state(layout, np.zeros(0), batch.own)
+
+
 def test_backbones_agree_with_a_spring_whose_stiffness_drifts(random_seed):
     batch = batch_of(drifting_records(np.random.default_rng(random_seed), 0.01, cubic=0.1))
     search = search_of(batch)

@@ -37,6 +37,16 @@ def band_pass():
     return design_band_pass((0.65 * FREQUENCY, 1.4 * FREQUENCY), FREQUENCY, RATE, "a test")
 
 
+@pytest.mark.parametrize("rate", [0.0, 0.4])
+def test_gain_of_a_band_pass_is_that_of_its_taps(band_pass, rate):
+    """Against the filter applied to an exponentially decaying wave, by NumPy."""
+    frequency = FREQUENCY * np.array([0.3, 0.66, 1.0, 1.37, 2.0])
+    time = np.arange(-band_pass.half, band_pass.half + 1) / RATE
+    for f, gain in zip(frequency, band_pass.gain(frequency, rate), strict=True):
+        expected = np.sum(np.exp((-rate + 2j * np.pi * f) * -time) * band_pass.taps)
+        assert gain == pytest.approx(expected, abs=1e-12)
+
+
 @pytest.mark.parametrize("autocovariance", [[2.5, 0.0], [1.0, 0.6, 0.3, 0.1, 0.0]], ids=["white", "coloured"])
 def test_passed_noise_has_the_covariance_that_it_is_whitened_with(band_pass, autocovariance):
     """Against the covariance matrix of the samples, multiplied out."""

@@ -39,19 +39,58 @@ def test_results_come_in_the_order_of_the_jobs(monkeypatch, count):
     assert (len({thread for _, thread in found}) > 1) == (count > 1)
 
 
-def test_jobs_of_a_job_stay_in_its_thread(monkeypatch):
+def test_jobs_of_a_job_get_the_core_of_a_neighbour_that_has_ended(monkeypatch):
     cores(monkeypatch, 2)
+    running, most = 0, 0
+    lock = threading.Lock()
 
-    def outer() -> set[int]:
-        return {thread for _, thread in in_threads([partial(slowly, k) for k in range(3)])}
+    def inner(number: int) -> tuple[int, int]:
+        nonlocal running, most
+        with lock:
+            running += 1
+            most = max(most, running)
+        time.sleep(0.02)
+        with lock:
+            running -= 1
+        return number, threading.get_ident()
 
-    assert all(len(used) == 1 for used in in_threads([outer, outer, outer, outer]))
+    def outer(count: int) -> list[tuple[int, int]]:
+        return in_threads([partial(inner, k) for k in range(count)])
+
+    short, long = in_threads([partial(outer, 2), partial(outer, 12)])
+    assert [number for number, _ in short] == [0, 1] and [number for number, _ in long] == list(range(12))
+    assert len({thread for _, thread in long}) == 2 and most == 2
+
+
+def test_jobs_of_jobs_of_jobs_wait_for_nobody_for_ever(monkeypatch):
+    cores(monkeypatch, 3)
+
+    def sum_of(depth: int) -> int:
+        return 1 if depth == 0 else sum(in_threads([partial(sum_of, depth - 1)] * 3))
+
+    assert sum_of(6) == 3**6
 
 
 def test_what_fails_in_a_job_is_raised(monkeypatch):
     cores(monkeypatch, 2)
     with pytest.raises(ZeroDivisionError):
         in_threads([lambda: 1.0, lambda: 1 / 0, lambda: 2.0])
+
+
+def test_jobs_behind_one_that_fails_are_not_begun(monkeypatch):
+    cores(monkeypatch, 2)
+    begun: list[int] = []
+
+    def job(number: int) -> None:
+        begun.append(number)
+        if number == 0:
+            raise ValueError(number)
+        time.sleep(0.05)
+
+    with pytest.raises(ValueError, match="0"):
+        in_threads([partial(job, k) for k in range(40)])
+    assert 0 in begun and len(begun) < 5
+    assert [number for number, _ in in_threads([partial(slowly, k) for k in range(4)])] == [0, 1, 2, 3]
 
 
 def test_one_core_where_linear_algebra_was_told_so(monkeypatch):

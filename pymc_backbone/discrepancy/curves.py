@@ -193,7 +193,7 @@ def _left_beside_drifts(batch: Batch, found: Fit, r: int) -> FloatArray | None:
     amplitude, and passed it with another frequency and decrement.
     """
     term, cycles = batch.levels[r], batch.cycles[r]
-    drift, loss = found.state.own[r, DRIFTS]
+    drift, loss = found.state.own[r, DRIFTS] * (1.0, batch.waveform[r].fade)
     length = float(np.ptp(batch.waveform[r].time))
     order = np.argsort(cycles.smoothed_amplitude)
     elapsed = (cycles.time[order] - found.state.own[r, RELEASE_INSTANT]) / length

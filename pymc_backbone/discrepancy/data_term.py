@@ -168,6 +168,8 @@ class TurningTerm:
         As extracted; the release is the turning point before the first.
     skipped : int
         Turning points between the release and the first: a band-pass loses the beginning of the record.
+    fade : float
+        What one unit of the drift of damping adds to the decrement, summed over the record.
     """
 
     times: FloatArray
@@ -175,6 +177,7 @@ class TurningTerm:
     time_errors: FloatArray
     value_errors: FloatArray
     skipped: int = 0
+    fade: float = 1.0
 
     def first(self, count: int) -> TurningTerm:
         """Return the term of the first ``count`` turning points."""
@@ -208,6 +211,7 @@ class TurningTerm:
         length = float(self.times[-1] - self.times[0])
         share = times / length
         early = 0.5 * DRIFT * share**2 * length
+        loss *= self.fade
         less = np.exp(-0.5 * loss * share**2)
         residuals = np.concatenate(
             [
@@ -225,7 +229,7 @@ class TurningTerm:
         jacobian[:n, columns] = 1.0 / self.time_errors
         jacobian[n:, columns + 1] = 1.0 / self.value_errors
         jacobian[:n, columns + 2] = -early / self.time_errors
-        jacobian[n:, columns + 3] = -0.5 * share**2 * turns * less / self.value_errors
+        jacobian[n:, columns + 3] = -0.5 * self.fade * share**2 * turns * less / self.value_errors
         return residuals, jacobian
 
     def residuals(self, simulator: Simulator, parameters: FloatArray, nuisances: FloatArray) -> FloatArray | None:
@@ -265,6 +269,8 @@ class WaveformTerm:
     beside : list of (slice, (k, d) array)
         The same midway between the harmonics, orthogonal to ``subspace``: what noise holds there, no model error does.
         Empty behind a band-pass.
+    fade : float
+        What one unit of the drift of damping adds to the decrement, summed over the record.
     """
 
     time: FloatArray
@@ -277,6 +283,7 @@ class WaveformTerm:
     order: int = 0
     offset_scale: float = 1.0
     beside: Subspace = field(default_factory=list)
+    fade: float = 1.0
 
     def simulate(
         self,
@@ -314,7 +321,7 @@ class WaveformTerm:
     ) -> tuple[FloatArray, FloatArray] | None:
         """Return residuals (m,) and derivatives (m, p + 5)."""
         release, release_time, offset, drift, _ = nuisances
-        course = course_of(self.time, nuisances, self.order)
+        course = course_of(self.time, nuisances, self.order, self.fade)
         simulated = self.simulate(simulator, parameters, release, release_time, self._at(drift, course))
         if simulated is None:
             return None
@@ -345,7 +352,7 @@ class WaveformTerm:
     def residuals(self, simulator: Simulator, parameters: FloatArray, nuisances: FloatArray) -> FloatArray | None:
         """Return residuals (m,)."""
         release, release_time, offset, drift, _ = nuisances
-        course = course_of(self.time, nuisances, self.order)
+        course = course_of(self.time, nuisances, self.order, self.fade)
         simulated = self.simulate(
             simulator, parameters, release, release_time, self._at(drift, course), sensitivities=False
         )

@@ -10,6 +10,11 @@ from .._common.checks import FloatArray
 
 DRIFT = 0.05
 """Relative change of frequency over a record that one unit of drift stands for."""
+_FADE = 0.5
+"""Relative change of damping over a record that one unit of drift stands for, as long as it takes no more than ..."""
+_MOST_FADE = 1.0
+"""... this of the logarithm of the amplitude, twice."""
+_LEAST_FALL = 0.02  # of the logarithm of the amplitude, as which a record counts that hardly decays
 
 
 class Course(NamedTuple):
@@ -33,12 +38,22 @@ class Course(NamedTuple):
     hastened: FloatArray | None
 
 
-def course_of(time: FloatArray, nuisances: FloatArray, order: int) -> Course:
-    """Return how drifts change the motion over the record, seen as its derivative of an order."""
+def fade_of(amplitude: FloatArray) -> float:
+    """Return what one unit of the drift of damping adds to the decrement, summed over a record, by its end.
+
+    ``amplitude`` (n,) is that of the record's cycles. The drift takes half of it from the logarithm of the amplitude.
+    In a record that loses little, a unit that is the same in all would be more than all its damping.
+    """
+    fall = float(np.log(amplitude[0] / amplitude[-1])) if amplitude.size > 1 and (amplitude > 0.0).all() else 0.0
+    return min(_FADE * max(fall, _LEAST_FALL), _MOST_FADE)
+
+
+def course_of(time: FloatArray, nuisances: FloatArray, order: int, fade: float) -> Course:
+    """Return how drifts change the motion over the record, seen as its derivative of an order; ``fade`` as above."""
     _, release_time, _, drift, loss = nuisances
     length = float(time[-1] - time[0])
     elapsed = np.maximum(time - release_time, 0.0)
-    share = 0.5 * (elapsed / length) ** 2
+    share = 0.5 * fade * (elapsed / length) ** 2
     factor = hastened = None
     if loss != 0.0 or order:
         # y(s(t)) exp(-loss share) is the displacement: its rates have the pace ds/dt in them
@@ -67,4 +82,4 @@ def drifted(
     return faster, damping + loss * share / (length * faster)
 
 
-__all__ = ["DRIFT", "Course", "course_of", "drifted", "levels_before"]
+__all__ = ["DRIFT", "Course", "course_of", "drifted", "fade_of", "levels_before"]

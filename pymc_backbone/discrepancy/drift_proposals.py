@@ -69,7 +69,7 @@ def _beside_drifts(batch: Batch, r: int) -> LevelTerm:
     share = np.interp(term.levels, cycles.smoothed_amplitude[order], elapsed)[term.rows[:, 1]]
     is_frequency, is_damping = term.rows[:, 0] == 0, term.rows[:, 0] == 1
     faster = np.where(is_frequency, DRIFT * share * term.values, 0.0)
-    less = np.where(is_damping, share / (length * batch.records[r].frequency), 0.0)
+    less = np.where(is_damping, batch.waveform[r].fade * share / (length * batch.records[r].frequency), 0.0)
     root = np.linalg.inv(term.whitening)
     covariance = root @ root.T + np.outer(faster, faster) + np.outer(less, less)
     scale = np.sqrt(np.diag(covariance))

@@ -16,6 +16,7 @@ from .batch import Batch
 from .data_term import TOLERANCE, TurningTerm, WaveformTerm
 from .descent import Descent
 from .design import DENSE, QUANTITY_OF_ORDER, Contender, Design
+from .drift_course import fade_of
 from .joint_fit import Fit
 from .layout import Layout
 
@@ -63,7 +64,7 @@ class _WeightedTurns(TurningTerm):
         """Return the term of the first ``count`` turning points."""
         kept = super().first(count)
         return _WeightedTurns(
-            kept.times, kept.values, kept.time_errors, kept.value_errors, kept.skipped, added_mass=self.added_mass
+            kept.times, kept.values, kept.time_errors, kept.value_errors, kept.skipped, kept.fade, self.added_mass
         )
 
 
@@ -128,13 +129,14 @@ def imagine(layout: Layout, vector: FloatArray, design: Design) -> Imagined | No
         return None
     value_error = noise / omega**order
     amplitude = np.maximum(np.abs(values[1:]), value_error)
+    fade = fade_of(np.abs(np.diff(values)))
     turning = _WeightedTurns(
         times[1:].copy(), values[1:].copy(), value_error / (amplitude * omega), np.full(seen - 1, value_error), 0,
-        added_mass=design.added_mass,
+        fade, design.added_mass,
     )  # fmt: skip
     waveform = _Weighted(
         instants, samples, lambda columns: columns / noise, instants.size, [], float(samples.std()), 1, order,
-        float(omega**order), added_mass=design.added_mass,
+        float(omega**order), fade=fade, added_mass=design.added_mass,
     )  # fmt: skip
     return Imagined(turning, waveform, design.release, np.pi / half)
 

@@ -12,6 +12,7 @@ from ..measurement.conditioning.conditioned import ConditionedRecord
 from ..measurement.conditioning.filters import BandPass
 from ..measurement.cycles import Cycles
 from .data_term import Subspace, TurningTerm, WaveformTerm
+from .drift_course import fade_of
 from .passed import passed_values
 from .whitening import EDGE, means, of_means, whitener, with_slow_noise
 
@@ -94,6 +95,7 @@ def turning_term(record: ConditionedRecord, cycles: Cycles) -> TurningTerm:
         np.maximum(time_errors, 1e-12 * np.abs(times).max() + 1e-300),
         np.maximum(value_errors, 1e-300),
         release_of(record, cycles)[0] - 1,
+        fade_of(cycles.smoothed_amplitude),
     )
 
 
@@ -110,6 +112,7 @@ def waveform_term(record: ConditionedRecord, cycles: Cycles) -> WaveformTerm:
     first = int(np.searchsorted(record.time, begin - 0.9 * half))
     last = int(np.searchsorted(record.time, cycles.turning_times[-1] + 0.9 * half))
     time, values = record.time[first:last], samples[first:last]
+    fade = fade_of(cycles.smoothed_amplitude)
     per_cycle = record.sampling_rate * 2.0 * half
     signal = float(np.sqrt(np.mean((values - values.mean()) ** 2)))
     together = max(int(per_cycle / _DENSE), 1)
@@ -127,16 +130,16 @@ def waveform_term(record: ConditionedRecord, cycles: Cycles) -> WaveformTerm:
         count = shown.size
         values = values[: count * together].reshape(count, together).mean(axis=1)
         subspace, beside = _subspaces(_phase(inner, cycles), per_cycle)
-        return WaveformTerm(shown, values, white, inner.size, subspace, signal, together, beside=beside)
+        return WaveformTerm(shown, values, white, inner.size, subspace, signal, together, beside=beside, fade=fade)
     subspace, beside = _subspaces(_phase(shown, cycles), per_cycle)
     if together == 1:
-        return WaveformTerm(time, values, white, time.size, subspace, signal, 1, order, scale, beside)
+        return WaveformTerm(time, values, white, time.size, subspace, signal, 1, order, scale, beside, fade)
 
     def of_mean(columns: FloatArray) -> FloatArray:
         # friction makes acceleration jump and velocity bend: every sample is simulated
         return white(means(columns, together))
 
-    return WaveformTerm(time, values, of_mean, shown.size, subspace, signal, 1, order, scale, beside)
+    return WaveformTerm(time, values, of_mean, shown.size, subspace, signal, 1, order, scale, beside, fade)
 
 
 def _behind_band_pass(record: ConditionedRecord, band_pass: BandPass, cycles: Cycles) -> WaveformTerm:
@@ -164,7 +167,8 @@ def _behind_band_pass(record: ConditionedRecord, band_pass: BandPass, cycles: Cy
         u = np.linspace(-1.0, 1.0, window.stop - window.start)[:, None]
         columns = np.hstack([shapes[window], u * shapes[window]])[:, : max(1, int(0.6 * u.size))]
         subspace.append((window, np.linalg.qr(columns)[0]))
-    return WaveformTerm(time, values, reduce, size, subspace, signal, 1, measured.order, 0.0)
+    fade = fade_of(cycles.smoothed_amplitude)
+    return WaveformTerm(time, values, reduce, size, subspace, signal, 1, measured.order, 0.0, fade=fade)
 
 
 def _subspaces(phase: FloatArray, per_cycle: float) -> tuple[Subspace, Subspace]:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from itertools import combinations
+from functools import partial
+from itertools import batched, combinations
 
 import numpy as np
 from scipy.special import logsumexp
 
 from .._common.checks import FloatArray
+from .._common.threads import in_threads
 from . import evidence
 from .batch import Batch
 from .curves import measured
@@ -20,6 +22,7 @@ from .joint_fit import Fit, fit
 from .layout import Layout
 from .normal_equations import DRIFTS, NUISANCES, State
 from .search import Search, Set
+from .side_by_side import ABREAST, fit_side_by_side
 from .study import Check
 
 _ALIKE = 4.0
@@ -110,14 +113,20 @@ def _is_simple(search: Search, part: Set, names: Set) -> bool:
 
 def _ask(search: Search, sets: Iterable[Set], found: dict[Set, Drifting], limit: float) -> None:
     """Add the fits of sets with a drift beside them; that of the base however far it is."""
-    for names in dict.fromkeys(sets):
-        is_within = set(names) < set(search.best())
-        if names in found or (search.is_cut and names not in search.fits and not is_within):
-            continue
-        start = search.fit_set(names)
-        drifting = None if start is None else drift_fit(
-            search.batch, start.layout, start.state, limit if names else np.inf
-        )  # fmt: skip
+    best = search.best()
+    asked = [
+        names
+        for names in dict.fromkeys(sets)
+        if names not in found and (not search.is_cut or names in search.fits or set(names) < set(best))
+    ]
+    for few in batched(asked, ABREAST):
+        fit_side_by_side(search, few)
+    starts = {names: search.fits[names] for names in asked if names in search.fits}
+    jobs = [
+        partial(drift_fit, search.batch, start.layout, start.state, limit if names else np.inf)
+        for names, start in starts.items()
+    ]
+    for names, drifting in zip(starts, in_threads(jobs), strict=True):
         if drifting is not None:
             found[names] = Drifting(drifting, drift_bonus(drifting))
 

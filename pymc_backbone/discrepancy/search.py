@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import chain, combinations, zip_longest
+from dataclasses import dataclass, field
+from itertools import batched, chain, combinations, zip_longest
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from .propose import Proposal, propose
 from .revisited_sets import CLOSE
 from .scatter import SCATTER, WIDE_SCATTER
 from .set_fits import Set
+from .side_by_side import ABREAST, fit_side_by_side
 from .varied_sets import NEEDED, VariedSets
 
 _KEPT_PARENTS = 2
@@ -33,6 +35,17 @@ _COSTLY_SETTLED, _COSTLY_REACH = 4, 3.0  # costly sets that are asked although w
 _SURELY = 0.5  # share of the tolerance within which further effects would not change the answer
 _NEAR = 1.5  # reduced chi-square of a fit to the samples from which its backbones were judged wrongly
 _NOISE = 0.01  # p-value of the residuals from which they are taken for noise
+
+
+@dataclass
+class _Followed:
+    """What following the backbones has come to: sets fitted and left, those that explain, and the reach of these."""
+
+    fitted: int = 0
+    reach: float = -np.inf
+    likeliest: float = -np.inf
+    explained: list[Set] = field(default_factory=list)
+    left: list[Set] = field(default_factory=list)
 
 
 class Search(VariedSets):
@@ -71,11 +84,14 @@ class Search(VariedSets):
 
     def _ask_single_effects(self) -> None:
         """Fit every effect by itself, until all that is missing is within the tolerance."""
-        for k, name in enumerate(sorted(self.candidates, key=lambda name: self._is_costly((name,)))):
-            self.progress("single effects", (k + 1) / len(self.candidates))
-            if self._is_costly((name,)) and self._is_tolerable():
+        single: list[Set] = sorted(((name,) for name in self.candidates), key=self._is_costly)
+        for k, few in enumerate(batched(single, ABREAST)):
+            self.progress("single effects", min(ABREAST * (k + 1) / len(single), 1.0))
+            simple = [names for names in few if not self._is_costly(names)]
+            is_enough = len(simple) < len(few) and self._is_tolerable()
+            fit_side_by_side(self, simple if is_enough else few)
+            if is_enough:
                 break
-            self.fit_set((name,))
 
     def _enlarge(self) -> None:
         """Fit larger sets around the best, others in the place of its effects, and at last what costs much."""
@@ -129,41 +145,46 @@ class Search(VariedSets):
         """Fit the sets in the order of their backbones until one explains the records and no rival is within reach.
 
         ``most`` of them before anything explains the records. A set that adds to one that explains already is left to
-        the stage after, which starts from there; unless another turned out to leave less.
+        the stage after, which starts from there; unless another turned out to leave less. The likeliest goes alone, for
+        what it explains needs no other beside it.
         """
-        fitted = 0
-        reach = likeliest = -np.inf
-        explained: list[Set] = []
-        left: list[Set] = []
-        for names, proposal in self._queue():
-            if not names:
-                continue
-            if any(set(known) < set(names) for known in explained):
-                left.append(names)
-                continue
-            if fitted >= most:
-                break
-            if proposal.log_evidence < reach:
-                continue
-            if proposal.log_evidence < likeliest - _REACH and self._is_floor():
-                continue
-            if fitted >= _LEAST_FOLLOWED and not self._is_affordable(names):
-                continue
-            is_likeliest = all(proposal.log_evidence > self.proposals[known].log_evidence for known in explained)
-            if self._is_costly(names) and not is_likeliest and self._is_settled():
-                continue  # asked later, if at all: what is simple leaves noise
-            if explained and self._is_hopeless(names):
-                continue
-            self.progress("sets that the backbones propose", min(fitted / most, 1.0))
-            fitted += names not in self.fits
-            found = self.fit_set(names)
-            if found is None:
-                continue
-            likeliest = max(likeliest, proposal.log_evidence)
-            if self.explains(found):
-                explained.append(names)
-                reach = max(reach, proposal.log_evidence - _REACH)
-        self._follow_left(left, explained, reach)
+        so_far = _Followed()
+        queue = [item for item in self._queue() if item[0]]
+        while queue and so_far.fitted < most:
+            few: list[Set] = []
+            while queue and len(few) < (ABREAST if so_far.fitted else 1):
+                names, proposal = queue.pop(0)
+                if self._is_followed(names, proposal, so_far):
+                    few.append(names)
+            self.progress("sets that the backbones propose", min(so_far.fitted / most, 1.0))
+            so_far.fitted += sum(names not in self.fits for names in few)
+            fit_side_by_side(self, few)
+            for names in few:
+                if names not in self.fits:
+                    continue
+                likely = self.proposals[names].log_evidence
+                so_far.likeliest = max(so_far.likeliest, likely)
+                if self.explains(self.fits[names]):
+                    so_far.explained.append(names)
+                    so_far.reach = max(so_far.reach, likely - _REACH)
+        self._follow_left(so_far)
+
+    def _is_followed(self, names: Set, proposal: Proposal, so_far: _Followed) -> bool:
+        """Return whether a set is fitted, after what was; one that adds to what explains is noted as left."""
+        if any(set(known) < set(names) for known in so_far.explained):
+            so_far.left.append(names)
+            return False
+        if proposal.log_evidence < so_far.reach:
+            return False
+        if proposal.log_evidence < so_far.likeliest - _REACH and self._is_floor():
+            return False
+        if so_far.fitted >= _LEAST_FOLLOWED and not self._is_affordable(names):
+            return False
+        explained = [self.proposals[known].log_evidence for known in so_far.explained]
+        is_likeliest = proposal.log_evidence > max(explained, default=-np.inf)
+        if self._is_costly(names) and not is_likeliest and self._is_settled():
+            return False  # asked later, if at all: what is simple leaves noise
+        return not (so_far.explained and self._is_hopeless(names))
 
     def _is_affordable(self, names: Set) -> bool:
         """Return whether a set is fitted after what was spent: a few simple ones do not pay for the costly ones."""
@@ -175,14 +196,14 @@ class Search(VariedSets):
         self.beyond += 1
         return True
 
-    def _follow_left(self, left: Sequence[Set], explained: Sequence[Set], reach: float) -> None:
+    def _follow_left(self, so_far: _Followed) -> None:
         """Fit the likeliest of the sets that were left for what they add to, where that leaves more than another."""
         close = min(item.cost for item in self.fits.values()) + CLOSE
-        near = [names for names in explained if self.fits[names].cost < close]
-        for names in left[:_PASSED]:
+        near = [names for names in so_far.explained if self.fits[names].cost < close]
+        for names in so_far.left[:_PASSED]:
             is_slow = self._is_costly(names) and self._is_settled()
             is_relative = any(set(known) < set(names) for known in near)
-            if self.proposals[names].log_evidence > reach and not (is_slow or is_relative or self._is_spent):
+            if self.proposals[names].log_evidence > so_far.reach and not (is_slow or is_relative or self._is_spent):
                 self.fit_set(names)
 
     def _look_wider(self) -> None:
@@ -313,31 +334,34 @@ class Search(VariedSets):
             known = self.proposals
             sets = [names for names in known if names in sets and names not in self.fits][:_MOST_EXTENDED]
         sets.sort(key=self._is_costly)
-        for k, names in enumerate(sets):
+        for k, few in enumerate(batched(sets, ABREAST)):
             if self._is_spent:
                 self.is_cut = True
                 break
-            if self._is_costly(names) and self._is_settled():
+            simple = [names for names in few if not self._is_costly(names)]
+            is_enough = len(simple) < len(few) and self._is_settled()
+            self.progress(("pairs", "sets of three")[min(size - 2, 1)], min(ABREAST * (k + 1) / len(sets), 1.0))
+            fit_side_by_side(self, simple if is_enough else few)
+            if is_enough:
                 break
-            self.progress(("pairs", "sets of three")[min(size - 2, 1)], (k + 1) / len(sets))
-            self.fit_set(names)
 
     def _replace(self) -> bool:
         """Try other effects in the place of each of the best set; return whether that found a better one."""
         best = self.best()
         if len(best) < 2 or self.is_refuted(best):
             return False
-        for out in best:
-            rest = tuple(name for name in best if name != out)
-            self.fit_set(rest)
+        smaller = list(combinations(best, len(best) - 1))
+        for few in batched(smaller, ABREAST):
+            fit_side_by_side(self, few)
+        for rest in smaller:
             others = [tuple(sorted((*rest, name))) for name in self.candidates if name not in best]
             others = [names for names in others if self._is_costly(best) or not self._is_costly(names)]
-            for names in self._within_reach(others, best):
-                if not self._is_spent:
-                    self.fit_set(names)
+            for few in batched(self._within_reach(others, best), ABREAST):
+                if self._is_spent:
+                    break
+                fit_side_by_side(self, few)
+                for names in few:
                     self.fit_beside(names)
-        for smaller in combinations(best, len(best) - 1):
-            self.fit_set(tuple(sorted(smaller)))
         if len(best) < self.max_effects:
             self._extend([best], len(best) + 1)
         return self.best() != best

@@ -55,9 +55,12 @@ class BandPass:
 
     def gain(self, frequency: FloatArray | float, decay_rate: float = 0.0) -> FloatArray:
         """Return the gain for ``exp(-decay_rate t) cos(2 pi frequency t)``, real for real frequencies."""
-        lag = np.arange(-self.half, self.half + 1) / self.sampling_rate
-        s = -decay_rate + 2j * np.pi * np.atleast_1d(np.asarray(frequency, dtype=np.float64))
-        return np.exp(-s[:, None] * lag) @ self.taps
+        lag = np.arange(self.half + 1) / self.sampling_rate
+        once = np.concatenate([self.taps[self.half : self.half + 1], 2.0 * self.taps[self.half + 1 :]])  # symmetric
+        omega = 2.0 * np.pi * np.atleast_1d(np.asarray(frequency, dtype=np.float64))
+        lags = np.cos(omega[:, None] * lag) if decay_rate == 0.0 else np.cosh((-decay_rate + 1j * omega)[:, None] * lag)
+        gains: FloatArray = lags @ once
+        return gains
 
     def bias(self, path: Track) -> tuple[float, float]:
         """Return the relative bias of amplitude and of logarithmic decrement that the filter gives a decay.
