@@ -291,8 +291,9 @@ def _found(*effects: str, probability: float = 0.95) -> dict:
     }
 
 
-def _mechanism(name: str) -> dict[str, object]:
-    named = {"mechanism": name, "probability": 0.99, "share_of_gap": 0.9}
+def _mechanism(name: str, **laws: float) -> dict[str, object]:
+    told = [{"effect": law, "probability": probability} for law, probability in laws.items()]
+    named = {"mechanism": name, "probability": 0.99, "share_of_gap": 0.9, "laws": told}
     return {"verdict": "found", "named_level": "mechanism", "missing_effects": [], "mechanisms": [named]}
 
 
@@ -321,8 +322,8 @@ def test_the_scorer_on_batches_with_known_figures(tmp_path: Path, capsys: pytest
         ({"hidden": ["iwan", "freeplay"], "tier": "two_effects"}, _found("freeplay", "iwan"), 60.0),
         ({"hidden": ["iwan"]}, None, 60.0),
         ({"hidden": ["jenkins"], "tier": "contaminated"}, of_kind, 25.0),
-        ({"hidden": ["cubic_damping"], "tier": "contaminated"}, _mechanism("rising_damping"), None),
-        ({"hidden": ["jenkins"], "tier": "contaminated"}, _mechanism("spring"), None),
+        ({"hidden": ["cubic_damping"], "tier": "contaminated"}, _mechanism("rising_damping", cubic_damping=0.06), None),
+        ({"hidden": ["jenkins"], "tier": "contaminated"}, _mechanism("spring", jenkins=0.01), None),
     ]
     for number, (truth, result, distance) in enumerate(cases):
         _write_case(tmp_path / f"batch_{number:04d}", truth, result, distance)
@@ -335,6 +336,7 @@ def test_the_scorer_on_batches_with_known_figures(tmp_path: Path, capsys: pytest
     levels = {name: (row["hits"], row["count"]) for name, row in found["levels"].items()}
     assert levels == {
         "law right or listed": (5, 10),  # two of them listed, one beside the mechanism that is named
+        "law right, listed, or told among those of a named mechanism": (6, 10),
         "mechanism certain and right": (6, 10),  # a quintic for a cubic spring among them
         "mechanism certain and wrong": (1, 10),
         "unexplained, or named as a mechanism": (2, 10),
@@ -351,6 +353,12 @@ def test_the_scorer_on_batches_with_known_figures(tmp_path: Path, capsys: pytest
     assert bins[0.7]["count"] == 3 and bins[0.7]["right"] == pytest.approx(1.0 / 3.0)
     expected = (5.0 * 0.35 + 3.0 * (0.75 - 1.0 / 3.0)) / 8.0
     assert found["reliability"]["expected_calibration_error"] == pytest.approx(expected)
+    parts = found["reliability_of"]
+    assert {name: (part["count"], part["probability"]) for name, part in parts.items()} == {
+        "the model as it is": (3, 0.75),
+        "a set of effects": (5, pytest.approx(0.95)),
+    }
+    assert parts["the model as it is"]["right"] == pytest.approx(1.0 / 3.0)
     # Eight claims in two bins: E|hits - claims| / 8 in closed form, from the binomial distributions of the hits.
     chance = sum(abs(k - 4.75) * scipy.stats.binom.pmf(k, 5, 0.95) for k in range(6))
     chance += sum(abs(k - 2.25) * scipy.stats.binom.pmf(k, 3, 0.75) for k in range(4))

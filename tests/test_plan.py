@@ -197,7 +197,7 @@ def promised():
 def test_a_plan_in_words():
     said = sentences(promised(), PRESENT, "m")
     assert said[0] == (
-        "how probably one of cubic stiffness and no missing effect is left after 2 ring-downs from 0.015 m (1.5 times "
+        "how probably one of cubic stiffness and no missing effect is left after 2 ring-downs from 15 mm (1.5 times "
         "the present release), 4 s each: 91 % (8 s of recording); after the same test again: 20 %."
     )
     assert "4 times less noise, with 0.4 kg added" in said[1]

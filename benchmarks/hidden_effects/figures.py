@@ -50,6 +50,9 @@ def measure_levels(outcomes: Sequence[Outcome]) -> dict[str, dict[str, Any]]:
     low, high = wilson_interval(sum(covered), len(covered))
     return {
         "law right or listed": share(lawful, is_right_or_listed),
+        "law right, listed, or told among those of a named mechanism": share(
+            lawful, lambda o: is_right_or_listed(o) or o.is_told
+        ),
         "mechanism certain and right": share(hidden, lambda o: o.certain == "right"),
         "mechanism certain and wrong": share(hidden, lambda o: o.certain == "wrong"),
         "unexplained, or named as a mechanism": share(hidden, is_outcome("unexplained", "mechanism")),
@@ -174,6 +177,8 @@ def measure_reliability(outcomes: Sequence[Outcome], bins: int = 10) -> dict[str
     return {
         "bins": rows,
         "count": len(kept),
+        "probability": float(probability.mean()) if kept else math.nan,
+        "right": float(right.mean()) if kept else math.nan,
         "expected_calibration_error": error if kept else math.nan,
         "error_when_calibrated": mean,
         "error_when_calibrated_95": high,
@@ -221,6 +226,10 @@ def score(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "kindred": share([o for o in answered if o.outcome == "wrong"], lambda o: o.is_kindred),
         "wrong_in_library": share([o for o in answered if o.is_in_library], is_outcome("wrong")),
         "reliability": measure_reliability(answered),
+        "reliability_of": {
+            "the model as it is": measure_reliability([o for o in answered if o.is_top_empty]),
+            "a set of effects": measure_reliability([o for o in answered if not o.is_top_empty]),
+        },
         "gaps": measure_gaps(answered),
         "seconds": _quantiles(np.array([o.seconds for o in answered])),
         "wrong_batches": [

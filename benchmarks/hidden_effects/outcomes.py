@@ -22,6 +22,8 @@ the right answer and any name is wrong."""
 NAMED_FROM = 0.95
 LEAST_SHARE = 0.05
 """Probability and share of the gap from which the tool names a mechanism."""
+TOLD_FROM = 0.05
+"""Probability from which a law of a mechanism counts as told beside it."""
 ALWAYS_THERE = frozenset(("linear_stiffness", "viscous_damping"))
 
 
@@ -41,6 +43,8 @@ class Outcome:
         Whether a wrong name is that of laws whose mechanisms may rightly be named.
     is_listed : bool
         Whether the truth is among the sets that remain possible, whatever is named.
+    is_told : bool
+        Whether the verdict is a mechanism and the truth's laws are all told among those of its mechanisms.
     certain : str
         What mechanisms are certain, whatever the verdict: ``right``, ``wrong`` or ``none``; a law's name counts as its
         mechanisms.
@@ -50,6 +54,8 @@ class Outcome:
         Of the most probable set; NaN where the tool gave none.
     is_top_right : bool
         Whether the most probable set is the truth.
+    is_top_empty : bool
+        Whether the most probable set is the model as it is.
     gap : dict
         As the tool wrote it; empty where it wrote none.
     """
@@ -64,11 +70,13 @@ class Outcome:
     outcome: str
     is_kindred: bool
     is_listed: bool
+    is_told: bool
     certain: str
     covered: tuple[bool, ...]
     named: tuple[str, ...]
     probability: float
     is_top_right: bool
+    is_top_empty: bool
     gap: dict[str, Any]
     seconds: float
 
@@ -154,11 +162,13 @@ def _judge(folder: Path) -> Outcome:
         outcome=outcome,
         is_kindred=is_kindred,
         is_listed=bool(listed & meaning.accepted),
+        is_told=outcome == "mechanism" and any(names <= _told(said) for names in meaning.accepted if names),
         certain=_of_certain(said, named, meaning),
         covered=_covered(truth, said) if outcome == "right" else (),
         named=tuple(sorted(named)),
         probability=top[0] if math.isnan(given) else given,
         is_top_right=top[1] in meaning.accepted,
+        is_top_empty=not top[1],
         gap=dict(said.get("gap") or {}),
         seconds=_number(said.get("seconds")),
     )
@@ -171,6 +181,12 @@ def _certain_kinds(said: dict[str, Any]) -> set[str]:
         for item in said.get("mechanisms") or ()
         if item["probability"] >= NAMED_FROM and item["share_of_gap"] >= LEAST_SHARE
     }
+
+
+def _told(said: dict[str, Any]) -> frozenset[str]:
+    """Return the laws that the verdict tells with their probabilities among those of mechanisms."""
+    laws = (law for item in said.get("mechanisms") or () for law in item["laws"])
+    return frozenset(law["effect"] for law in laws if law["probability"] >= TOLD_FROM)
 
 
 def _of_certain(said: dict[str, Any], named: frozenset[str], meaning: Meaning) -> str:

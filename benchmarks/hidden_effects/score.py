@@ -99,6 +99,11 @@ def render(figures: dict[str, Any]) -> str:
     for row in reliability["bins"]:
         means = (row.get(name, math.nan) for name in ("probability", "right"))
         curve.append([f"{row['low']:.1f} to {row['high']:.1f}", row["count"], *means])
+    most_probable = [
+        [name, row["count"], row["probability"], row["right"], row["expected_calibration_error"],
+         row["error_when_calibrated"]]
+        for name, row in figures["reliability_of"].items()
+    ]  # fmt: skip
     parts = [
         "## Outcomes per tier",
         _table(("tier", *OUTCOMES), ([tier, *row.values()] for tier, row in figures["tiers"].items())),
@@ -118,6 +123,9 @@ def render(figures: dict[str, Any]) -> str:
         f"over {reliability['count']} batches; claims that hold exactly would have "
         f"{_cell(reliability['error_when_calibrated'])} (mean) and up to "
         f"{_cell(reliability['error_when_calibrated_95'])} (95 %) by chance.",
+        _table(
+            ("the most probable set is", "batches", "mean probability", "right", "error", "by chance"), most_probable
+        ),
         *_render_gaps(figures["gaps"]),
         "## Run time",
         f"Median {_cell(seconds['median'])} s, 90 % within {_cell(seconds['q90'])} s, "

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 _PEOPLE = {"bouc-wen": "Bouc-Wen", "coulomb": "Coulomb", "hertzian": "Hertzian", "iwan": "Iwan", "jenkins": "Jenkins"}
 """Names of people in the names of effects and parameters."""
 _HYPHENATED = ("bouc-wen", "displacement-dependent")
 """Words of such names that belong together."""
+
+_PER_SECOND = {"m": "", "m/s": " per second"}
 
 
 def printable(text: str) -> str:
@@ -33,6 +36,47 @@ def in_words(name: str) -> str:
     for joined in _HYPHENATED:
         name = name.replace(joined.replace("-", "_"), joined)
     return " ".join(_PEOPLE.get(word, word) for word in name.split("_"))
+
+
+def of_size(values: Sequence[float], unit: str) -> tuple[list[str], str]:
+    """Return lengths or speeds as people write them, in the unit that suits the largest; others as they are.
+
+    In ASCII, because a terminal may know no more.
+
+    Examples
+    --------
+    >>> of_size([2.27e-6, 1.2e-4], "m"), of_size([0.0123], "m/s"), of_size([0.0123], "rad")
+    ((['2.27', '120'], 'micrometres'), (['12.3'], 'mm/s'), (['0.0123'], 'rad'))
+    """
+    largest = max(map(abs, values), default=0.0)
+    scale, name = 1.0, unit
+    if unit in ("m", "m/s") and 0.0 < largest < 1.0:
+        scale, name = (1e3, f"m{unit}") if largest >= 1e-3 else (1e6, f"micrometres{_PER_SECOND[unit]}")
+    return [f"{value * scale:.3g}" for value in values], name
+
+
+def span(low: float, high: float, unit: str) -> str:
+    """Return a range of amplitudes in words.
+
+    Examples
+    --------
+    >>> span(2.27e-6, 1.2e-4, "m"), span(0.1, 0.5, "rad")
+    ('2.27 to 120 micrometres', '0.1 to 0.5 rad')
+    """
+    (first, last), name = of_size((low, high), unit)
+    return f"{first} to {last} {name}"
+
+
+def amplitude(value: float, unit: str) -> str:
+    """Return one amplitude in words.
+
+    Examples
+    --------
+    >>> amplitude(1.2e-4, "m"), amplitude(1.7, "m")
+    ('120 micrometres', '1.7 m')
+    """
+    (number,), name = of_size((value,), unit)
+    return f"{number} {name}"
 
 
 def capitalised(text: str) -> str:

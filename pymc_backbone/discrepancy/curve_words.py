@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .._common.text import of_size
 from .curve_records import NONE, NOTHING, Proposal
 
 _SURE = 0.7
@@ -91,6 +92,8 @@ def described(told: Sequence[Proposal], unit: str) -> str:
 def family_in_words(item: Proposal, unit: str) -> str:
     """Return a family with its number and the interval of that."""
     value = f"{item.value:.3g} ({item.low:.3g} to {item.high:.3g})"
+    (middle, low, high), name = of_size((item.value, item.low, item.high), unit)
+    place = f"{middle} ({low} to {high}) {name}"
     return WORDS[item.family].format(
-        exponent=f" with exponent {value}", place=f" at {value} {unit}", number=item.number, of=f" of {value} {unit}"
+        exponent=f" with exponent {value}", place=f" at {place}", number=item.number, of=f" of {place}"
     )

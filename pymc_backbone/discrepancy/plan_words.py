@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .._common.text import in_words
+from .._common.text import amplitude, in_words
 from .design import Contender, Design, Plan, PlannedTest
 
 _HOPELESS = 0.5
@@ -17,7 +17,7 @@ def describe(design: Design, present: Design, unit: str) -> str:
     """Say what to do, and how it differs from what was done."""
     count = "1 ring-down" if design.records == 1 else f"{design.records} ring-downs"
     ratio = design.release / present.release
-    release = f"from {design.release:.3g} {unit}"
+    release = f"from {amplitude(design.release, unit)}"
     if abs(ratio - 1.0) > 0.02:
         release += f" ({ratio:.2g} times the present release)"
     else:

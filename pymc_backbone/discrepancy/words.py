@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .._common.checks import OBSERVABLES, FloatArray
-from .._common.text import capitalised, in_a_sentence, in_words
+from .._common.text import amplitude, capitalised, in_a_sentence, in_words, span
 from . import starts
 from .batch import Batch
 from .curves import curve, measured, on_levels
@@ -104,7 +104,7 @@ def _power_law(batch: Batch, found: Fit, name: str, row: int) -> str:
     trend = "grows with amplitude" if slope > 0.0 else "grows as amplitude falls"
     return (
         f"{OBSERVABLES[row]} {verb}: the departure {trend}, proportional to A^({slope:.2f} +- {slope_error:.2f}), "
-        f"{mean[at]:+.3g}{unit} at {levels[at]:.3g} {length}"
+        f"{mean[at]:+.3g}{unit} at {amplitude(float(levels[at]), length)}"
     )
 
 
@@ -119,7 +119,8 @@ def _change(observable: str, excess: FloatArray, error: FloatArray, levels: Floa
     if not abs(change[at]) > 2.0 * float(np.hypot(error[at], error[0])):
         return f"{observable} is {abs(excess[0]):.3g}{units[0]} {'higher' if excess[0] > 0.0 else 'lower'} throughout"
     verb = "rises" if change[at] > 0.0 else "falls"
-    return f"{observable} {verb} by {abs(change[at]):.3g}{units[0]} from {levels[0]:.3g} to {levels[at]:.3g} {units[1]}"
+    between = span(float(levels[0]), float(levels[at]), units[1])
+    return f"{observable} {verb} by {abs(change[at]):.3g}{units[0]} from {between}"
 
 
 def detectable(search: Search) -> tuple[Detectable, ...]:
@@ -199,7 +200,8 @@ def advice(search: Search, decision: Decision) -> tuple[str, ...]:
         edge = outside[-1] if factor > 1.0 else outside[0]
         direction = "up to" if factor > 1.0 else "down to"
         sentences.append(
-            f"{pair} predict different backbones {direction} {edge:.3g} {unit}: measure there, with the present noise."
+            f"{pair} predict different backbones {direction} {amplitude(edge, unit)}: measure there, with the present "
+            "noise."
         )
     else:
         sentences.append(f"no amplitude within a factor of five would tell {pair} apart with the present noise.")

@@ -8,7 +8,7 @@ from dataclasses import astuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from .._common.text import capitalised, in_words
+from .._common.text import capitalised, in_words, span
 from ..discrepancy.study import Candidate, Detectable, Study
 from ..discrepancy.verdict import Verdict
 from ..effects import LIBRARY
@@ -83,16 +83,16 @@ def _remainder(study: Study) -> str:
     if not study.remainder:
         return ""
     columns = (("what is left of", "head"), ("largest", "n"), ("in standard errors", "n"), ("share of the gap", "n"))
-    amplitude = str(study.backbones.attrs.get("amplitude_unit", "m"))
+    unit = str(study.backbones.attrs.get("amplitude_unit", "m"))
     rows = []
     for item in study.remainder:
         size = f"{number(item.size, 2)} {item.unit}" if item.unit != "1" else number(item.size, 2)
         share = f"{number(100.0 * item.share_of_gap, 2)} %" if np.isfinite(item.share_of_gap) else "-"
         rows.append((item.observable, size, number(item.standard_errors, 2), share))
     first = study.remainder[0]
-    span = f"between {number(first.amplitude_low, 3)} and {number(first.amplitude_high, 3)} {amplitude}"
-    return table(columns, rows) + paragraph(f"What the most probable set leaves {span}, beyond its own frequency "
-                                            "and damping.", "soft")  # fmt: skip
+    between = span(first.amplitude_low, first.amplitude_high, unit)
+    return table(columns, rows) + paragraph(f"What the most probable set leaves from {between}, beyond its own "
+                                            "frequency and damping.", "soft")  # fmt: skip
 
 
 def _candidate_row(candidate: Candidate, units: Mapping[str, str]) -> tuple[object, ...]:
