@@ -759,7 +759,7 @@ def test_exact_sets_that_agree_on_the_mechanism_only_name_it(chances, options, l
 
 
 def test_two_dampers_that_few_records_do_not_tell_apart_are_one_mechanism():
-    records = make_records(np.random.default_rng(2), ("quadratic_damping",), specimens=2, decibels=36.0)
+    records = make_records(np.random.default_rng(2), ("quadratic_damping",), specimens=3, decibels=34.0)
     study = study_of(records, candidates=("quadratic_damping", "cubic_damping"), max_effects=1)
     check_whole(study)
     assert study.verdict == "found" and study.named_level == "mechanism" and study.missing_effects == ()

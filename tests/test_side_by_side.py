@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 from pymc_backbone._common import threads
 from pymc_backbone.discrepancy.search import Search
@@ -19,6 +20,13 @@ CANDIDATES = ("cubic_stiffness", "quintic_stiffness", "quadratic_damping")
 @pytest.fixture(scope="module")
 def batch():
     return batch_of(make_records(np.random.default_rng(8), CUBIC, specimens=2))
+
+
+@pytest.fixture(autouse=True)
+def one_thread_of_linear_algebra():
+    """As a study has it: several round differently."""
+    with threadpool_limits(1):
+        yield
 
 
 def begun(batch) -> Search:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import subprocess
 import sys
@@ -62,13 +63,21 @@ def test_jobs_of_a_job_get_the_core_of_a_neighbour_that_has_ended(monkeypatch):
     assert len({thread for _, thread in long}) == 2 and most == 2
 
 
-def test_jobs_of_jobs_of_jobs_wait_for_nobody_for_ever(monkeypatch):
-    cores(monkeypatch, 3)
+@pytest.mark.parametrize("count", [2, 4])
+def test_jobs_of_jobs_of_jobs_are_all_done_by_whoever_is_free(monkeypatch, count):
+    """Who waits takes jobs of others: none is returned without what another still works on."""
+    cores(monkeypatch, count)
 
-    def sum_of(depth: int) -> int:
-        return 1 if depth == 0 else sum(in_threads([partial(sum_of, depth - 1)] * 3))
+    def paths(depth: int, path: tuple[int, ...]) -> list[tuple[int, ...]]:
+        if depth == 0:
+            time.sleep(1e-4 * (sum(path) % 3))
+            return [path]
+        below = in_threads([partial(paths, depth - 1, (*path, k)) for k in range(3)])
+        return [one for part in below for one in part]
 
-    assert sum_of(6) == 3**6
+    expected = list(itertools.product(range(3), repeat=4))
+    for _ in range(15):
+        assert paths(4, ()) == expected
 
 
 def test_what_fails_in_a_job_is_raised(monkeypatch):

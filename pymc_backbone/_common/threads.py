@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import functools
 import os
+import threading
 from collections import deque
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 from threadpoolctl import threadpool_limits
 
@@ -25,47 +27,68 @@ def in_threads[T](jobs: Sequence[Callable[[], T]]) -> list[T]:
     if len(jobs) < 2 or count < 2:
         return [job() for job in jobs]
     shared = _Shared(jobs)
+    _open[id(shared)] = shared
     helpers = [_pool(os.getpid(), count).submit(shared.work) for _ in range(min(count, len(jobs)) - 1)]
-    try:
-        shared.work()
-    finally:
-        shared.end()
-        # one that waits for a thread is not needed any more; one that runs ends with its job
-        begun = [helper for helper in helpers if not helper.cancel()]
-        wait(begun)
-    for helper in begun:
-        helper.result()
-    return shared.results
+    shared.work()
+    del _open[id(shared)]
+    for helper in helpers:
+        helper.cancel()  # one that waits for a thread is not needed any more
+    _help_until_ended(shared)
+    return shared.results()
 
 
 class _Shared[T]:
     """Jobs that are taken by whoever is free, until none is left or one fails."""
 
     def __init__(self, jobs: Sequence[Callable[[], T]]) -> None:
+        self.ended = threading.Event()
+        self._lock = threading.Lock()
+        self._count = self._left = len(jobs)
         self._waiting = deque(enumerate(jobs))
         self._found: dict[int, T] = {}
+        self._failed: list[BaseException] = []
 
     def work(self) -> None:
         """Take jobs as long as there are any."""
-        while self._waiting:
-            try:
-                number, job = self._waiting.popleft()
-            except IndexError:  # another was faster
-                return
-            try:
-                self._found[number] = job()
-            except BaseException:
-                self.end()
-                raise
+        while self.take():
+            pass
 
-    def end(self) -> None:
-        """Leave the jobs that were not begun."""
-        self._waiting.clear()
+    def take(self) -> bool:
+        """Do one job; return whether there was any. Whoever asked for the jobs is told what it raises."""
+        with self._lock:
+            if not self._waiting:
+                return False
+            number, job = self._waiting.popleft()
+        try:
+            self._found[number] = job()
+        except BaseException as error:  # raised where the jobs come from
+            self._failed.append(error)
+        with self._lock:
+            if self._failed:
+                self._left -= len(self._waiting)
+                self._waiting.clear()
+            self._left -= 1
+            if self._left == 0:
+                self.ended.set()
+        return True
 
-    @property
     def results(self) -> list[T]:
-        """What the jobs returned, in their order."""
-        return [self._found[number] for number in range(len(self._found))]
+        """Return what the jobs returned, in their order, or raise what the first that failed did."""
+        if self._failed:
+            raise self._failed[0]
+        return [self._found[number] for number in range(self._count)]
+
+
+_open: dict[int, _Shared[Any]] = {}  # of which jobs may be left
+_SOON, _LATE = 1e-4, 5e-3  # seconds after which one who waits looks for jobs of others, at first and at most
+
+
+def _help_until_ended(shared: _Shared[Any]) -> None:
+    """Do what jobs of others are left until those that were begun have ended: who waits keeps no core from them."""
+    pause = _SOON
+    while not shared.ended.wait(pause):
+        is_busy = any(other.take() for other in [*_open.values()])
+        pause = _SOON if is_busy else min(2.0 * pause, _LATE)
 
 
 def with_one_thread[**P, R](function: Callable[P, R]) -> Callable[P, R]:

@@ -36,6 +36,8 @@ def fit_side_by_side(search: FittedSets, sets: Sequence[Set]) -> None:
         return
     for names in new:
         search.layout(names)
+    if not search.is_any_exact(search.fits.values()):
+        _ = search.proposals  # asked once for all
     branches = [_branch(search) for _ in new]
     in_threads([partial(branch.fit_set, names) for branch, names in zip(branches, new, strict=True)])
     begun = search.descent.effort
