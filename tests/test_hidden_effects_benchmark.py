@@ -342,6 +342,9 @@ def test_the_scorer_on_batches_with_known_figures(tmp_path: Path, capsys: pytest
         "unexplained, or named as a mechanism": (2, 10),
         "95 % intervals that hold the parameter": (1, 2),  # the means are 2
     }
+    groups = {group: [(row["hits"], row["count"]) for row in rows.values()] for group, rows in found["groups"].items()}
+    # one effect: right, a quintic spring for a cubic one, listed, a mechanism (two) and a wrong one
+    assert groups == {"base plus hidden": [(1, 1)] * 2, "one effect": [(3, 6), (4, 6)], "two effects": [(1, 1)] * 2}
     clear = found["detection"]["clear"]
     assert (clear["one effect"]["right or listed"]["hits"], clear["one effect"]["right or listed"]["count"]) == (2, 3)
     assert clear["one effect"]["right"]["share"] == pytest.approx(1.0 / 3.0)

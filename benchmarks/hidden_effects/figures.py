@@ -66,6 +66,19 @@ def measure_levels(outcomes: Sequence[Outcome]) -> dict[str, dict[str, Any]]:
     }
 
 
+def measure_groups(outcomes: Sequence[Outcome]) -> dict[str, dict[str, Any]]:
+    """Return by what is hidden, where the verdict is not that nothing is, how often its law and mechanism are told."""
+    seen = [o for o in outcomes if o.hidden and o.outcome != "adequate"]
+    groups = {group: [o for o in seen if o.group == group] for group in sorted({o.group for o in seen})}
+    return {
+        group: {
+            "right or listed": share(kept, is_right_or_listed),
+            "mechanism": share(kept, lambda o: o.certain == "right"),
+        }
+        for group, kept in groups.items()
+    }
+
+
 def count_tiers(outcomes: Sequence[Outcome]) -> dict[str, dict[str, int]]:
     """Count outcomes per tier; the last row holds all."""
     rows = {tier: [o for o in outcomes if o.tier == tier] for tier in sorted({o.tier for o in outcomes})}
@@ -220,6 +233,7 @@ def score(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     return {
         "tiers": count_tiers(outcomes),
         "levels": measure_levels(answered),
+        "groups": measure_groups(answered),
         "false_alarms": rate_false_alarms(answered),
         "detection": measure_detection(answered),
         "wrong": share(answered, is_outcome("wrong")),

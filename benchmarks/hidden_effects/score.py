@@ -109,6 +109,11 @@ def render(figures: dict[str, Any]) -> str:
         _table(("tier", *OUTCOMES), ([tier, *row.values()] for tier, row in figures["tiers"].items())),
         "## Laws and mechanisms, where something is hidden",
         _table(("of these batches", "share"), ([name, _percent(rate)] for name, rate in figures["levels"].items())),
+        "### By what is hidden, where the verdict is not `adequate`",
+        _table(
+            ("hidden", "law right or listed", "mechanism certain and right"),
+            ([group, *map(_percent, row.values())] for group, row in figures["groups"].items()),
+        ),
         "## An effect named where nothing is missing",
         _table(("batches", "named"), ([name, _percent(rate)] for name, rate in figures["false_alarms"].items())),
         *_render_detection(figures["detection"]),
