@@ -114,6 +114,28 @@ def test_a_set_that_lost_its_way_begins_again_beside_one_that_explains(cubic):
     assert search.fits[names].cost == pytest.approx(from_backbones.cost, abs=0.5)
 
 
+def test_an_effect_that_was_lost_on_the_way_is_found_from_the_smaller_set(monkeypatch):
+    """A fit that ended where one effect is absent, though a linear step from the set without it promises thousands."""
+    pair, one = ("cubic_stiffness", "quadratic_damping"), ("cubic_stiffness",)
+    batch = batch_of(make_records(np.random.default_rng(31), pair, specimens=2))
+    search = Search(batch, Oscillator(MASS, ()), CANDIDATES, 2)
+    for names in ((), one, pair):
+        search.fit_set(names)
+    right, smaller = search.fits[pair], search.fits[one]
+    assert search.explains(right) and smaller.cost > 1.5 * search.count and smaller.is_converged
+    assert not search._look_closer() and search.fits[pair] is right  # nothing is lost
+    asked = []
+    extended = Search._extended
+    monkeypatch.setattr(Search, "_extended", lambda *args: asked.append(args[1]) or extended(*args))
+    for share, is_lost in ((0.93, True), (0.5, False)):
+        # beside the smaller set, or halfway: then a step promises no more than was gained
+        left = right.chi_square + share * (smaller.chi_square - right.chi_square)
+        search.fits[pair] = replace(right, chi_square=left)
+        assert search.best() == pair and search._look_closer() == is_lost and (asked == [pair]) == is_lost
+        assert search.explains(search.fits[pair]) == is_lost
+        asked.clear()
+
+
 def test_other_laws_of_the_mechanism_are_asked_before_one_is_named(cubic):
     one, kindred = ("cubic_stiffness",), ("quintic_stiffness",)
     search = Search(cubic.batch, Oscillator(MASS, ()), (*CANDIDATES, *kindred), 2)

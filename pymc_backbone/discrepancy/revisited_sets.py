@@ -24,6 +24,8 @@ _SETTLED = 2
 _REFUTED = 100.0  # chi-square above one that explains, beyond which relatives are not asked
 _GAINED = 4.0  # chi-square by which a larger set may be better without having found a better way
 _CLOSE_TO_BASE = 1.0
+_NEAR_BY = 10.0  # reduced chi-square of a smaller set up to which a linear step from it is worth a look
+_LOST_GAIN = 3.0  # promised over achieved, from which a fit has lost an effect
 _HARDLY = 0.05  # share of what a refuted set leaves, which one more effect has to promise (it keeps ten times as much)
 _FAR = 1000.0  # chi-square of the backbones above those of the best set, from which they are not doubted
 _ASKED_FOR = 10.0  # fall of chi-square, as a linear step promises it, that no set in want of it can be named against
@@ -132,6 +134,29 @@ class RevisitedSets(FittedSets):
             found = self._beside(names, None)
             if found:
                 self.fits[names] = found[0]
+
+    def _look_closer(self) -> bool:
+        """Fit the best set again where it gained far less than a linear step from a smaller one promises.
+
+        Its fit has lost an effect on the way: one of no strength, at a shape from which nothing leads back. Only where
+        no set explains the records; return whether that was mended.
+        """
+        best = self.best()
+        if self._is_explained() or len(best) < 2 or self.is_refuted(best):
+            return False
+        before = self.fits[best]
+        for smaller in combinations(best, len(best) - 1):
+            known = self.fits.get(smaller)
+            if known is None or not known.is_converged or known.cost > _NEAR_BY * self.count:
+                continue
+            name = next(name for name in best if name not in smaller)
+            promised = starts.by_score(self.layout(best), name, known, self.batch)
+            if not promised or promised[0].gain < _LOST_GAIN * max(known.cost - self.fits[best].cost, _REFUTED):
+                continue
+            self.progress("effects that were lost on the way", 0.5)
+            found = self._extended(best, self.layout(best), known, None)
+            self.fits[best] = min([self.fits[best], *found], key=lambda item: item.cost)
+        return self.fits[best] is not before
 
     def _complete(self) -> None:
         """Where the effort is spent, add to the best set what its score still asks for, as long as it does.

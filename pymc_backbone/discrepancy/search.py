@@ -88,6 +88,8 @@ class Search(FollowedSets):
             if not self._replace():
                 break
             self._look_back()
+        if self._look_closer() and self._replace():
+            self._look_back()
         self._look_forward()
         self._look_within()
         self._look_back()
