@@ -197,12 +197,28 @@ def _of_certain(said: dict[str, Any], named: frozenset[str], meaning: Meaning) -
     return "right" if meaning.allows(kinds) else "wrong"
 
 
+def _as_fitted(specimen: dict[str, Any]) -> dict[str, Any]:
+    """Return the parameters of a specimen as the package knows them, which takes A for 1 and alpha for 0.
+
+    With ``z = A u`` the same force is ``(1 - alpha) A k u``, and ``u' = x' - A^(n - 1) (beta ... + gamma ...)``.
+    """
+    if "bouc_wen_stiffness" not in specimen:
+        return specimen
+    scale = specimen.get("bouc_wen_amplitude", 1.0)
+    shape = scale ** (specimen["bouc_wen_exponent"] - 1.0)
+    return specimen | {
+        "bouc_wen_stiffness": (1.0 - specimen.get("bouc_wen_alpha", 0.0)) * scale * specimen["bouc_wen_stiffness"],
+        "bouc_wen_beta": shape * specimen["bouc_wen_beta"],
+        "bouc_wen_gamma": shape * specimen["bouc_wen_gamma"],
+    }
+
+
 def _covered(truth: dict[str, Any], said: dict[str, Any]) -> tuple[bool, ...]:
     """Return whether each interval of a named effect's parameters holds the mean over the specimens."""
     held = []
     for effect in said.get("missing_effects") or ():
         for name, estimate in (effect.get("parameters") or {}).items():
-            drawn = [specimen[name] for specimen in truth.get("parameters") or () if name in specimen]
+            drawn = [_as_fitted(specimen)[name] for specimen in truth.get("parameters") or () if name in specimen]
             if drawn and estimate["sd"] > 0.0:
                 held.append(bool(estimate["hdi_low"] <= float(np.mean(drawn)) <= estimate["hdi_high"]))
     return tuple(held)
