@@ -10,6 +10,8 @@ _PEOPLE = {"bouc-wen": "Bouc-Wen", "coulomb": "Coulomb", "hertzian": "Hertzian",
 _HYPHENATED = ("bouc-wen", "displacement-dependent")
 """Words of such names that belong together."""
 
+_MICRO, _NANO = "\N{GREEK SMALL LETTER MU}", "n"
+_SPELLED = {_MICRO: "micrometres", _NANO: "nanometres"}
 _PER_SECOND = {"m": "", "m/s": " per second"}
 
 
@@ -38,6 +40,20 @@ def in_words(name: str) -> str:
     return " ".join(_PEOPLE.get(word, word) for word in name.split("_"))
 
 
+def prefix_of(largest: float) -> tuple[float, str]:
+    """Return the factor and the prefix of the metre that bring a length into 1 to 1000.
+
+    Examples
+    --------
+    >>> prefix_of(0.012), prefix_of(1.7)
+    ((1000.0, 'm'), (1.0, ''))
+    """
+    for scale, prefix in ((1.0, ""), (1e3, "m"), (1e6, _MICRO)):
+        if largest * scale >= 1.0:
+            return scale, prefix
+    return 1e9, _NANO
+
+
 def of_size(values: Sequence[float], unit: str) -> tuple[list[str], str]:
     """Return lengths or speeds as people write them, in the unit that suits the largest; others as they are.
 
@@ -50,8 +66,9 @@ def of_size(values: Sequence[float], unit: str) -> tuple[list[str], str]:
     """
     largest = max(map(abs, values), default=0.0)
     scale, name = 1.0, unit
-    if unit in ("m", "m/s") and 0.0 < largest < 1.0:
-        scale, name = (1e3, f"m{unit}") if largest >= 1e-3 else (1e6, f"micrometres{_PER_SECOND[unit]}")
+    if unit in _PER_SECOND and 0.0 < largest < float("inf"):
+        scale, prefix = prefix_of(largest)
+        name = f"{_SPELLED[prefix]}{_PER_SECOND[unit]}" if prefix in _SPELLED else f"{prefix}{unit}"
     return [f"{value * scale:.3g}" for value in values], name
 
 

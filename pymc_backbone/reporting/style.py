@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from .._common.checks import OBSERVABLE_UNITS, FloatArray
-from .._common.text import capitalised, in_words
+from .._common.text import capitalised, in_words, prefix_of
 
 FEW = 12  # up to so many specimens, each backbone is drawn with its error bars
 COLUMN = 4.8  # inches: the width of a figure of a report, two of which stand side by side
@@ -51,10 +51,7 @@ def engineering(largest: float, unit: str) -> tuple[float, str]:
     """Factor and prefix that bring the largest value into 1 to 1000; angles and compound units stay as they are."""
     if unit != "m" or not np.isfinite(largest) or largest <= 0.0:
         return 1.0, ""
-    for scale, prefix in ((1.0, ""), (1e3, "m"), (1e6, "\N{GREEK SMALL LETTER MU}")):
-        if largest * scale >= 1.0:
-            return scale, prefix
-    return 1e9, "n"
+    return prefix_of(largest)
 
 
 def observable_label(name: str, *, short: bool = False) -> str:
