@@ -18,7 +18,7 @@ from .joint_fit import Fit
 
 SETTLED = 0.999
 """Probability by Laplace's method from which nothing is asked: rivals would have to gain 4.9 on it, as logarithms, to
-bring it below the 0.88 from which a set is named; that is rare (`docs/naming.md`)."""
+bring it below the 0.90 from which a set is named; that is rare (`docs/naming.md`)."""
 ASKED = 5e-3
 """Probability by Laplace's method from which a set is asked."""
 SHARE_OF_EFFORT = 0.5

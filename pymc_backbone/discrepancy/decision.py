@@ -14,7 +14,7 @@ from .verdict import AdequateBy, NamedLevel, Verdict
 
 AGREE = 5.0
 """Reduced chi-square of the backbones up to which they agree with the samples."""
-NAMED = 0.88
+NAMED = 0.90
 """Probability from which a set is named."""
 LISTED = 0.95
 """Probability that the sets listed as possible hold together."""
