@@ -166,7 +166,7 @@ def test_a_named_effect_comes_with_its_scatter_and_what_the_evidence_rests_on(cu
 
 
 def test_two_missing_effects_are_found_together(rng):
-    study = study_of(make_records(rng, ("cubic_stiffness", "coulomb_friction")))
+    study = study_of(make_records(rng, ("cubic_stiffness", "coulomb_friction"), decibels=55.0))
     check_whole(study)
     assert study.verdict == "found" and study.missing_effects == ("coulomb_friction", "cubic_stiffness")
     assert len(study.reasons) == 3  # one for each, and how they scatter
