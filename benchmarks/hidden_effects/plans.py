@@ -1,27 +1,32 @@
 """Whether the test that is advised decides: batches that leave several sets, the advice carried out; prints Markdown.
 
     python benchmarks/hidden_effects/plans.py --batches 20 --seed 314159 [--tiers close_pairs few_data] [--workers 2]
+    python benchmarks/hidden_effects/plans.py --of ROWS [ROWS ...]
 
 Batches are drawn until so many leave several sets possible with the truth among them. For each the first advice and,
 for comparison, the present test are carried out with the same structures and fresh noise, by the generator's own
 integrator; the records at hand and the new ones are then diagnosed together. A test decides where a law
-is named. *Promised* is the probability that the plan gave.
+is named. *Promised* is the probability that the plan gave. Each row is printed as a line of JSON; ``--of`` prints the
+table of files of such lines, also of a run that was ended before all were there.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from batches import Batch, make_batch
 from motion import simulate
+from outcomes import wilson_interval
 from systems import pack
 
 from pymc_backbone import Design, InputError, Oscillator, Record, find_missing_effect, plan_tests
@@ -119,13 +124,21 @@ def drawn(seed: int, tiers: list[str]) -> Iterator[tuple[int, int, str]]:
 def table(rows: list[dict[str, Any]]) -> str:
     """Return what the rows say together."""
     done = [row for row in rows if row.get("after")]
-    lines = ["| test | promised | decided | of these wrong |", "|---|---|---|---|"]
+    if not done:
+        return f"None of {len(rows)} ambiguous batches was asked again."
+    lines = [
+        "| test | promised | decided | 95 % interval | of these wrong | Brier score |",
+        "|---|---|---|---|---|---|",
+    ]
     for name, promise, key in (("advised", "promised", "after"), ("the same again", "promised_again", "again")):
-        decided = [row[key] in ("right", "wrong") for row in done]
+        decided = np.array([row[key] in ("right", "wrong") for row in done], float)
+        promised = np.array([row[promise] for row in done], float)
         wrong = sum(row[key] == "wrong" for row in done)
-        promised = float(np.mean([row[promise] for row in done])) if done else float("nan")
-        share = float(np.mean(decided)) if done else float("nan")
-        lines.append(f"| {name} | {promised:.0%} | {share:.0%} ({sum(decided)} of {len(done)}) | {wrong} |")
+        low, high = wilson_interval(int(decided.sum()), decided.size)
+        lines.append(
+            f"| {name} | {promised.mean():.1%} | {decided.mean():.1%} ({decided.sum():.0f} of {decided.size}) | "
+            f"{low:.0%} to {high:.0%} | {wrong} | {np.mean((promised - decided) ** 2):.3f} |"
+        )
     none = sum(row.get("promised", 0) is None for row in rows)
     failed = sum("error" in row for row in rows)
     seconds = [row["seconds"] for row in rows if "seconds" in row]
@@ -170,8 +183,17 @@ def collected(
     return rows, looked_at
 
 
+def recorded(paths: list[str]) -> list[dict[str, Any]]:
+    """Return the rows that files of a run's output hold."""
+    lines = [line for path in paths for line in Path(path).read_text(encoding="utf-8").splitlines()]
+    return [json.loads(line) for line in lines if line.startswith("{")]
+
+
 def main() -> None:
-    """Look at batches until so many were ambiguous."""
+    """Look at batches until so many were ambiguous, or print the table of rows that are there."""
+    if sys.argv[1:2] == ["--of"]:
+        print(table(recorded(sys.argv[2:])))
+        return
     rows, looked_at = collected(judge, __doc__, 20)
     print(f"\n{looked_at} batches were looked at.\n")
     print(table(rows))
