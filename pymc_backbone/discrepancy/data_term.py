@@ -271,6 +271,8 @@ class WaveformTerm:
         Empty behind a band-pass.
     fade : float
         What one unit of the drift of damping adds to the decrement, summed over the record.
+    chain : callable, optional
+        Takes (n, c) simulated columns through what the measuring chain does to the motion (`low_pass`).
     """
 
     time: FloatArray
@@ -284,6 +286,7 @@ class WaveformTerm:
     offset_scale: float = 1.0
     beside: Subspace = field(default_factory=list)
     fade: float = 1.0
+    chain: Callable[[FloatArray], FloatArray] | None = None
 
     def simulate(
         self,
@@ -339,13 +342,15 @@ class WaveformTerm:
             columns[:, p + 3] += values * course.hastened
         columns[:, p + 4] = -course.share * values
         columns[:, p + 5] = offset * self.offset_scale + values
+        if not np.isfinite(columns).all():
+            return None  # drifts far from any motion
+        if self.chain is not None:
+            columns = self.chain(columns)
         if self.together > 1:
             columns = average(columns, self.together)
             columns[:, p + 5] = self.values[EDGE:-EDGE] - columns[:, p + 5]
         else:
             columns[:, p + 5] = self.values - columns[:, p + 5]
-        if not np.isfinite(columns).all():
-            return None  # drifts far from any motion
         whitened = self.whiten(columns)
         return whitened[:, -1], whitened[:, :-1]
 
@@ -362,6 +367,8 @@ class WaveformTerm:
         if course.factor is not None:
             values = values * course.factor
         column = (offset * self.offset_scale + values)[:, None]
+        if self.chain is not None and np.isfinite(column).all():
+            column = self.chain(column)
         if self.together > 1:
             left = self.values[EDGE:-EDGE, None] - average(column, self.together)
         else:

@@ -1,9 +1,10 @@
-"""Records without what disturbs them: late beginnings, first cycles, noise that grows, a bent sensor, another mode."""
+"""Records without what disturbs them: filters, first cycles, noise that grows, a bent sensor, another mode."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from .earlier_release import Earlier, earlier
 from .evidence import Drifting
 from .first_cycles import begun
 from .joint_fit import Fit
+from .low_pass import LowPass, low_pass
 from .motion_noise import MotionNoise, motion_noise
 from .question import Question
 from .readings import Disturbed, disturbed, sentences
@@ -51,12 +53,13 @@ class Undisturbed:
 
 @dataclass(eq=False)
 class _Asked:
-    """The question of changed records: how they are measured and searched, and what is known of release and noise."""
+    """The question of changed records: how they are measured and searched, what is known of release, filter, noise."""
 
     question: Question
     measuring: Measuring
     searched: Callable[[Question], Search]
     release: Earlier | None = None
+    low_pass: LowPass | None = None
     noise: MotionNoise | None = None
 
     def of(self, records: Sequence[Record], said: Sequence[str]) -> Undisturbed:
@@ -64,6 +67,8 @@ class _Asked:
         other = self.question.of_records(records, self.measuring, said)
         if self.release is not None:
             other = replace(other, batch=self.release.released(other.batch))
+        if self.low_pass is not None:
+            other = replace(other, batch=self.low_pass.passed(other.batch))
         if self.noise is not None:
             other = replace(other, batch=self.noise.weighed(other.batch))
         return Undisturbed(other, self.searched(other))
@@ -79,31 +84,36 @@ def undisturbed(
 ) -> Undisturbed:
     """Return the question and search of records without what disturbs them; as they were where nothing does.
 
-    Specimens are released earlier, or else first cycles left out, where a set of effects leaves noise then, or half of
-    what was left at most. Where the noise grows with the motion, samples count by the noise that they have. A bent
-    sensor and another mode's line are taken out where a set leaves noise then; what was found with the noise of
-    disturbed records is found again without it. Where a set leaves noise with a drift in time beside it, which is
-    likelier, no cycle is left out, and sensors are straightened only where clearly less noise is left then: an estimate
-    of the noise that holds the disturbance hides it.
+    A low-pass in front of the records, through which the simulation is sent, is looked for first, and once more without
+    first cycles. Specimens are released earlier, or else first cycles left out, where a set of effects leaves noise
+    then, or half of what was left at most. Where the noise grows with the motion, samples count by the noise that they
+    have. A bent sensor and another mode's line are taken out where a set leaves noise then; what was found with the
+    noise of disturbed records is found again without it. Where a set leaves noise with a drift in time beside it, which
+    is likelier, no cycle is left out, and sensors are straightened only where clearly less noise is left then: an
+    estimate of the noise that holds the disturbance hides it.
     """
     known, again = Undisturbed(question, search), search
     said: tuple[str, ...] = ()
     asked = _Asked(question, measuring, searched)
-    if (release := earlier(search)) is not None:
+    if (behind := _filtered(asked, search, records, said)) is not None:
+        said, known, again = (behind.said,), behind.found, behind.found.search
+    if (release := earlier(again)) is not None:
         asked.release = release
-        tried = asked.of(records, (release.sentence,))
-        if _is_better(tried.search, search):
-            said, known, again = (release.sentence,), tried, tried.search
+        tried = asked.of(records, (*said, release.sentence))
+        if _is_better(tried.search, again):
+            said, known, again = (*said, release.sentence), tried, tried.search
         else:
             asked.release = None
     known = _with_drifts(known, drifting)
     first = begun(again) if asked.release is None and not known.is_drifting else None
     if first is not None:
-        records, said = first.undisturbed(records), (first.sentence,)
+        records, said = first.undisturbed(records), (*said, first.sentence)
         tried = asked.of(records, said)
         again = tried.search
         if _is_better(again, search):
             known = tried
+        if (behind := _filtered(asked, again, records, said)) is not None:
+            said, known, again = (*said, behind.said), behind.found, behind.found.search
     asked.noise = None if known.is_drifting else motion_noise(again)
     if asked.noise is not None:
         said = (*said, asked.noise.sentence)
@@ -117,6 +127,26 @@ def undisturbed(
         return known
     left = _over_motion(straight.search, straight.search.fits[straight.search.best()])
     return straight if left < _QUIETER * known.noise_beside_drift else known
+
+
+class _Filtered(NamedTuple):
+    """What is said of a filter, and the question behind it."""
+
+    said: str
+    found: Undisturbed
+
+
+def _filtered(asked: _Asked, again: Search, records: Sequence[Record], said: Sequence[str]) -> _Filtered | None:
+    """Return the question with a low-pass in front of the records, where it is clearly better then."""
+    if asked.low_pass is not None or (found := low_pass(again)) is None:
+        return None
+    asked.low_pass = found
+    sentence = found.sentence(again.batch)
+    tried = asked.of(records, (*said, sentence))
+    if _is_better(tried.search, again):
+        return _Filtered(sentence, tried)
+    asked.low_pass = None
+    return None
 
 
 def _with_drifts(known: Undisturbed, drifting: Callable[[Search], Mapping[Set, Drifting]]) -> Undisturbed:
