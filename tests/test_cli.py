@@ -92,6 +92,8 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> dict[str, dict]:
         (["extract", "x", "--out", "o", "--quantity", "jerk"], "jerk"),
         (["extract", "x", "--out", "o", "--sampling-rate", "fast"], "'fast'"),
         (["completion", "tcsh"], "tcsh"),
+        (["diagnos", "x"], "did you mean diagnose?"),
+        (["effects", "cubic_stifness"], "NAME must be one of"),
         (["effects", "cubic_stifness"], "Did you mean 'cubic_stiffness'?"),
     ],
 )

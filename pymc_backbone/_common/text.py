@@ -96,6 +96,18 @@ def amplitude(value: float, unit: str) -> str:
     return f"{number} {name}"
 
 
+def per_cent(share: float) -> str:
+    """Return a share with two digits that mean something, however small it is.
+
+    Examples
+    --------
+    >>> per_cent(0.012), per_cent(4.2e-6), per_cent(1.003)
+    ('1.2 %', '0.00042 %', '100 %')
+    """
+    value = 100.0 * share
+    return f"{value:.0f} %" if abs(value) >= 99.5 else f"{value:.2g} %"
+
+
 def capitalised(text: str) -> str:
     """Return text with a capital first letter, the others as they are.
 

@@ -7,9 +7,11 @@ imported when it is needed, so that help and most errors come at once.
 from __future__ import annotations
 
 import argparse
+import difflib
 import errno
 import gc
 import os
+import re
 import signal
 import sys
 import textwrap
@@ -82,6 +84,14 @@ class _Interrupted(BaseException):
     """Ctrl-C, as nothing but this module catches it."""
 
 
+_INVALID = re.compile(r"invalid choice: '([^']*)' \(choose from (.*)\)")
+
+
+def _nearest(typed: str, known: Sequence[str]) -> str:
+    near = difflib.get_close_matches(typed, known, n=1)
+    return f"; did you mean {near[0]}?" if near else ""
+
+
 class _Parser(argparse.ArgumentParser):
     """A parser whose errors are one sentence and exit code 2."""
 
@@ -89,7 +99,19 @@ class _Parser(argparse.ArgumentParser):
         kwargs.setdefault("formatter_class", argparse.RawDescriptionHelpFormatter)
         super().__init__(**{**kwargs, "allow_abbrev": False})
 
+    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse what was typed; an option that the command does not have is answered with the nearest of its own."""
+        given, rest = self.parse_known_args(args, namespace)
+        if rest:
+            parser = commands_of(self).get(getattr(given, "command", None) or "", self)
+            known = [option for action in parser._actions for option in action.option_strings]
+            parser.error(f"unrecognized arguments: {' '.join(rest)}{_nearest(rest[0].partition('=')[0], known)}")
+        return given
+
     def error(self, message: str) -> NoReturn:
+        found = _INVALID.search(message)
+        if found and "maybe" not in message:
+            message += _nearest(found[1], re.findall(r"[\w-]+", found[2]))
         raise InputError(f"{message.rstrip('.')}; see `{self.prog} --help`.")
 
 
