@@ -34,9 +34,28 @@ def test_what_to_do_comes_before_why_and_what_speaks_against_the_data_first(stud
     study = dataclasses.replace(
         studies[Verdict.AMBIGUOUS], checks=(Check("no second mode", False, "a line at 3 Hz: keep one mode"),)
     )
-    assert next_steps(study)[0] == "A line at 3 Hz: keep one mode" and len(next_steps(study)) > 1
+    assert next_steps(study)[0] == "A line at 3 Hz: keep one mode." and len(next_steps(study)) > 1
     text = shown(study)
     assert text.index("What to do next") < text.index("A line at 3 Hz") < text.index("Why")
+
+
+def test_a_warning_on_all_records_is_something_to_do_and_a_record_keeps_its_name(studies):
+    study = studies[Verdict.AMBIGUOUS]
+    first = str(study.backbones["specimen"].values[0])
+    assert first != first.capitalize()
+    study = dataclasses.replace(
+        study,
+        checks=(Check("specimens alike", False, f"{first} differs; look at it"),),
+        notes=("warning: the sensor bends", f"{first}: warning: a second mode", "all is well"),
+    )
+    assert next_steps(study)[:2] == [f"{first} differs; look at it.", "The sensor bends."]
+    assert not any("second mode" in step or "well" in step for step in next_steps(study))
+
+
+def test_an_unexplained_gap_has_no_probability_of_a_set_on_top(studies):
+    pages = [report_html(studies[verdict], {}, version="1") for verdict in (Verdict.FOUND, Verdict.UNEXPLAINED)]
+    assert np.isfinite(studies[Verdict.UNEXPLAINED].probability)
+    assert ["<span>probability" in page for page in pages] == [True, False]
 
 
 @pytest.mark.parametrize("verdict", [Verdict.FOUND, Verdict.UNEXPLAINED])
@@ -50,6 +69,7 @@ def test_a_verdict_without_a_test_that_decides_says_what_to_do_all_the_same(stud
     [
         ("as A^(-0.92 +- 0.01)", "as A<sup>&minus;0.92 &plusmn; 0.01</sup>"),
         ("44% (p = 4e-34).", "44&nbsp;% (p = 4&thinsp;&times;&thinsp;10<sup>&minus;34</sup>)."),
+        ("keep one with `band`", "keep one with <code>band</code>"),
         ("up to 3 micrometres", "up to 3 &micro;m"),
         ("run_2e3, 3e5.csv, a-5, --band 1:2, 2024-01-02", "run_2e3, 3e5.csv, a-5, --band 1:2, 2024-01-02"),
         ("1e5 <b>", "1&thinsp;&times;&thinsp;10<sup>5</sup> &lt;b&gt;"),

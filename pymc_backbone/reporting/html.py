@@ -95,6 +95,7 @@ _TYPESET = (
     (r"(?<![\w.])(\d+(?:\.\d+)?)e\+?(-?)0*(\d+)(?!\.?\w)", r"\1&thinsp;&times;&thinsp;10<sup>\2\3</sup>"),
     (r"<sup>-", "<sup>&minus;"),
     (r"\^\(([^()]*)\)", r"<sup>\1</sup>"),
+    (r"`([^`]+)`", r"<code>\1</code>"),
 )
 """What sentences for a terminal, in ASCII, are on a page: patterns and what stands for them, in this order."""
 

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from .._common.text import in_words
 from ..discrepancy.study import Study
-from ..discrepancy.verdict import NamedLevel, Status
+from ..discrepancy.verdict import NamedLevel, Status, Verdict
 from .html import Raw, bullets, details, escape, image, noted, number, page, paragraph, prose, section, table, tiles
 from .report_curves import force_curves
 from .report_gap import amplitudes, curves, held_out_gap, interval, where
@@ -77,7 +77,7 @@ def report_html(study: Study, figures: Mapping[str, Figure], *, version: str, co
 
 def _header(study: Study) -> str:
     count = study.backbones.sizes["specimen"]
-    kicker = f"Missing effect in {count} {'specimen' if count == 1 else 'specimens'}"
+    kicker = f"The search for a missing effect in {count} {'specimen' if count == 1 else 'specimens'}"
     means = f"{verdict_means(study)} {adequate_because(study)}".rstrip()
     parts = [
         f'<header>\n<span class="word">{escape(VERDICT_WORDS.get(study.verdict, study.verdict))}</span>'
@@ -120,7 +120,7 @@ def _key_figures(study: Study) -> list[tuple[object, object]]:
             for item in study.mechanisms
             if item.is_certain
         ]
-    elif np.isfinite(study.probability):
+    elif np.isfinite(study.probability) and study.verdict != Verdict.UNEXPLAINED:  # nothing known is what it is
         figures.append(
             (
                 percent(study.probability),

@@ -49,6 +49,8 @@ STATUS_WORDS: dict[str, str] = {
 }
 
 
+WARNING = "warning: "
+"""How a note begins that speaks against the data; of one record the record's name stands before it."""
 LEAST_TOLD = 0.01
 """Probability from which it is told what the sets that are listed do not hold of it."""
 
@@ -116,6 +118,7 @@ def remaining_by_mechanism(study: Study) -> list[tuple[str, list[str]]]:
 def next_steps(study: Study) -> list[str]:
     """Return what to do next: what speaks against the data first, then what to measure, else what to look at."""
     steps = [check.message for check in study.checks if not check.passed]
+    steps += [note.removeprefix(WARNING) for note in study.notes if note.startswith(WARNING)]
     steps += study.advice
     if not steps and study.verdict == Verdict.UNEXPLAINED:
         steps.append(
@@ -124,7 +127,9 @@ def next_steps(study: Study) -> list[str]:
         )
     if not study.advice and study.verdict == Verdict.FOUND:
         steps.append("the extended model is in model.py, a PyMC script to run and to edit")
-    return [capitalised(step) for step in steps]
+    named = {str(name) for name in study.backbones["specimen"].values}
+    sentences = [step if step.split()[0] in named else capitalised(step) for step in steps]
+    return [f"{step.rstrip('.')}." for step in sentences]
 
 
 def is_held(estimate: Estimate) -> bool:
