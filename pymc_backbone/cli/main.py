@@ -6,6 +6,7 @@ imported when it is needed, so that help and most errors come at once.
 
 from __future__ import annotations
 
+import _thread
 import argparse
 import difflib
 import errno
@@ -15,6 +16,7 @@ import re
 import signal
 import sys
 import textwrap
+import threading
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn
@@ -43,6 +45,7 @@ from .wording import commands_of, option_names, with_options
 
 PROGRAM = "pymc-backbone"
 INTERRUPTED = "Interrupted; files already written are complete."
+AGAIN = 0.05  # seconds after which an interrupt that was lost comes again
 UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
 TRACEBACK_VARIABLE = "PYMC_BACKBONE_TRACEBACK"
 
@@ -217,15 +220,26 @@ def _print_no_more() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
+def _send() -> None:
+    """Interrupt the main thread, also where it waits."""
+    if sys.platform == "win32":
+        _thread.interrupt_main()
+    else:
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+
+
 class _Interrupt:
     """Ctrl-C ends the run at once, wherever it comes.
 
     PyMC takes a KeyboardInterrupt as the end of one chain and goes on with the next; compiled code that calls back
-    turns any exception into another one. So the signal raises an exception of its own, and is remembered.
+    turns any exception into another one. So the signal raises an exception of its own, and is remembered. Where it
+    comes while a compiler calls back, Python can only report the exception and go on: then it is sent once more.
     """
 
     def __init__(self) -> None:
         self.came = False
+        self.again: threading.Timer | None = None
+        self.hook, sys.unraisablehook = sys.unraisablehook, self._report
         try:
             self.previous = signal.signal(signal.SIGINT, self._raise)
         except ValueError:  # not the main thread: signals do not come here
@@ -235,7 +249,18 @@ class _Interrupt:
         self.came = True
         raise _Interrupted
 
+    def _report(self, lost: Any) -> None:
+        if not issubclass(lost.exc_type, _Interrupted):
+            self.hook(lost)
+            return
+        self.again = threading.Timer(AGAIN, _send)
+        self.again.daemon = True
+        self.again.start()
+
     def restore(self) -> None:
+        sys.unraisablehook = self.hook
+        if self.again is not None:
+            self.again.cancel()
         if self.previous is not None:
             signal.signal(signal.SIGINT, self.previous)
 
