@@ -77,6 +77,7 @@ border-radius:9px;padding:7px 11px;margin:0 0 9px}.stack tr.strong{background:va
 .stack td{border:0;padding:2px 0;grid-column:span 2;
 display:flex;justify-content:space-between;gap:10px;text-align:right;white-space:normal}.stack td.n{grid-column:span 1}
 .stack td::before{content:attr(data-label);color:var(--soft);font-weight:400;text-align:left;flex:none}
+.stack td>span{min-width:0;overflow-wrap:anywhere}
 .stack td .bar{min-width:64px}.stack td.text span,.stack td.head span{text-align:left}
 .stack td.head{font-weight:650;text-align:left}.stack td.head::before,.stack td.text::before{content:none}
 .stack td.text{text-align:left;color:var(--soft)}.stack tr.strong td:first-child{box-shadow:none}}
