@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import os
 import re
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -92,6 +95,8 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> dict[str, dict]:
         (["extract", "x", "--out", "o", "--quantity", "jerk"], "jerk"),
         (["extract", "x", "--out", "o", "--sampling-rate", "fast"], "'fast'"),
         (["completion", "tcsh"], "tcsh"),
+        (["diagnos", "x"], "did you mean diagnose?"),
+        (["effects", "cubic_stifness"], "NAME must be one of"),
         (["effects", "cubic_stifness"], "Did you mean 'cubic_stiffness'?"),
     ],
 )
@@ -226,6 +231,20 @@ def test_errors_become_one_sentence(capsys, monkeypatch, error, code, words):
     monkeypatch.delenv(cli.TRACEBACK_VARIABLE, raising=False)
     got, _, text = run_cli(capsys, "extract", "x", "--out", "o")
     assert got == code and is_one_sentence(text) and words in text
+
+
+def test_interrupt_while_a_compiler_calls_back_is_not_lost(capsys, monkeypatch):
+    """Python reports what a callback raises and goes on: a Ctrl-C in one left the run running, below a traceback."""
+    callback = ctypes.CFUNCTYPE(None)(lambda: signal.raise_signal(signal.SIGINT))
+
+    def run(_):
+        callback()
+        time.sleep(20.0)
+
+    monkeypatch.setattr(cli, "_effects", run)
+    begin = time.monotonic()
+    code, _, error = run_cli(capsys, "effects")
+    assert code == 130 and is_one_sentence(error) and time.monotonic() - begin < 10.0
 
 
 def test_update_that_was_ended_early_exits_as_interrupted(capsys, monkeypatch):

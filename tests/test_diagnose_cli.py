@@ -168,12 +168,22 @@ def test_tables_of_backbones_are_read_as_such(capsys, searched, tmp_path):
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
-    [(["--base", "cubic_stifness"], "Did you mean 'cubic_stiffness'?"), (["--mass", "-1"], "must be positive")],
+    [
+        (["--base", "cubic_stifness"], ["--base must be one of", "Did you mean 'cubic_stiffness'?"]),
+        (["--candidates", "coulomb"], ["--candidates must be one of", "Did you mean 'coulomb_friction'?"]),
+        (["--mass", "-1"], ["must be positive"]),
+        (["--quik"], ["did you mean --quick?", "pymc-backbone diagnose --help"]),
+    ],
 )
 def test_a_bad_model_is_told_before_anything_is_read(capsys, tmp_path, arguments, words):
-    out = str(tmp_path / "o")
-    code, _, error = run_cli(capsys, "diagnose", "nowhere", *MASS, *arguments, "--out", out)
-    assert code == 2 and is_one_sentence(error) and words in error
+    code, _, error = run_cli(capsys, "diagnose", "nowhere", *MASS, *arguments, "--out", str(tmp_path / "a" / "o"))
+    assert code == 2 and is_one_sentence(error) and all(word in error for word in words)
+    assert list(tmp_path.iterdir()) == []  # what was made for results that never came
+
+
+def test_an_empty_folder_of_the_user_stays(capsys, tmp_path):
+    code, *_ = run_cli(capsys, "diagnose", str(tmp_path / "nowhere"), *MASS, "--out", str(tmp_path))
+    assert code == 2 and tmp_path.is_dir()
 
 
 def test_output_in_use_is_told_first(capsys, tmp_path):

@@ -504,7 +504,7 @@ def test_words_of_each_verdict():
         (
             "adequate",
             {"adequate_by": AdequateBy.TOLERANCE, "best": ()},
-            "what it leaves, 1.20% of the motion, is more than measurement error",
+            "what it leaves, 1.2 % of the motion, is more than measurement error",
         ),
     ):
         decision = decision_of(verdict, **{"best": ("cubic_stiffness",), **options})
@@ -563,7 +563,7 @@ def test_what_no_known_set_holds_of_the_probability_is_said():
 @pytest.mark.parametrize(("verdict", "best"), [("unexplained", ("iwan",)), ("adequate", ())])
 def test_backbones_alone_leave_no_share_of_a_motion(verdict, best):
     decision = decision_of(verdict, best=best, adequate_by=AdequateBy.STATISTICS if not best else None, p_missing=1e-5)
-    assert "1.20% of the motion" in verdict_words.sentence(decision)
+    assert "1.2 % of the motion" in verdict_words.sentence(decision)
     unknown = replace(decision, lack=SimpleNamespace(share=np.nan, p_value=1e-9))
     text = verdict_words.sentence(unknown)
     assert "nan" not in text and "of the motion" not in text
@@ -580,7 +580,7 @@ def test_agreement_is_not_claimed_against_the_test_of_it():
     """A base that no set is more probable than, at a p-value that is rare where nothing is missing."""
     rare = decision_of("adequate", best=(), adequate_by=AdequateBy.STATISTICS, p_missing=0.0017)
     text = verdict_words.sentence(rare)
-    assert "within measurement error" not in text and "1.20% of the motion, is rare" in text and "p = 0.0017" in text
+    assert "within measurement error" not in text and "1.2 % of the motion, is rare" in text and "p = 0.0017" in text
     assert "within measurement error (p = 0.3)" in verdict_words.sentence(replace(rare, p_missing=0.3))
 
 

@@ -245,6 +245,8 @@ def test_the_command_reads_a_folder_and_writes_what_it_says(verdict, folder, tmp
     ("change", "sentence"),
     [
         ({"verdict": "found", "ambiguous_sets": []}, "no sets left to tell apart"),
+        ({"verdict": "found", "named_level": "mechanism", "ambiguous_sets": []}, "none is exact"),
+        ({"verdict": "unexplained", "named_level": None, "ambiguous_sets": []}, "`What to do next` in report.html"),
         ({"present": None}, "backbones alone"),
         ({"contenders": []}, "fewer than two sets"),
         ({"contenders": [{"effects": ["cubic_stiffness"]}, {}]}, "not as `diagnose` writes them"),

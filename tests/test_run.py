@@ -250,7 +250,7 @@ def test_damping_is_said_as_ratio_and_quality_factor_once_and_rightly(rng):
     for zeta in (0.001, 0.02, 0.3):
         decrement = 2.0 * np.pi * zeta / np.sqrt(1.0 - zeta**2)
         text = damping_ratio_words([np.nan, decrement], [0.01, 0.02], "m")
-        assert f"{100.0 * zeta:.3g} % (Q = {0.5 / zeta:.3g}) at 0.02 m" in text and text.count("%") == 1
+        assert f"{100.0 * zeta:.3g} % (Q = {0.5 / zeta:.3g}) at 20 mm" in text and text.count("%") == 1
     assert damping_ratio_words([np.nan, -0.1], [0.01, 0.02], "m") == ""
     backbones = make_backbones(rng, 3)
     assert describe_measured(backbones).count("damping ratio") == 1

@@ -96,6 +96,31 @@ def amplitude(value: float, unit: str) -> str:
     return f"{number} {name}"
 
 
+def with_error(value: float, error: float) -> str:
+    """Return a value with its standard error, to the digits that the error leaves.
+
+    Examples
+    --------
+    >>> with_error(0.00782303, 0.012), with_error(-1234.56, 0.5), with_error(0.1234567, 0.0)
+    ('0.008 +- 0.012', '-1234.56 +- 0.5', '0.123457 +- 0')
+    """
+    if 0.0 < error < float("inf"):
+        value = round(value, 1 - int(f"{error:.1e}".partition("e")[2]))
+    return f"{value:.6g} +- {error:.2g}"
+
+
+def per_cent(share: float) -> str:
+    """Return a share with two digits that mean something, however small it is.
+
+    Examples
+    --------
+    >>> per_cent(0.012), per_cent(4.2e-6), per_cent(1.003)
+    ('1.2 %', '0.00042 %', '100 %')
+    """
+    value = 100.0 * share
+    return f"{value:.0f} %" if abs(value) >= 99.5 else f"{value:.2g} %"
+
+
 def capitalised(text: str) -> str:
     """Return text with a capital first letter, the others as they are.
 

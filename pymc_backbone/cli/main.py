@@ -6,13 +6,17 @@ imported when it is needed, so that help and most errors come at once.
 
 from __future__ import annotations
 
+import _thread
 import argparse
+import difflib
 import errno
 import gc
 import os
+import re
 import signal
 import sys
 import textwrap
+import threading
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn
@@ -41,6 +45,7 @@ from .wording import commands_of, option_names, with_options
 
 PROGRAM = "pymc-backbone"
 INTERRUPTED = "Interrupted; files already written are complete."
+AGAIN = 0.05  # seconds after which an interrupt that was lost comes again
 UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
 TRACEBACK_VARIABLE = "PYMC_BACKBONE_TRACEBACK"
 
@@ -82,6 +87,14 @@ class _Interrupted(BaseException):
     """Ctrl-C, as nothing but this module catches it."""
 
 
+_INVALID = re.compile(r"invalid choice: '([^']*)' \(choose from (.*)\)")
+
+
+def _nearest(typed: str, known: Sequence[str]) -> str:
+    near = difflib.get_close_matches(typed, known, n=1)
+    return f"; did you mean {near[0]}?" if near else ""
+
+
 class _Parser(argparse.ArgumentParser):
     """A parser whose errors are one sentence and exit code 2."""
 
@@ -89,7 +102,19 @@ class _Parser(argparse.ArgumentParser):
         kwargs.setdefault("formatter_class", argparse.RawDescriptionHelpFormatter)
         super().__init__(**{**kwargs, "allow_abbrev": False})
 
+    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse what was typed; an option that the command does not have is answered with the nearest of its own."""
+        given, rest = self.parse_known_args(args, namespace)
+        if rest:
+            parser = commands_of(self).get(getattr(given, "command", None) or "", self)
+            known = [option for action in parser._actions for option in action.option_strings]
+            parser.error(f"unrecognized arguments: {' '.join(rest)}{_nearest(rest[0].partition('=')[0], known)}")
+        return given
+
     def error(self, message: str) -> NoReturn:
+        found = _INVALID.search(message)
+        if found and "maybe" not in message:
+            message += _nearest(found[1], re.findall(r"[\w-]+", found[2]))
         raise InputError(f"{message.rstrip('.')}; see `{self.prog} --help`.")
 
 
@@ -195,15 +220,26 @@ def _print_no_more() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
+def _send() -> None:
+    """Interrupt the main thread, also where it waits."""
+    if sys.platform == "win32":
+        _thread.interrupt_main()
+    else:
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+
+
 class _Interrupt:
     """Ctrl-C ends the run at once, wherever it comes.
 
     PyMC takes a KeyboardInterrupt as the end of one chain and goes on with the next; compiled code that calls back
-    turns any exception into another one. So the signal raises an exception of its own, and is remembered.
+    turns any exception into another one. So the signal raises an exception of its own, and is remembered. Where it
+    comes while a compiler calls back, Python can only report the exception and go on: then it is sent once more.
     """
 
     def __init__(self) -> None:
         self.came = False
+        self.again: threading.Timer | None = None
+        self.hook, sys.unraisablehook = sys.unraisablehook, self._report
         try:
             self.previous = signal.signal(signal.SIGINT, self._raise)
         except ValueError:  # not the main thread: signals do not come here
@@ -213,7 +249,18 @@ class _Interrupt:
         self.came = True
         raise _Interrupted
 
+    def _report(self, lost: Any) -> None:
+        if not issubclass(lost.exc_type, _Interrupted):
+            self.hook(lost)
+            return
+        self.again = threading.Timer(AGAIN, _send)
+        self.again.daemon = True
+        self.again.start()
+
     def restore(self) -> None:
+        sys.unraisablehook = self.hook
+        if self.again is not None:
+            self.again.cancel()
         if self.previous is not None:
             signal.signal(signal.SIGINT, self.previous)
 

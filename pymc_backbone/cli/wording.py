@@ -6,7 +6,7 @@ import argparse
 import re
 from collections.abc import Mapping
 
-ALIASES = {"read_backbones": "is_table", "effect": "effects"}
+ALIASES = {"read_backbones": ("is_table",), "effect": ("effects", "base", "name")}
 """What the library names otherwise than the argument which the option sets."""
 _NAMED = re.compile(r"`(\w+)(?:=([^`]*))?`")
 
@@ -24,7 +24,10 @@ def option_names(parser: argparse.ArgumentParser) -> dict[str, str]:
     names = {}
     for action in parser._actions:
         names[action.dest] = action.option_strings[-1] if action.option_strings else str(action.metavar)
-    return names | {name: names[argument] for name, argument in ALIASES.items() if argument in names}
+    known = {
+        name: [names[argument] for argument in arguments if argument in names] for name, arguments in ALIASES.items()
+    }
+    return names | {name: options[0] for name, options in known.items() if options}
 
 
 def with_options(text: str, names: Mapping[str, str]) -> str:

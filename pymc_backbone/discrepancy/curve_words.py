@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .._common.text import of_size
+from .._common.text import of_size, per_cent
 from .curve_records import NONE, NOTHING, Proposal
 
 _SURE = 0.7
@@ -60,7 +60,7 @@ def sentence(judged: Judgement, told: Sequence[Proposal], unit: str, beside: Seq
     """
     if not judged.is_possible:
         gap = "that rest" if beside else "the gap"
-        left = f"the best of them leave {100.0 * judged.share_left:.2g} % of {gap} (p = {judged.p_value:.1g})"
+        left = f"the best of them leave {per_cent(judged.share_left)} of {gap} (p = {judged.p_value:.1g})"
         what = "what the named effects leave" if beside else "what is missing"
         return f"A force of displacement and speed cannot be {what}: {left}, and {WHY[judged.why]}."
     parts = []
@@ -70,7 +70,7 @@ def sentence(judged: Judgement, told: Sequence[Proposal], unit: str, beside: Seq
     ):
         parts.append(f"{what} is {described([item for item in told if item.curve == curve], place)}")
     leave = "to the noise" if judged.share_left < 0.02 or not np.isfinite(judged.share_left) else ""
-    leave = leave or f"but for {100.0 * judged.share_left:.2g} % of the gap"
+    leave = leave or f"but for {per_cent(judged.share_left)} of the gap"
     also = " A drift with time explains them as well: releases from other amplitudes tell the two apart."
     said = f"Forces of displacement and speed explain the records {leave}: {'; '.join(parts)}."
     return said + (also if judged.why == "drift" else "")

@@ -42,7 +42,8 @@ def sentences(plan: Plan, present: Design, unit: str) -> tuple[str, ...]:
     between = " and ".join([", ".join(name_of(item) for item in plan.contenders[:-1]), name_of(plan.contenders[-1])])
     again = f"the same test again: {percent(plan.repeat.probability)}"
     if not plan.best:
-        looked_at = f"none of {plan.looked_at} tests that were looked at is better"
+        looked_at = f"none of {plan.looked_at} tests that were looked at is better: a plan needs larger releases, more "
+        looked_at += "or longer records, less noise, or a mass that can be added"
         return (f"how probably one of {between} is left: {again}; {looked_at}.",)
     said = [_of(item, present, unit, first=not k) for k, item in enumerate(plan.best)]
     said[0] = f"how probably one of {between} is left after {said[0]}; after {again}."

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from .._common.checks import FloatArray
+from .._common.text import per_cent
 from .._common.threads import in_threads
 from . import evidence
 from .batch import Batch
@@ -216,14 +217,14 @@ def drift_check(drifting: Fit | None, probability: float, found: bool, named: Fi
         return Check(
             name,
             False,
-            f"beside the effect the frequency drifts with time ({_rate(named):.2%} over a record), or a second effect "
+            f"beside the effect the frequency drifts with time ({_rate(named)} over a record), or a second effect "
             "imitates that: keep the temperature, and release from other amplitudes to tell the two apart",
         )
     if probability > 0.02 and found:
         return Check(
             name,
             False,
-            f"a frequency and damping that drift with time ({_rate(drifting):.2%} of the frequency over a record) "
+            f"a frequency and damping that drift with time ({_rate(drifting)} of the frequency over a record) "
             f"explain the records as well as an effect of amplitude does (probability {probability:.2f}); release from "
             "other amplitudes to tell the two apart",
         )
@@ -233,9 +234,9 @@ def drift_check(drifting: Fit | None, probability: float, found: bool, named: Fi
     return Check(name, True, "the same amplitude has the same frequency and damping whenever it is passed")
 
 
-def _rate(drifting: Fit) -> float:
+def _rate(drifting: Fit) -> str:
     """Return the relative change of frequency over a record, its mean size over the records."""
-    return DRIFT * float(np.abs(drifting.state.own[:, DRIFTS[0]]).mean())
+    return per_cent(DRIFT * float(np.abs(drifting.state.own[:, DRIFTS[0]]).mean()))
 
 
 def alike_check(batch: Batch, best: Fit) -> Check:
@@ -253,11 +254,11 @@ def alike_check(batch: Batch, best: Fit) -> Check:
             return Check(
                 name,
                 False,
-                f"{batch.specimens[worst]} needs an effect {size * width:.0%} off that of the batch; look at its "
+                f"{batch.specimens[worst]} needs an effect {per_cent(size * width)} off that of the batch; look at its "
                 "record, or treat it apart",
             )
         spread = width * float(np.sqrt((delta**2).mean()))
-        return Check(name, True, f"the effects of the specimens scatter by {spread:.1%}")
+        return Check(name, True, f"the effects of the specimens scatter by {per_cent(spread)}")
     observables = [str(item) for item in batch.backbones["observable"].values]
     which = "frequency" if "frequency" in observables else observables[0]
     values = measured(batch)[0][:, observables.index(which)]
@@ -265,7 +266,7 @@ def alike_check(batch: Batch, best: Fit) -> Check:
     if shared.shape[1] < 2:
         return Check(name, True, "the specimens share no range of amplitude: nothing to compare")
     scatter = float((shared / shared.mean(axis=1, keepdims=True)).std(axis=0).max())
-    return Check(name, True, f"the {which} curves agree in shape within {scatter:.2%}")
+    return Check(name, True, f"the {which} curves agree in shape within {per_cent(scatter)}")
 
 
 def data_terms_check(batch: Batch, reduced: float, limit: float) -> Check:

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .._common.checks import FloatArray
+from .._common.text import per_cent
 from . import evidence
 from .batch import Batch
 from .data_term import LevelTerm
@@ -55,8 +56,8 @@ def second_mode_check(batch: Batch, best: Fit) -> Check:
         return Check(
             name,
             False,
-            f"{worst[2]} holds a line at {worst[1]:.4g} Hz, {worst[0]:.1%} of the motion, that no effect of a single "
-            "mode makes: a second mode beats with it; keep one mode with `band`",
+            f"{worst[2]} holds a line at {worst[1]:.4g} Hz, {per_cent(worst[0])} of the motion, that no effect of a "
+            "single mode makes: a second mode beats with it; keep one mode with `band`",
         )
     return Check(name, True, "what the model leaves holds no line beside the harmonics of the mode")
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .._common.text import capitalised, in_words
+from .._common.text import capitalised, in_words, per_cent
 from ..effects import MECHANISMS
 from .decision import DRIFT_POSSIBLE, Decision
 from .evidence import MISSING
@@ -185,7 +185,7 @@ def _of_unexplained(decision: Decision) -> str:
             "Something is missing, but what no set of known effects explains differs between records at the same "
             "amplitude: it goes with the time or the record, and no law of amplitude is named."
         )
-    share = f" ({decision.lack.share:.2%} of the motion)" if np.isfinite(decision.lack.share) else ""
+    share = f" ({per_cent(decision.lack.share)} of the motion)" if decision.lack.share > 0.0 else ""
     left = f"what the best set ({named(decision.best)}) leaves is not noise{share}"
     drifts = "a drift with time explains the records better than any effect of amplitude"
     why = drifts if decision.drift_probability > 0.5 else left
@@ -195,7 +195,7 @@ def _of_unexplained(decision: Decision) -> str:
 def _of_adequate(decision: Decision) -> str:
     """Return the sentence where nothing needs to be added; what speaks against it is said too."""
     if decision.adequate_by is AdequateBy.TOLERANCE and not decision.best and decision.drift_probability <= 0.5:
-        share = f"{decision.lack.share:.2%} of the motion"
+        share = f"{per_cent(decision.lack.share)} of the motion"
         return (
             f"The model is adequate: what it leaves, {share}, is more than measurement error (p = "
             f"{decision.lack.p_value:.2g}), but less than the tolerance."
@@ -206,7 +206,7 @@ def _of_adequate(decision: Decision) -> str:
         return f"The model is adequate: {what} detectable, but {verb} the backbones by less than the tolerance."
     if decision.p_missing > MISSING:
         return f"Nothing is missing: model and records agree within measurement error (p = {decision.p_missing:.2g})."
-    share = f", {decision.lack.share:.2%} of the motion," if np.isfinite(decision.lack.share) else ""
+    share = f", {per_cent(decision.lack.share)} of the motion," if decision.lack.share > 0.0 else ""
     rare = f"what it leaves{share} is rare where nothing is missing (p = {decision.p_missing:.2g})"
     return f"The model is adequate: no set of known effects is more probable than none. But {rare}."
 

@@ -96,7 +96,7 @@ def _power_law(batch: Batch, found: Fit, name: str, row: int) -> str:
     w = (mean[good] / error[good]) ** 2
     centre = np.average(x, weights=w)
     slope = float(np.average((x - centre) * y, weights=w) / np.average((x - centre) ** 2, weights=w))
-    slope_error = float(1.0 / np.sqrt(np.sum(w * (x - centre) ** 2)))
+    slope_error = max(float(1.0 / np.sqrt(np.sum(w * (x - centre) ** 2))), 0.01)  # two digits are told: never as 0.00
     if row < 2 and slope < _VANISHING and (row == 0 or slope > -_VANISHING):
         return _change(OBSERVABLES[row], mean[good], error[good], levels[good], (unit, length))
     at = int(np.flatnonzero(good)[np.argmax(np.abs(mean[good]))])

@@ -28,7 +28,7 @@ from .style import (
     parameter_axis,
     smooth,
 )
-from .words import percent, set_name
+from .words import is_held, percent, set_name, unit_of
 
 STATUS_COLOURS: dict[str, str] = {
     Status.BEST: MEASURED,
@@ -95,10 +95,13 @@ def plot_parameters(study: Study) -> Figure:
     Returns
     -------
     matplotlib.figure.Figure
-        A panel for each parameter.
+        A panel for each parameter that was not held.
     """
-    estimates = {name: estimate for group in study.parameters.values() for name, estimate in group.items()}
-    units = {name: estimate.unit for name, estimate in estimates.items()}
+    every = {name: estimate for group in study.parameters.values() for name, estimate in group.items()}
+    estimates = {name: estimate for name, estimate in every.items() if not is_held(estimate)} or every
+    amplitude_unit = str(study.backbones.attrs.get("amplitude_unit", "m"))
+    units = {name: unit_of(estimate.unit, amplitude_unit) for name, estimate in estimates.items()}
+    span = "95 % of the fit" if study.posterior is None else "95 % HDI"
     draws = {} if study.posterior is None else study.posterior["posterior"].to_dataset()
     shapes = [_by_specimen(draws, name) for name in estimates]
     heights = [0.7 + (0.45 if len(shape) == 1 else 0.15 + 0.13 * min(len(shape), MOST_ROWS)) for shape in shapes]
@@ -114,7 +117,7 @@ def plot_parameters(study: Study) -> Figure:
             axis.fill_between(x, density / density.max(), color=MEASURED, alpha=0.3, linewidth=0)
             axis.plot(x, density / density.max(), color=MEASURED, linewidth=1.2)
         base = -1.4 if len(values) > 1 else -0.2
-        axis.plot(ends[1:] * scale, [base, base], color="black", linewidth=3.0, solid_capstyle="butt", label="95 % HDI")
+        axis.plot(ends[1:] * scale, [base, base], color="black", linewidth=3.0, solid_capstyle="butt", label=span)
         axis.plot(ends[0] * scale, base, "o", color="white", markeredgecolor="black", markersize=5.0, label="mean")
         axis.set_ylim(bottom=base - (1.0 if len(values) > 1 else 0.25))
         if len(values) == 0:

@@ -25,6 +25,7 @@ from .style import (
     TRUE,
     amplitude_axis,
     drawable,
+    drawable_names,
     engineering,
     evenly,
     label_axes,
@@ -36,6 +37,7 @@ from .style import (
 from .words import added_effects, set_name
 
 BEFORE, AFTER = SIMULATED, TRUE
+MOST_LETTERS = 54  # of a title in letters of full size
 
 
 def plot_before_after(study: Study, observable: str) -> Figure:
@@ -59,7 +61,7 @@ def plot_before_after(study: Study, observable: str) -> Figure:
     titles = ["Base model"]
     if study.after is not None:
         models.append(("extended model", study.after, AFTER))
-        titles = ["Before: base model", f"After: with {drawable(set_name(added_effects(study)), 48)}"]
+        titles = ["Before: base model", f"After: with {drawable(set_name(added_effects(study)), 90)}"]
     figure = Figure(figsize=(COLUMN, _height(len(models))), layout=layout())
     axes = figure.subplots(len(models), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     shade = 1.0 if len(value) <= 3 else 0.75
@@ -88,7 +90,7 @@ def plot_before_after(study: Study, observable: str) -> Figure:
         axis.yaxis.set_major_locator(MaxNLocator(5))
         axis.tick_params(labelsize=9)
         axis.set_ylabel("")
-        axis.set_title(title, fontsize=9, loc="left", color=colour)
+        axis.set_title(title, fontsize=9.0 * min(1.0, MOST_LETTERS / len(title)), loc="left", color=colour)
         axis.label_outer()
     figure.supylabel(observable_label(observable), fontsize=10)
     axes[-1].plot([], [], color=MEASURED, marker="o", markersize=3.0, linewidth=0.9, label="measured, 95 %")
@@ -169,7 +171,9 @@ def plot_held_out(held_out: HeldOut, what: str, amplitude_unit: str = "m") -> Fi
     matplotlib.figure.Figure
         A row for each; one is what measurement noise alone gives.
     """
-    chosen = evenly(len(held_out.labels), MOST_ROWS)
+    told = np.flatnonzero(np.isfinite(held_out.before_each))  # not all levels are left out
+    told = told if told.size else np.arange(len(held_out.labels))
+    chosen = told[evenly(len(told), MOST_ROWS)]
     before, after = (np.asarray(each, dtype=float)[chosen] for each in (held_out.before_each, held_out.after_each))
     rows = np.arange(len(chosen))
     figure = Figure(figsize=(COLUMN, 0.25 * len(chosen) + 1.35), layout=layout())
@@ -197,7 +201,7 @@ def plot_held_out(held_out: HeldOut, what: str, amplitude_unit: str = "m") -> Fi
         levels = np.array([float(label.split()[0]) for label in labels])
         scale, prefix = engineering(float(levels.max()), amplitude_unit)
         labels, title = [f"{level * scale:.4g}" for level in levels], f"Amplitude [{prefix}{amplitude_unit}]"
-    axis.set_yticks(rows, [drawable(label, 22) for label in labels], fontsize=8)
+    axis.set_yticks(rows, drawable_names(labels, 22), fontsize=8)
     axis.set_ylabel(title, fontsize=9)
     axis.set_ylim(len(chosen) - 0.4, -0.6)
     axis.set_xlabel(f"Reduced chi-square of the {what} left out", fontsize=9)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import html
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from urllib.parse import quote
 
@@ -34,6 +35,7 @@ text-transform:uppercase;border-radius:999px;padding:3px 14px}
 a{color:var(--tone);overflow-wrap:anywhere}
 .kicker{color:var(--soft);font-size:.85rem;margin-left:8px}
 h1{font-size:1.55rem;line-height:1.28;margin:12px 0 8px;font-weight:650;overflow-wrap:anywhere}
+h1.long{font-size:1.24rem}
 h2{font-size:1.12rem;margin:0 0 10px;font-weight:650}
 h3{font-size:.95rem;margin:18px 0 6px;font-weight:650}
 p{margin:.45em 0;overflow-wrap:anywhere}.soft{color:var(--soft);font-size:.9rem}
@@ -60,12 +62,14 @@ white-space:pre-wrap;overflow-wrap:anywhere;
 font:.84rem/1.5 ui-monospace,"SF Mono",Menlo,Consolas,"Liberation Mono","DejaVu Sans Mono",monospace}
 code{font-family:ui-monospace,Menlo,Consolas,"Liberation Mono","DejaVu Sans Mono",monospace;font-size:.88em}
 pre b{color:var(--tone)}sup{font-size:.7em;line-height:0}
-details{margin:8px 0}summary{cursor:pointer;color:var(--tone);font-weight:600;font-size:.92rem;padding:4px 0}
+details{margin:8px 0}td details{margin:0}
+td summary{padding:0}
+summary{cursor:pointer;color:var(--tone);font-weight:600;font-size:.92rem;padding:4px 0}
 .good{color:#0a7048;font-weight:600}.bad{color:#a32632;font-weight:600}
 @media(prefers-color-scheme:dark){.good{color:#5fd0a0}.bad{color:#f58d95}}
 footer{color:var(--soft);font-size:.82rem;padding:4px 6px}
 @media(max-width:720px){main{padding:10px 8px 32px}header,section{padding:15px 14px;border-radius:10px}
-h1{font-size:1.26rem}
+h1{font-size:1.26rem}h1.long{font-size:1.06rem}
 .pair{grid-template-columns:minmax(0,1fr)}.tiles{grid-template-columns:repeat(2,minmax(0,1fr))}
 .stack thead{display:none}.stack,.stack tbody,.stack td{display:block}.stack tr{display:grid;
 grid-template-columns:repeat(2,minmax(0,1fr));column-gap:22px;border:1px solid var(--line);
@@ -73,6 +77,7 @@ border-radius:9px;padding:7px 11px;margin:0 0 9px}.stack tr.strong{background:va
 .stack td{border:0;padding:2px 0;grid-column:span 2;
 display:flex;justify-content:space-between;gap:10px;text-align:right;white-space:normal}.stack td.n{grid-column:span 1}
 .stack td::before{content:attr(data-label);color:var(--soft);font-weight:400;text-align:left;flex:none}
+.stack td>span{min-width:0;overflow-wrap:anywhere}
 .stack td .bar{min-width:64px}.stack td.text span,.stack td.head span{text-align:left}
 .stack td.head{font-weight:650;text-align:left}.stack td.head::before,.stack td.text::before{content:none}
 .stack td.text{text-align:left;color:var(--soft)}.stack tr.strong td:first-child{box-shadow:none}}
@@ -81,6 +86,19 @@ display:flex;justify-content:space-between;gap:10px;text-align:right;white-space
 margin:0 0 12px}figure,tr,pre,.tile,.pair{break-inside:avoid}table{font-size:.78rem}
 figure img{max-width:430px}h2,h3{break-after:avoid}}
 """
+
+
+_TYPESET = (
+    (r"(?<=\d)%(?!\w)", " %"),
+    (r"\bmicrometres\b", "&micro;m"),
+    (r"\bnanometres\b", "nm"),
+    (r"(?<=[ (])-(?=\d)", "&minus;"),
+    (r"(?<![\w.])(\d+(?:\.\d+)?)e\+?(-?)0*(\d+)(?!\.?\w)", r"\1&thinsp;&times;&thinsp;10<sup>\2\3</sup>"),
+    (r"<sup>-", "<sup>&minus;"),
+    (r"\^\(([^()]*)\)", r"<sup>\1</sup>"),
+    (r"`([^`]+)`", r"<code>\1</code>"),
+)
+"""What sentences for a terminal, in ASCII, are on a page: patterns and what stands for them, in this order."""
 
 
 class Raw(str):
@@ -96,8 +114,19 @@ def escape(value: object) -> str:
 
 
 def prose(text: object) -> Raw:
-    """Return a sentence: escaped, with a sign for plus and minus, and a per cent sign that stays with its number."""
-    return Raw(escape(text).replace(" %", "&nbsp;%").replace("+-", "&plusmn;"))
+    """Return a sentence as it is typeset: escaped, with raised powers, signs, and units that stay with their numbers.
+
+    Examples
+    --------
+    >>> prose("A^(1.96 +- 0.02), 44% off (p = 4e-34), -0.3 Hz at 3 micrometres")
+    'A<sup>1.96 &plusmn; 0.02</sup>, 44&nbsp;% off (p = 4&thinsp;&times;&thinsp;10<sup>&minus;34</sup>), \
+&minus;0.3 Hz at 3 &micro;m'
+    """
+    said = escape(text)
+    if not isinstance(text, Raw):
+        for pattern, typeset in _TYPESET:
+            said = re.sub(pattern, typeset, said)
+    return Raw(said.replace(" %", "&nbsp;%").replace("+-", "&plusmn;"))
 
 
 def number(value: float, digits: int = 4) -> Raw:
@@ -231,12 +260,16 @@ def table(columns: Sequence[tuple[str, str]], rows: Sequence[Sequence[object]], 
     body = []
     for i, row in enumerate(rows):
         cells = "".join(
-            f'<td{_kind(kind)} data-label="{escape(title)}"><span>{escape(cell)}</span></td>'
+            f'<td{_kind(kind)} data-label="{escape(title)}"><span>{_cell(cell, kind)}</span></td>'
             for (title, kind), cell in zip(columns, row, strict=True)
         )
         body.append(f"<tr{_kind('strong' if i in stressed else '')}>{cells}</tr>")
     lines = "\n".join(body)
     return f'<table class="stack"><thead><tr>{head}</tr></thead>\n<tbody>\n{lines}\n</tbody></table>'
+
+
+def _cell(cell: object, kind: str) -> Raw | str:
+    return prose(cell) if kind == "text" else escape(cell)
 
 
 def image(figure: Figure | None, text: str, *, is_wide: bool = False, caption: str = "") -> str:

@@ -18,6 +18,7 @@ Every file is written beside its place and then renamed, so that a run that is s
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import tempfile
@@ -118,6 +119,7 @@ def claimed_output(
     if path is None:
         yield None
         return
+    made = [place for place in (Path(path), *Path(path).parents) if not place.exists()]
     folder = prepare_output(path, overwrite, records=records)
     lock = FolderLock(folder, "output folder")
     lock.acquire()
@@ -125,6 +127,9 @@ def claimed_output(
         yield prepare_output(path, overwrite, records=records)  # another run may have ended between check and lock
     finally:
         lock.remove()
+        with contextlib.suppress(OSError):  # a run that wrote nothing leaves nothing: only empty folders can be removed
+            for place in made:
+                place.rmdir()
 
 
 def prepare_output(path: str | os.PathLike[str], overwrite: bool = False, *, records: Any = None) -> Path:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from .._common.text import capitalised, in_words
+from .._common.text import in_words
 from ..discrepancy.study import Study
-from ..discrepancy.verdict import NamedLevel, Status
+from ..discrepancy.verdict import NamedLevel, Status, Verdict
 from .html import Raw, bullets, details, escape, image, noted, number, page, paragraph, prose, section, table, tiles
 from .report_curves import force_curves
 from .report_gap import amplitudes, curves, held_out_gap, interval, where
@@ -20,6 +21,7 @@ from .words import (
     VERDICT_WORDS,
     adequate_because,
     mechanism_name,
+    next_steps,
     percent,
     remaining,
     remaining_by_mechanism,
@@ -28,6 +30,7 @@ from .words import (
 )
 
 _MOST_SETS = 6  # that are listed one by one
+_MOST_LETTERS = 140  # of a sentence in letters of full size
 
 
 def report_html(study: Study, figures: Mapping[str, Figure], *, version: str, command: str = "") -> str:
@@ -74,12 +77,12 @@ def report_html(study: Study, figures: Mapping[str, Figure], *, version: str, co
 
 def _header(study: Study) -> str:
     count = study.backbones.sizes["specimen"]
-    kicker = f"Missing effect in {count} {'specimen' if count == 1 else 'specimens'}"
+    kicker = f"The search for a missing effect in {count} {'specimen' if count == 1 else 'specimens'}"
     means = f"{verdict_means(study)} {adequate_because(study)}".rstrip()
     parts = [
         f'<header>\n<span class="word">{escape(VERDICT_WORDS.get(study.verdict, study.verdict))}</span>'
         f'<span class="kicker">{escape(kicker)}</span>',
-        f"<h1>{prose(study.sentence)}</h1>",
+        f"<h1{' class=long' if len(study.sentence) > _MOST_LETTERS else ''}>{prose(study.sentence)}</h1>",
         paragraph(means, "soft"),
     ]
     if study.ambiguous_sets:
@@ -100,7 +103,11 @@ def _remaining(study: Study) -> str:
         details(f"{title} ({len(sets)} sets)", bullets(sets)) if len(sets) > 1 else bullets(sets)
         for title, sets in remaining_by_mechanism(study)
     ]
-    return "".join([*rows, bullets(lines[len(study.ambiguous_sets) :])])
+    others = bullets(lines[len(study.ambiguous_sets) :])
+    if len(rows) <= _MOST_SETS:
+        return "".join([*rows, others])
+    folded = rows[_MOST_SETS - 1 :]
+    return "".join([*rows[: _MOST_SETS - 1], details(f"{len(folded)} more, less probable", *folded), others])
 
 
 def _key_figures(study: Study) -> list[tuple[object, object]]:
@@ -113,7 +120,7 @@ def _key_figures(study: Study) -> list[tuple[object, object]]:
             for item in study.mechanisms
             if item.is_certain
         ]
-    elif np.isfinite(study.probability):
+    elif np.isfinite(study.probability) and study.verdict != Verdict.UNEXPLAINED:  # nothing known is what it is
         figures.append(
             (
                 percent(study.probability),
@@ -139,7 +146,7 @@ def _key_figures(study: Study) -> list[tuple[object, object]]:
 
 
 def _reasons(study: Study) -> str:
-    return section("Why", bullets(study.reasons)) + section("What to do next", bullets(map(capitalised, study.advice)))
+    return section("What to do next", bullets(next_steps(study))) + section("Why", bullets(study.reasons))
 
 
 def _data(study: Study, figures: Mapping[str, Figure]) -> str:
@@ -164,7 +171,7 @@ def _passed(is_passed: bool) -> str:
 def _reproduce(study: Study, version: str, command: str) -> str:
     parts = []
     if command:
-        parts.append(paragraph("The same study again:") + f"<pre>{escape(command)}</pre>")
+        parts.append(paragraph("The same study again:") + f"<pre>{_unbroken(command)}</pre>")
     parts.append(paragraph("The posterior again, as a script to edit:") + "<pre>python model.py</pre>")
     parts.append(
         paragraph(
@@ -173,6 +180,11 @@ def _reproduce(study: Study, version: str, command: str) -> str:
         )
     )
     return section("How to reproduce this", *parts, settings_table(study.settings))
+
+
+def _unbroken(command: str) -> str:
+    """Return a command whose options break at no hyphen of theirs."""
+    return re.sub(r"(?<=\s)(--[\w-]+)", r'<span class="u">\1</span>', escape(command))
 
 
 def settings_table(settings: Mapping[str, Any]) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ..discrepancy.study import HeldOut, Study
+from ..discrepancy.verdict import Verdict
 from .html import Raw, escape, image, number, paragraph, section, table, unit
 from .style import engineering
 from .terminal import measured_damping_words
@@ -54,7 +55,9 @@ def where(study: Study) -> str:
         ("in standard errors", ""),
     )
     if not rows:
-        return section("Where", paragraph("Nowhere do base model and measurement differ beyond their error."))
+        said = "At no level do the backbones of base model and measurement differ beyond their error"
+        waveforms = "" if study.verdict == Verdict.ADEQUATE else "; what is missing shows in the waveforms"
+        return section("Where", paragraph(f"{said}{waveforms}."))
     return section("Where base model and measurement differ", table(columns, rows))
 
 
@@ -81,7 +84,12 @@ def held_out_gap(study: Study, figures: Mapping[str, Figure]) -> str:
 
 
 def _held_out_row(held_out: HeldOut, what: str) -> tuple[object, ...]:
-    return f"{what}s", len(held_out.labels), number(held_out.before, 3), number(held_out.after, 3)
+    return (
+        f"{what}s",
+        int(np.isfinite(held_out.before_each).sum()),
+        number(held_out.before, 3),
+        number(held_out.after, 3),
+    )
 
 
 def interval(study: Study) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import astuple
 
@@ -13,10 +14,12 @@ from ..discrepancy.study import Candidate, Detectable, Study
 from ..discrepancy.verdict import Verdict
 from ..effects import LIBRARY
 from ..oscillator import Oscillator
-from .html import Raw, bullets, details, escape, image, number, paragraph, section, table, tiles, unit
+from .html import Raw, bullets, details, escape, image, number, paragraph, prose, section, table, tiles, unit
 from .terminal import meaningful_digits
-from .words import STATUS_WORDS, added_effects, mechanism_name, percent, set_name
+from .words import STATUS_WORDS, added_effects, is_held, mechanism_name, percent, set_name, unit_of
 
+_IN_BRACKETS = re.compile(r"\[([^\]]*)\]")
+_TURNED = "kg m^2"
 FIRST_CANDIDATES = 6
 MOST_SETS = 12
 
@@ -33,8 +36,9 @@ def candidates(study: Study, figures: Mapping[str, Figure]) -> str:
         ("status", ""),
         ("reason", "text"),
     )
-    units = {p.name: p.unit for effect in LIBRARY.values() for p in effect.parameters}
-    units.update((study.extended or study.base).units)
+    known = {p.name: p.unit for effect in LIBRARY.values() for p in effect.parameters}
+    known.update((study.extended or study.base).units)
+    units = {name: unit_of(text, _amplitude_unit(study)) for name, text in known.items()}
     rows = [_candidate_row(candidate, units) for candidate in study.candidates]
     first = table(columns, rows[:FIRST_CANDIDATES], strong=[0])
     count = len(rows) - FIRST_CANDIDATES
@@ -66,7 +70,7 @@ def mechanisms(study: Study) -> str:
             for found in study.candidates
             if found.probability > 0.0 and item.mechanism in {held.get(name, "other") for name in found.effects}
         ]
-        inside = details(laws, bullets(sets[:MOST_SETS])) if sets else escape(laws)
+        inside = details(prose(laws), bullets(sets[:MOST_SETS])) if sets else prose(laws)
         share = Raw(f"{number(100.0 * item.share_of_gap, 3)} %")
         rows.append((mechanism_name(item.mechanism), _bar(item.probability), share, Raw(inside)))
     note = "A mechanism is as probable as all sets together that hold a law of it"
@@ -82,24 +86,29 @@ def _remainder(study: Study) -> str:
     """List what the most probable set leaves, by observable."""
     if not study.remainder:
         return ""
-    columns = (("what is left of", "head"), ("largest", "n"), ("in standard errors", "n"), ("share of the gap", "n"))
-    unit = str(study.backbones.attrs.get("amplitude_unit", "m"))
+    columns = (("what is left of", "head"), ("largest", "n"), ("in standard errors", "n"),
+               ("over the base's gap", "n"))  # fmt: skip
     rows = []
     for item in study.remainder:
-        size = f"{number(item.size, 2)} {item.unit}" if item.unit != "1" else number(item.size, 2)
-        share = f"{number(100.0 * item.share_of_gap, 2)} %" if np.isfinite(item.share_of_gap) else "-"
+        size = Raw(f"{number(item.size, 2)} {item.unit}") if item.unit != "1" else number(item.size, 2)
+        share = Raw(f"{number(100.0 * item.share_of_gap, 2)} %") if np.isfinite(item.share_of_gap) else "-"
         rows.append((item.observable, size, number(item.standard_errors, 2), share))
     first = study.remainder[0]
-    between = span(first.amplitude_low, first.amplitude_high, unit)
+    between = span(first.amplitude_low, first.amplitude_high, _amplitude_unit(study))
     return table(columns, rows) + paragraph(f"What the most probable set leaves from {between}, beyond its own "
-                                            "frequency and damping.", "soft")  # fmt: skip
+                                            "frequency and damping; over the base's gap as root mean squares.",
+                                            "soft")  # fmt: skip
+
+
+def _amplitude_unit(study: Study) -> str:
+    return str(study.backbones.attrs.get("amplitude_unit", "m"))
 
 
 def _candidate_row(candidate: Candidate, units: Mapping[str, str]) -> tuple[object, ...]:
     reason = escape(candidate.reason)
     values = [
         f"{escape(in_words(name))} {number(value, 3)} &plusmn; {number(error, 2)}"
-        + ("" if units.get(name, "1") == "1" else f" {unit(units[name])}")
+        + ("" if units.get(name, "1") in ("1", "-") else f" {unit(units[name])}")
         for name, (value, error) in candidate.parameters.items()
     ]
     if values:
@@ -143,14 +152,15 @@ def parameters(study: Study, figures: Mapping[str, Figure]) -> str:
             if effect in added:
                 strong.append(len(rows))
             digits = meaningful_digits(estimate.hdi_low, estimate.hdi_high, estimate.sd)
+            ends = Raw(f"{number(estimate.hdi_low, digits)} to {number(estimate.hdi_high, digits)}")
             rows.append(
                 (
                     in_words(name),
                     number(estimate.mean, digits),
-                    number(estimate.sd, 2),
+                    number(np.nan if is_held(estimate) else estimate.sd, 2),
                     *([number(fitted.get(name, (np.nan, np.nan))[1], 2)] if is_sampled else []),
-                    Raw(f"{number(estimate.hdi_low, digits)} to {number(estimate.hdi_high, digits)}"),
-                    unit(estimate.unit),
+                    "held" if is_held(estimate) else ends,
+                    unit(unit_of(estimate.unit, _amplitude_unit(study))),
                     in_words(effect),
                 )
             )
@@ -173,29 +183,34 @@ def parameters(study: Study, figures: Mapping[str, Figure]) -> str:
     title = "Parameters of the extended model" if added else "Parameters of the base model"
     if study.verdict == Verdict.UNEXPLAINED and added:
         note = f"This model explains a part of the gap only. {note}"
-    if study.backbones.attrs.get("amplitude_unit") == "rad":
-        note += " For a rotation read N as N m, and m as rad."
     picture = image(figures.get("parameters"), "parameters with 95 % intervals")
     return section(title, table(columns, rows, strong=strong), paragraph(note, "soft"), picture) if rows else ""
 
 
 def equations(study: Study) -> str:
     """Write the equation of motion before and after."""
-    parts = ["<h3>Before</h3>" if study.extended else "", _equation(study.base, set())]
+    of = _amplitude_unit(study)
+    parts = ["<h3>Before</h3>" if study.extended else "", _equation(study.base, set(), of)]
     if study.extended is not None:
-        parts += ["<h3>After</h3>", _equation(study.extended, set(added_effects(study)))]
+        parts += ["<h3>After</h3>", _equation(study.extended, set(added_effects(study)), of)]
     return section("Equation of motion", *parts)
 
 
-def _equation(model: Oscillator, added: set[str]) -> str:
+def _equation(model: Oscillator, added: set[str], amplitude_unit: str) -> str:
     """Return the equation with the symbols of added parameters in the verdict's colour."""
     names = {parameter.name for effect in model.effects if effect.name in added for parameter in effect.parameters}
     lines = []
     for i, line in enumerate(model.equation.splitlines()):
         is_added = i > 0 and any(f": {name} [" in line for name in names)
-        text = escape(line)
+        text = escape(_IN_BRACKETS.sub(lambda found: f"[{_own_unit(found[1], amplitude_unit)}]", line) if i else line)
         lines.append(f"<b>{text}</b>" if i == 0 or is_added else text)
     return "<pre>" + "\n".join(lines) + "</pre>"
+
+
+def _own_unit(unit: str, amplitude_unit: str) -> str:
+    """Return the unit of a symbol in an equation, of the mass that of the motion at hand."""
+    moved, _, turned = unit.partition("; ")
+    return unit_of(unit, amplitude_unit) if not turned else _TURNED if amplitude_unit == "rad" else moved
 
 
 def detectable(study: Study, figures: Mapping[str, Figure]) -> str:
@@ -207,22 +222,22 @@ def detectable(study: Study, figures: Mapping[str, Figure]) -> str:
         ("frequency changes by", ""),
         ("damping changes by", ""),
     )
-    rows = [_detectable_row(item) for item in study.detectable]
+    rows = [_detectable_row(item, _amplitude_unit(study)) for item in study.detectable]
     note = paragraph("The strength from which each effect would have been seen in 9 of 10 such studies.", "soft")
     picture = image(figures.get("detectable"), "smallest detectable changes of frequency and damping")
     title = "The smallest effects these data could have shown"
     return section(title, note, table(columns, rows), picture) if rows else ""
 
 
-def _detectable_row(item: Detectable) -> tuple[object, ...]:
+def _detectable_row(item: Detectable, amplitude_unit: str) -> tuple[object, ...]:
     changes = [
         Raw(f"{number(100.0 * abs(change), 2)} %") if np.isfinite(change) else number(change)
         for change in (item.frequency, item.damping)
     ]
     name, parameter = in_words(item.effect), in_words(item.parameter)
     strength = number(item.value, 3)
-    if item.unit != "1":
-        strength = Raw(f"{strength} {unit(item.unit)}")
+    if item.unit not in ("1", "-"):
+        strength = Raw(f"{strength} {unit(unit_of(item.unit, amplitude_unit))}")
     return name, parameter, strength, *changes
 
 

@@ -14,6 +14,7 @@ from .curve_plots import plot_force
 from .gap_plots import plot_before_after, plot_gap, plot_held_out
 from .portrait_plots import plot_distortion, plot_force_sections, plot_time_frequency
 from .posterior_plots import plot_rank, plot_trace
+from .words import unit_of
 
 
 def study_figures(study: Study, records: Sequence[Any] = ()) -> dict[str, Figure]:
@@ -61,7 +62,8 @@ def study_figures(study: Study, records: Sequence[Any] = ()) -> dict[str, Figure
         figures["detectable"] = plot_detectable(study)
     if study.posterior is not None:
         names = [name for name in study.posterior_bounds if name in study.posterior["posterior"]]
-        units = (study.extended or study.base).units
+        amplitude_unit = str(study.backbones.attrs.get("amplitude_unit", "m"))
+        units = {name: unit_of(text, amplitude_unit) for name, text in (study.extended or study.base).units.items()}
         figures["trace"] = plot_trace(study.posterior, names, units=units)
         figures["rank"] = plot_rank(study.posterior, names, units=units)
     figures |= _of_single_records(study)

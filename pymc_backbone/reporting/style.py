@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any
 
@@ -132,6 +132,19 @@ def drawable(text: str, most: int = 40) -> str:
     line = "".join(c if ord(c) in glyphs else "?" for c in " ".join(str(text).split()))
     line = line if len(line) <= most else line[: most - 1] + "\N{HORIZONTAL ELLIPSIS}"
     return line.replace("$", r"\$")
+
+
+def drawable_names(names: Sequence[str], most: int) -> list[str]:
+    """Return names that stand beside each other, too long ones without as much of what they begin with alike.
+
+    Examples
+    --------
+    >>> drawable_names(["free_swing_data_01", "free_swing_data_02"], 12)
+    ['…ing_data_01', '…ing_data_02']
+    """
+    shared = next((i for i, letters in enumerate(zip(*names, strict=False)) if len(set(letters)) > 1), 0)
+    cut = min(shared, max(map(len, names), default=0) - most + 1)
+    return [drawable(f"\N{HORIZONTAL ELLIPSIS}{name[cut:]}" if cut > 1 else name, most) for name in names]
 
 
 @cache

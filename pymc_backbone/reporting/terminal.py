@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 
 from .._common.checks import OBSERVABLE_UNITS
+from .._common.text import amplitude
 
 MOST_NOTES = 8
 POPULATION_WORDS = {"mean": "mean over the batch", "sd": "spread (sd) over the batch"}
@@ -150,7 +151,7 @@ def damping_ratio_words(decrements: Sequence[float], levels: Sequence[float], un
     Examples
     --------
     >>> damping_ratio_words([0.0628], [0.001], "m")
-    'Damping is the logarithmic decrement per cycle: a damping ratio of 0.999 % (Q = 50) at 0.001 m.'
+    'Damping is the logarithmic decrement per cycle: a damping ratio of 0.999 % (Q = 50) at 1 mm.'
     """
     known = [(delta, level) for delta, level in zip(decrements, levels, strict=True) if delta > 0.0]
     if not known:
@@ -159,7 +160,7 @@ def damping_ratio_words(decrements: Sequence[float], levels: Sequence[float], un
     for delta, level in known if len(known) == 1 else (known[0], known[-1]):
         ratio = delta / np.hypot(2.0 * np.pi, delta)
         quality = f"{0.5 / ratio:.3g}"
-        said.append(f"{100.0 * ratio:.3g} % ({quality if said else f'Q = {quality}'}) at {level:.4g} {unit}")
+        said.append(f"{100.0 * ratio:.3g} % ({quality if said else f'Q = {quality}'}) at {amplitude(level, unit)}")
     return f"Damping is the logarithmic decrement per cycle: a damping ratio of {', '.join(said)}."
 
 

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .._common.text import in_words
+from .._common.text import capitalised, in_words
 from ..discrepancy.evidence import MISSING
 from ..discrepancy.verdict import AdequateBy, NamedLevel, Status, Verdict
 from ..effects import LIBRARY, MECHANISMS
 
 if TYPE_CHECKING:
-    from ..discrepancy.study import Study
+    from ..discrepancy.study import Estimate, Study
 
 VERDICT_WORDS: dict[str, str] = {
     Verdict.ADEQUATE: "\N{CHECK MARK} Adequate",
@@ -48,6 +49,8 @@ STATUS_WORDS: dict[str, str] = {
 }
 
 
+WARNING = "warning: "
+"""How a note begins that speaks against the data; of one record the record's name stands before it."""
 LEAST_TOLD = 0.01
 """Probability from which it is told what the sets that are listed do not hold of it."""
 
@@ -110,6 +113,41 @@ def remaining_by_mechanism(study: Study) -> list[tuple[str, list[str]]]:
         title = " + ".join(map(mechanism_name, kinds)) or "nothing more than the model holds"
         rows.append((total, f"{title}: {percent(total)}", lines))
     return [(title, lines) for _, title, lines in sorted(rows, key=lambda row: -row[0])]
+
+
+def next_steps(study: Study) -> list[str]:
+    """Return what to do next: what speaks against the data first, then what to measure, else what to look at."""
+    steps = [check.message for check in study.checks if not check.passed]
+    steps += [note.removeprefix(WARNING) for note in study.notes if note.startswith(WARNING)]
+    steps += study.advice
+    if not steps and study.verdict == Verdict.UNEXPLAINED:
+        steps.append(
+            "look at what single records show, below: points that no line meets are the force that the model lacks. An "
+            "effect of your own can be a candidate: `pb.Effect`"
+        )
+    if not study.advice and study.verdict == Verdict.FOUND:
+        steps.append("the extended model is in model.py, a PyMC script to run and to edit")
+    named = {str(name) for name in study.backbones["specimen"].values}
+    sentences = [step if step.split()[0] in named else capitalised(step) for step in steps]
+    return [f"{step.rstrip('.')}." for step in sentences]
+
+
+def is_held(estimate: Estimate) -> bool:
+    """Return whether a parameter was held at its value, where forces tell no more than the others do."""
+    return estimate.hdi_low == estimate.mean == estimate.hdi_high
+
+
+def unit_of(unit: str, amplitude_unit: str) -> str:
+    """Return the unit of a force's parameter as it is for a rotation, where the amplitude is an angle.
+
+    Examples
+    --------
+    >>> unit_of("N s/m^2", "m"), unit_of("N s/m^2", "rad"), unit_of("N m/rad", "rad"), unit_of("m/s", "rad")
+    ('N s/m^2', 'N m s/rad^2', 'N m/rad', 'rad/s')
+    """
+    if amplitude_unit != "rad" or "rad" in unit:
+        return unit
+    return re.sub(r"\b[Nm]\b", lambda found: {"N": "N m", "m": "rad"}[found.group()], unit)
 
 
 def mechanism_name(mechanism: str) -> str:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .._common.checks import InputError, check_positive
+from .._common.checks import InputError, check_choice, check_positive
 from .._common.late_imports import imported_beside
 from .._common.options import settings_of
 from .._common.text import in_words
@@ -100,9 +100,12 @@ def _diagnosed(
     mass_error: float,
 ) -> dict[str, Any]:  # fmt: skip
     """Diagnose into a folder that is ready."""
+    from ..effects import LIBRARY
     from ..oscillator import Oscillator
 
     oscillator = Oscillator(mass, base)
+    for name in searching.candidates or ():  # before anything is read, which may take long
+        check_choice("candidates", name, LIBRARY)
     data, records, left_out = _read(path, reading, measuring, say)
     settings = {name: value for name, value in settings_of(searching, sampling).items() if value is not None}
     if not reading.is_table:  # the tables are at the levels already

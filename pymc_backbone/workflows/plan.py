@@ -11,10 +11,20 @@ from typing import Any
 from .._common.atomic_files import replacing
 from .._common.checks import InputError
 from ..discrepancy.design import Affordable, Contender, Design, contenders_from
+from ..discrepancy.verdict import NamedLevel
 from ..effects import LIBRARY
 from ..reporting.output_folder import read_result
 from ..reporting.terminal import aligned
 from .measure import Progress, Say
+
+NOTHING_TO_TELL: Mapping[tuple[str, str | None], str] = {
+    ("adequate", None): ", because nothing is missing",
+    ("found", NamedLevel.LAW): ", because the law is named",
+    ("found", NamedLevel.MECHANISM): ", because none is exact: no test can be simulated that decides between laws; "
+    "measure at other amplitudes, and diagnose all records together",
+    ("unexplained", None): ", because none explains the records; `What to do next` in report.html says more",
+}
+"""Why a verdict has no sets to plan a test for, by verdict and what is named."""
 
 
 def plan(
@@ -96,7 +106,8 @@ def _of(result: Mapping[str, Any], folder: Path) -> tuple[Design, Sequence[Conte
     if "verdict" not in result:
         raise InputError(f"{folder} is no output folder of `diagnose`; make one with `pymc-backbone diagnose`.")
     if not result.get("ambiguous_sets"):
-        raise InputError(f"the verdict in {folder} is `{result['verdict']}`: there are no sets left to tell apart.")
+        why = NOTHING_TO_TELL.get((str(result["verdict"]), result.get("named_level")), "")
+        raise InputError(f"the verdict in {folder} is `{result['verdict']}`: no sets left to tell apart{why}.")
     if not result.get("present"):
         raise InputError(f"{folder} was made from backbones alone; a plan needs to know how the records were made.")
     if len(result.get("contenders") or ()) < 2:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ..._common.checks import FloatArray, InputError, check_motion, check_positive
+from ..._common.text import with_error
 from ..._common.threads import with_one_thread
 from ..reading.record import MINIMUM_SAMPLES, Record
 from .asymmetry import MidLine, displacement_amplitude, find_mid_line, second_harmonic
@@ -260,7 +261,7 @@ class _Conditioning:
         baseline = find_baseline(values, self.rate, path, end, spectrum.total, harmonic)
         unit = self.record.unit
         self.notes.append(
-            f"baseline {baseline.value + self.free.reading:.6g} +- {baseline.error:.2g} {unit} was subtracted"
+            f"baseline {with_error(baseline.value + self.free.reading, baseline.error)} {unit} was subtracted"
         )
         if np.isfinite(baseline.rest):
             self.notes.append(
