@@ -103,7 +103,8 @@ def test_result_has_the_documented_keys(studies, tmp_path, verdict):
     if verdict == "found":
         (entry,) = result["missing_effects"]
         assert entry["name"] == "coulomb_friction"
-        assert set(entry["parameters"]["friction_force"]) == {"mean", "sd", "hdi_low", "hdi_high", "unit"}
+        known = {"mean", "sd", "hdi_low", "hdi_high", "unit", "is_low_open", "is_high_open"}
+        assert set(entry["parameters"]["friction_force"]) == known
     if verdict == "adequate":
         assert result["gap"]["shrink"] is None and result["equation_after"] is None
         assert result["adequate_by"] == "statistics"

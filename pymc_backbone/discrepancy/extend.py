@@ -10,8 +10,9 @@ import xarray as xr
 
 from .._common.backbone_dataset import FREQUENCY
 from .._common.checks import OBSERVABLES, FloatArray
-from ..effects import BASE_EFFECTS
+from ..effects import BASE_EFFECTS, Parameter
 from ..inference.options import Sampling
+from . import valleys
 from .batch import Batch
 from .curves import curve, measured, on_levels
 from .descent import is_heavy
@@ -201,8 +202,8 @@ def estimates_from_draws(
 
 
 def estimates_from_fit(batch: Batch, found: Fit) -> dict[str, dict[str, Estimate]]:
-    """Return the estimates of all parameters, by effect, from the curvature of the fit."""
-    values = estimates_of(found)
+    """Return the estimates of all parameters, by effect: from the curvature of the fit, or along its valley."""
+    values, followed = estimates_of(found), valleys.ranges(found, batch)
     count = len(batch.specimens)
     own = found.state.own[:, :2]
     oscillator = found.layout.oscillator
@@ -222,5 +223,17 @@ def estimates_from_fit(batch: Batch, found: Fit) -> dict[str, dict[str, Estimate
                 value, error = values[parameter.name]
             low, high = max(value - 1.96 * error, parameter.minimum), min(value + 1.96 * error, parameter.maximum)
             group[parameter.name] = Estimate(value, error, low, high, parameter.unit)
+            if parameter.name in followed:
+                group[parameter.name] = _along_valley(value, followed[parameter.name], parameter)
         result[effect.name] = group
     return result
+
+
+def _along_valley(value: float, allowed: valleys.Range, parameter: Parameter) -> Estimate:
+    """Return an estimate whose interval is that of the valley of the fit; its deviation goes with the interval."""
+    low, high = max(allowed.low, parameter.minimum), min(allowed.high, parameter.maximum)
+    deviation = (high - low) / (2.0 * 1.96)
+    return Estimate(
+        float(np.clip(value, low, high)), deviation, low, high, parameter.unit,
+        is_low_open=allowed.is_low_open, is_high_open=allowed.is_high_open,
+    )  # fmt: skip

@@ -85,6 +85,16 @@ class Layout:
         names = [name for effect in self.oscillator.effects for name, _ in effect.redundant]
         return {name: float(self.template[self.oscillator.index(name)]) for name in names}
 
+    @property
+    def beds(self) -> list[tuple[int, int, int]]:
+        """Coordinates of each bed of sliders: force, relative slip displacement, exponent of their strengths."""
+        found = []
+        for effect in self.oscillator.effects:
+            place = {q.role: self.names.index(q.name) for q in effect.parameters if q.name in self.names}
+            if {"slip_force", "exponent"} <= place.keys():
+                found.append((place["strength"], place["slip_force"], place["exponent"]))
+        return found
+
     def room(self, eta: FloatArray, scatter: float, most: float) -> tuple[FloatArray, FloatArray]:
         """Return the least and largest deviations (q,) of a specimen: the most, or where coordinates have their limits.
 

@@ -108,7 +108,8 @@ def _course(term: WaveformTerm, is_of_rate: bool) -> FloatArray:
     square = np.gradient(term.compared(term.values), term.compared(term.time)) ** 2
     together = square.size // term.size  # samples of a rate, or an acceleration, that a value is the mean of
     if together > 1:
-        square = means(square[:, None], together)[: term.size, 0]
+        square = means(square[:, None], together)[:, 0]
+    square = square[: term.size]
     smooth = _over_cycles(square, term)
     course: FloatArray = (square if is_of_rate else smooth) / smooth.max()
     return course

@@ -8,7 +8,7 @@ import numpy as np
 
 from . import evidence, starts
 from .curves import frequencies
-from .descent import is_heavy
+from .descent import IN_REACH, is_heavy
 from .fitted_sets import POSSIBLE_BACKBONE, FittedSets
 from .joint_fit import Fit, parameters_of
 from .layout import Layout
@@ -33,6 +33,22 @@ _ASKED_FOR = 10.0  # fall of chi-square, as a linear step promises it, that no s
 
 class RevisitedSets(FittedSets):
     """Fitted sets, ranked, and fits begun again from where others ended."""
+
+    def fit_set(self, names: Set) -> Fit | None:
+        """Return the best fit of a set, from several starts; kept for the next time.
+
+        Where it came to rest on the plateau of a bed of sliders that does not slip as a whole, it begins again from
+        beyond the edge of that.
+        """
+        is_known = names in self.fits
+        found = super().fit_set(names)
+        if is_known or found is None or not found.is_converged or not found.cost < IN_REACH * self.count:
+            return found
+        states = starts.slipping(found.layout, found.state) if self.batch.has_records else []
+        beyond = self.descent.from_near(found.layout, states, rival=found.cost) if states else None
+        if beyond is not None and beyond.cost < found.cost:
+            self.fits[names] = beyond
+        return self.fits[names]
 
     def ranked(self, size: int | None = None) -> list[Set]:
         """Return the fitted sets, of one size or all, most probable first."""

@@ -26,6 +26,7 @@ _KEPT = 2
 _SIDES = (-0.9, -0.5, -0.2, 0.2, 0.5, 0.9)  # displacements over the amplitude
 _SIZES, _ANGLES = (0.4, 0.7, 1.0), 24  # amplitudes over the typical one, and instants of a cycle
 _ODD = 1e-6  # share of a force that is the same on both sides, up to which it is none
+_SLIPPING = (0.9, 0.6)  # displacement at which a bed of sliders slips as a whole, over the largest of the motion
 
 
 def positions(layout: Layout, effect: str) -> list[int]:
@@ -204,6 +205,41 @@ def in_place_of(layout: Layout, known: Fit, angular_frequency: float) -> State:
     own = state.own.copy()
     own[:, 0] += stiffness
     own[:, 1] = np.maximum(own[:, 1] + damping, 0.0)
+    return State(eta, own)
+
+
+def slipping(layout: Layout, state: State) -> list[State]:
+    """Return starts with beds of sliders that just slip as a whole, where they hardly do or do not.
+
+    A bed that never slips as a whole has the force ``K x - C x^(2 + chi)`` on the way from a turning point, whatever
+    slip force goes with its ``C``: over a plateau without an end, where a fit has no reason to move. What lies beyond
+    its edge, where the largest motions make the whole bed slip, no derivative on the plateau tells. In the starts that
+    force is the same in every specimen, and the spring beside it takes up what the bed has less of stiffness.
+    """
+    released = np.abs(state.own[:, 2])
+    reach = max(float(released.max()), layout.amplitude) / layout.amplitude
+    found: list[State] = []
+    for strength, slip, exponent in layout.beds:
+        edge = reach * (1.0 + state.eta[exponent]) / (2.0 + state.eta[exponent])
+        if state.eta[strength] > 0.0 and state.eta[slip] > _SLIPPING[-1] * edge:
+            found += [_at_slip(layout, state, (strength, slip, exponent), share * edge) for share in _SLIPPING]
+    return found
+
+
+def _at_slip(layout: Layout, state: State, bed: tuple[int, int, int], slip: float) -> State:
+    """Return a point with a bed that slips at another displacement, and has the same force where it does not."""
+    strength, at, exponent = bed
+    ratio = max(slip, layout.low[at]) / state.eta[at]
+    eta, own = state.eta.copy(), state.own.copy()
+    eta[at] *= ratio
+    eta[strength] *= ratio ** (2.0 + eta[exponent])
+    deviations = own[:, normal_equations.NUISANCES :]
+    for r in range(own.shape[0]):
+        before = layout.physical(state.eta, deviations[r], layout.scatter)[0]
+        own_share = ratio ** (before[exponent] - eta[exponent])  # a specimen has an exponent of its own
+        deviations[r, strength] = ((1.0 + layout.scatter * deviations[r, strength]) * own_share - 1.0) / layout.scatter
+        after = layout.physical(eta, deviations[r], layout.scatter)[0]
+        own[r, 0] += before[strength] - after[strength]
     return State(eta, own)
 
 

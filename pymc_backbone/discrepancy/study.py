@@ -24,9 +24,13 @@ class Estimate:
     Attributes
     ----------
     mean, sd, hdi_low, hdi_high : float
-        Of the posterior over the batch [``unit``]; 95 % highest-density interval.
+        Of the posterior over the batch [``unit``]; 95 % highest-density interval. Where nothing was sampled, of the
+        fit; where its parameters make up for each other, the values that the records allow along that valley, and the
+        deviation that goes with an interval of this width.
     unit : str
         SI unit.
+    is_low_open, is_high_open : bool
+        Whether the interval ends there at a limit of what is looked for only, and the records allow values beyond.
     """
 
     mean: float
@@ -34,6 +38,8 @@ class Estimate:
     hdi_low: float
     hdi_high: float
     unit: str
+    is_low_open: bool = False
+    is_high_open: bool = False
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from .._common.text import capitalised, in_words, span
-from ..discrepancy.study import Candidate, Detectable, Study
+from ..discrepancy.study import Candidate, Detectable, Estimate, Study
 from ..discrepancy.verdict import Verdict
 from ..effects import LIBRARY
 from ..oscillator import Oscillator
@@ -140,6 +140,16 @@ def _bar(probability: float) -> Raw:
     return Raw(f'<span class="bar" style="--p:{share:.1f}%">{escape(percent(probability))}</span>')
 
 
+def _interval(estimate: Estimate, digits: int) -> Raw:
+    """Return the interval of an estimate, with the ends only that the records give it."""
+    low, high = number(estimate.hdi_low, digits), number(estimate.hdi_high, digits)
+    if estimate.is_low_open and estimate.is_high_open:
+        return Raw("not bounded by the records")
+    if estimate.is_high_open:
+        return Raw(f"at least {low}")
+    return Raw(f"at most {high}" if estimate.is_low_open else f"{low} to {high}")
+
+
 def parameters(study: Study, figures: Mapping[str, Figure]) -> str:
     """List the parameters of the extended model, or of the base model where there is none."""
     added = set(added_effects(study))
@@ -152,14 +162,13 @@ def parameters(study: Study, figures: Mapping[str, Figure]) -> str:
             if effect in added:
                 strong.append(len(rows))
             digits = meaningful_digits(estimate.hdi_low, estimate.hdi_high, estimate.sd)
-            ends = Raw(f"{number(estimate.hdi_low, digits)} to {number(estimate.hdi_high, digits)}")
             rows.append(
                 (
                     in_words(name),
                     number(estimate.mean, digits),
                     number(np.nan if is_held(estimate) else estimate.sd, 2),
                     *([number(fitted.get(name, (np.nan, np.nan))[1], 2)] if is_sampled else []),
-                    "held" if is_held(estimate) else ends,
+                    "held" if is_held(estimate) else _interval(estimate, digits),
                     unit(unit_of(estimate.unit, _amplitude_unit(study))),
                     in_words(effect),
                 )
@@ -175,6 +184,11 @@ def parameters(study: Study, figures: Mapping[str, Figure]) -> str:
         )
     else:
         note += " Nothing was sampled: intervals are those of the fit."
+        if any(item.is_low_open or item.is_high_open for group in study.parameters.values() for item in group.values()):
+            note += (
+                " Where parameters make up for each other, these are the values that the records allow together: "
+                "'at least' and 'at most' stand where only the limits of the search end them at the other side."
+            )
     if study.scatter is not None:
         middle, low, high = (f"{100.0 * share:.2g}" for share in astuple(study.scatter))
         note += (

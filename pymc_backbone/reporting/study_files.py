@@ -41,8 +41,7 @@ DIAGNOSIS_KEYS = {
     "verdict": "adequate | found | ambiguous | unexplained",
     "sentence": "the verdict in one sentence",
     "base_effects": "names of the effects of the model that was questioned",
-    "missing_effects": "name and parameters (mean, sd, hdi_low, hdi_high, unit) of each; empty unless found "
-    "and the law named",
+    "missing_effects": "name and parameters (as under 'parameters') of each; empty unless found and the law named",
     "named_level": "law | mechanism | null: what is named where the verdict is found",
     "mechanisms": "what may be missing, in falling probability: mechanism (spring | asymmetry | clearance | "
     "hysteresis | drag | displacement_damping | other), probability, share_of_gap (of the base's chi-square or, where "
@@ -86,7 +85,8 @@ DIAGNOSIS_KEYS = {
     "of frequency and damping",
     "data_checks": "check, passed, message",
     "parameters": "of the extended model (of the base where nothing was added), by effect and name: mean, sd, hdi_low, "
-    "hdi_high, unit",
+    "hdi_high, unit, is_low_open, is_high_open (whether the interval ends there at a limit of the search only, and the "
+    "records allow values beyond)",
     "posterior_bounds": "name: low, high of the uniform priors of the sampled model",
     "convergence": "r_hat (largest), ess_bulk (smallest), draws, chains; empty where nothing was sampled",
     "findings": "sentences on what is wrong with the posterior; empty if nothing was found",
