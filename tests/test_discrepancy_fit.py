@@ -652,6 +652,8 @@ def test_first_turning_points_are_compared_with_their_own_where_a_filter_took_th
         (("bilinear_stiffness",), True),
         (("one_sided_stiffness",), True),
         (("cubic_stiffness", "one_sided_stiffness"), True),
+        (("hertz_contact",), True),  # its gap is a distance on either side
+        (("offset_freeplay",), True),  # whose strength has one sign
         (("cubic_stiffness",), False),  # its own mirror image
     ],
 )
@@ -660,8 +662,8 @@ def test_a_mirror_image_has_the_same_backbones_and_the_other_side(effects, has_i
     layout = make_layout(Oscillator(MASS, effects), AMPLITUDE, OMEGA)
     eta = np.where(layout.is_strength, 0.05 * layout.width, 0.0)
     for j, name in enumerate(layout.names):
-        if name == "stop_gap":
-            eta[j] = -0.3 * AMPLITUDE
+        eta[j] = {"stop_gap": -0.3, "hertz_gap": 0.3, "play": 0.4}.get(name, eta[j] / AMPLITUDE) * AMPLITUDE
+        eta[j] = 0.25 if name == "play_asymmetry" else eta[j]
     state = start_state(layout, eta, np.array([[STIFFNESS, 1e-3 * DAMPING, AMPLITUDE, 0.0, 0.0]]))
     image = starts.mirrored(layout, state)
     assert (image is not None) == has_image
@@ -675,7 +677,8 @@ def test_a_mirror_image_has_the_same_backbones_and_the_other_side(effects, has_i
         assert not status.any()
         curves.append(values)
     np.testing.assert_allclose(curves[1][0], curves[0][0], rtol=1e-6)
-    np.testing.assert_allclose(np.sign(image.eta[layout.is_strength][-1]), -1.0)
+    has_sides = layout.low < 0.0  # a strength of one sign leaves the side to the asymmetry
+    assert np.any(np.sign(image.eta[has_sides]) == -np.sign(state.eta[has_sides]))
     twice = starts.mirrored(layout, image)
     np.testing.assert_allclose(twice.eta, state.eta)
     np.testing.assert_allclose(twice.own[:, 0], state.own[:, 0], rtol=1e-12)

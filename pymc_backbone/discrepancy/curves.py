@@ -186,6 +186,18 @@ def level_chi_square(batch: Batch, found: Fit) -> float:
     return total / max(count - 2 * len(batch.levels), 1)
 
 
+def is_told_apart(batch: Batch, found: Fit, image: State, possible: float) -> bool:
+    """Return whether the backbones tell a fit from its mirror image, whose mid-line lies on the other side.
+
+    They do not where that leaves no more than ``possible``, or than the fit does: the mid-line of a weak contact is
+    lost in the noise, and that of a velocity is not known.
+    """
+    if not all(item.offset_is_measured for item in batch.records):
+        return False
+    most = max(level_chi_square(batch, found), possible)
+    return not level_chi_square(batch, on_levels(batch, replace(found, state=image))) < most
+
+
 def _left_beside_drifts(batch: Batch, found: Fit, r: int) -> FloatArray | None:
     """Return the residuals (m,) of the backbones of a specimen whose frequency and damping drift with time.
 

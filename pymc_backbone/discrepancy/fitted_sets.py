@@ -14,7 +14,7 @@ from ..effects import LIBRARY, Effect
 from ..oscillator import Oscillator
 from . import evidence, starts
 from .batch import Batch
-from .curves import level_chi_square
+from .curves import is_told_apart, level_chi_square
 from .descent import IN_REACH, Descent, Way
 from .joint_fit import Fit
 from .layout import Layout, make_layout
@@ -400,10 +400,13 @@ class FittedSets:
 
     def _mirrored(self, layout: Layout, found: list[Fit], rival: float | None) -> list[Fit]:
         """Return the fit from the mirror image of the best, where the backbones do not say which side is which."""
-        if not found or not self.batch.has_records or all(item.offset_is_measured for item in self.batch.records):
+        if not found or not self.batch.has_records:
             return []
-        state = starts.mirrored(layout, min(found, key=lambda item: item.cost).state)
-        reached = None if state is None else self.descent.from_afar(layout, state, rival, None, self._limit)
+        best = min(found, key=lambda item: item.cost)
+        image = starts.mirrored(layout, best.state)
+        if image is None or is_told_apart(self.batch, best, image, POSSIBLE_BACKBONE):
+            return []
+        reached = self.descent.from_afar(layout, image, rival, None, self._limit)
         return [] if reached is None else [reached]
 
     def _is_lost(self, found: Fit, promised: float) -> bool:

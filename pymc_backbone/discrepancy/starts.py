@@ -27,6 +27,7 @@ _SIDES = (-0.9, -0.5, -0.2, 0.2, 0.5, 0.9)  # displacements over the amplitude
 _SIZES, _ANGLES = (0.4, 0.7, 1.0), 24  # amplitudes over the typical one, and instants of a cycle
 _ODD = 1e-6  # share of a force that is the same on both sides, up to which it is none
 _SLIPPING = (0.9, 0.6)  # displacement at which a bed of sliders slips as a whole, over the largest of the motion
+_LINEAR = 1e-6  # the same of what a linear spring leaves
 
 
 def positions(layout: Layout, effect: str) -> list[int]:
@@ -148,19 +149,35 @@ def mirrored(layout: Layout, state: State) -> State | None:
     for effect in layout.oscillator.effects:
         if effect.name in BASE_EFFECTS or effect.n_states or effect.has_memory:
             continue
-        where = positions(layout, effect.name)
         before = _at_rest(layout, effect, vector)
         if np.abs(before + before[::-1]).max() <= _ODD * np.abs(before).max():
             continue
-        if layout.low[where[0]] >= 0.0:
+        turned = _turned(layout, effect, vector, before)
+        if turned is None:
             return None
-        turned = [place for place in where if layout.low[place] < 0.0 < layout.high[place]]
-        eta[turned] *= -1.0
-        image = vector.copy()
-        image[layout.free[turned]] *= -1.0
-        left = -before[::-1] - _at_rest(layout, effect, image)
-        own[:, 0] += (left[-1] - left[0]) / (2.0 * _SIDES[-1] * layout.amplitude)
+        places, stiffness = turned
+        eta[places] *= -1.0
+        own[:, 0] += stiffness
     return None if np.array_equal(eta, state.eta) else State(eta, own)
+
+
+def _turned(layout: Layout, effect: Effect, vector: FloatArray, before: FloatArray) -> tuple[list[int], float] | None:
+    """Return which coordinates change their sign in the mirror image of an effect, and the stiffness that it lacks.
+
+    Effects count sides in their own ways: a gap may be a place, or a distance on the side that the strength names. The
+    signs are those that leave a linear spring; None where none do.
+    """
+    signed = [k for k in positions(layout, effect.name) if layout.low[k] < 0.0 < layout.high[k]]
+    x = layout.amplitude * np.array(_SIDES)
+    for count in range(len(signed), 0, -1):
+        for places in itertools.combinations(signed, count):
+            image = vector.copy()
+            image[layout.free[list(places)]] *= -1.0
+            left = -before[::-1] - _at_rest(layout, effect, image)
+            stiffness = float(left @ x / (x @ x))
+            if np.abs(left - stiffness * x).max() <= _LINEAR * np.abs(before).max():
+                return list(places), stiffness
+    return None
 
 
 def _at_rest(layout: Layout, effect: Effect, vector: FloatArray) -> FloatArray:
