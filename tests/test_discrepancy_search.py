@@ -12,7 +12,14 @@ from scipy.stats import f, kstest, multivariate_normal
 
 from pymc_backbone.discrepancy import evidence, rivals, starts, verify
 from pymc_backbone.discrepancy.compensation import compensation
-from pymc_backbone.discrepancy.curves import curve, level_chi_square, on_levels, prediction_errors, simulate
+from pymc_backbone.discrepancy.curves import (
+    curve,
+    is_told_apart,
+    level_chi_square,
+    on_levels,
+    prediction_errors,
+    simulate,
+)
 from pymc_backbone.discrepancy.decide import decide, doubted, is_none_other
 from pymc_backbone.discrepancy.decision import NAMED
 from pymc_backbone.discrepancy.drift_proposals import beside_drifts
@@ -960,3 +967,70 @@ def test_a_damper_in_the_place_of_another_takes_the_same_energy(linear):
 
     assert state.eta[0] > 0.0
     assert work(plain, state) == pytest.approx(work(layout, known.state), rel=0.05)
+
+
+def test_specimens_that_hold_a_fit_beside_its_minimum_begin_alike(cubic):
+    """One specimen's own value far off, as behind a kink: the fit begins where it ended with that taken back."""
+    names, descent = ("cubic_stiffness",), cubic.descent
+    right = cubic.fits[names]
+    own = right.state.own.copy()
+    own[0, 7:] += 3.0
+    held = replace(right, state=replace(right.state, own=own), chi_square=right.chi_square + 20.0, penalty=9.0)
+    assert np.all(starts.alike(held).own[:, 7:] == 0.0) and np.all(starts.alike(held).own[:, :7] == own[:, :7])
+    assert descent.begun_alike(held).cost == pytest.approx(right.cost, abs=0.1)
+    assert descent.begun_alike(replace(right, chi_square=right.chi_square - 1.0)).cost < right.cost - 0.9  # no better
+    # of a fit near the noise whose specimens differ by more than they were taken to: one value of each of three here
+    assert descent._is_strained(held) and not descent._is_strained(replace(held, penalty=2.9))
+    assert not descent._is_strained(replace(held, chi_square=held.chi_square + cubic.count))
+
+
+def test_rivals_of_the_best_set_begin_otherwise(cubic, monkeypatch):
+    """A law with a shape that rests above its minimum, and one without: the first is begun again, from its look too."""
+    names = ("power_stiffness",)
+    search = Search(cubic.batch, Oscillator(MASS, ()), (*CANDIDATES, *names), 1)
+    for item in ((), ("cubic_stiffness",), names):
+        search.fit_set(item)
+    right, asked = search.fits[names], []
+    proposed = Search._proposed
+    monkeypatch.setattr(Search, "_proposed", lambda *args: asked.append(args[1]) or proposed(*args))
+    search.asked.clear()
+    search.fits[names] = replace(right, chi_square=right.chi_square + 0.6)
+    assert search.best() == ("cubic_stiffness",) and search._rivals() == [names]  # strengths alone have one minimum
+    search._begin_otherwise()
+    assert search.fits[names].cost == pytest.approx(right.cost, abs=0.2) and asked == [names]
+    search._begin_otherwise()
+    assert asked == [names]  # once
+
+
+def test_variants_of_what_explains_are_asked_although_the_effort_is_spent(cubic, monkeypatch):
+    search = Search(
+        cubic.batch, Oscillator(MASS, ()), ("cubic_stiffness",), 1, budget=1.0, variants=("power_stiffness",)
+    )
+    for names in ((), ("cubic_stiffness",)):
+        search.fit_set(names)
+    assert search._is_spent
+    varied = []
+    monkeypatch.setattr(Search, "_fit_varied", lambda _, names: varied.append(names))
+    search._vary()
+    assert varied == [("power_stiffness",)]
+    monkeypatch.setattr(Search, "explains", lambda *_: False)  # negative control
+    search._vary()
+    assert varied == [("power_stiffness",)]
+
+
+@pytest.mark.parametrize(("share", "is_told"), [(0.15, True), (0.005, False)])
+def test_backbones_tell_a_mirror_image_where_the_mid_line_moves_by_more_than_noise(share, is_told):
+    names, rng = ("linear_stiffness", "viscous_damping", "quadratic_stiffness"), np.random.default_rng(41)
+    values = dict(zip(names, (STIFFNESS, DAMPING, share * STIFFNESS / AMPLITUDE), strict=True))
+    after = np.maximum(TIME - RELEASE_TIME, 0.0)
+    held = np.unique(after)
+    exact = simulate_waveform(Oscillator(MASS, ["quadratic_stiffness"]), values, held, AMPLITUDE).displacement
+    batch = batch_of([noisy(rng, "specimen 1", TIME, np.interp(after, held, exact), 45.0)])
+    search = Search(batch, Oscillator(MASS, ()), ("quadratic_stiffness",), 1)
+    layout = search.layout(("quadratic_stiffness",))
+    begun = search.descent.released(layout, layout.coordinates(np.array([values[names[2]]])), batch.own[:, :2])
+    found = search.descent.from_near(layout, [begun])
+    image = starts.mirrored(layout, found.state)
+    assert is_told_apart(batch, found, image, 3.0) == is_told
+    unknown = replace(batch, records=tuple(replace(item, offset_is_measured=False) for item in batch.records))
+    assert not is_told_apart(unknown, found, image, 3.0)

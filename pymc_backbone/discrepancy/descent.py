@@ -13,11 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .._common.checks import FloatArray
+from . import starts
 from .batch import Batch
 from .data_term import DataTerm
 from .joint_fit import Fit, fit
 from .layout import Layout
-from .normal_equations import State, start_state
+from .normal_equations import NUISANCES, State, start_state
 
 IN_REACH = 30.0
 """Reduced chi-square after one step over the samples from which these are fitted although turning points refute it."""
@@ -39,6 +40,8 @@ _TELLING = 100  # turning points from which a window refutes: over fewer a fit m
 _FILTERED = 10.0  # how much more these have to leave behind a band-pass, where they are not quite those of the motion
 _WINDOW_GROWTH = 3.0
 _PATIENT, _SHORT = 300, 80
+_ALIKE_AGAIN = 3  # times that a fit begins again with specimens that are alike, as long as that leaves less
+_NOT_FAR = 1.5  # reduced chi-square of the deciding term up to which a fit may be right but for a specimen
 _EVALUATIONS, _LEAST = 2.0, 3  # of the model in an iteration, as a rule; iterations of a fit whatever was spent
 
 Way = tuple[int, float]
@@ -141,9 +144,10 @@ class Descent:
             state = step.state
             if ways:
                 ways[-1] = (ways[-1][0], limit)
-        return self.fit(
+        found = self.fit(
             layout, batch.deciding, state, iterations=_SHORT, tolerance=0.03, rival=rival, nuisances=batch.nuisances
         )
+        return found if found is None or not self._is_strained(found) else self.begun_alike(found)
 
     def from_several(
         self, layout: Layout, states: Sequence[State], is_enough: Callable[[Sequence[Fit]], bool]
@@ -205,13 +209,42 @@ class Descent:
         if not begun:
             return None
         best = min(begun, key=lambda item: item.cost)
-        if best.is_converged or best.evaluations < GLANCE:
-            return best
-        found = self.fit(
-            layout, batch.deciding, best.state, iterations=_SHORT if rival is not None else _PATIENT,
-            tolerance=0.03, rival=rival, nuisances=batch.nuisances,
-        )  # fmt: skip
-        return best if found is None else found
+        if not (best.is_converged or best.evaluations < GLANCE):
+            found = self.fit(
+                layout, batch.deciding, best.state, iterations=_SHORT if rival is not None else _PATIENT,
+                tolerance=0.03, rival=rival, nuisances=batch.nuisances,
+            )  # fmt: skip
+            best = best if found is None else found
+        return self.begun_alike(best) if self._is_strained(best) else best
+
+    def begun_alike(self, known: Fit, iterations: int = _SHORT) -> Fit:
+        """Return a fit, or a lower one that begins where it ended with specimens that do not differ in their effects.
+
+        Each specimen's own values of a gap, a slip or an exponent may rest on the far side of a kink, and hold the
+        shared ones there.
+        """
+        for _ in range(_ALIKE_AGAIN):
+            found = self.fit(
+                known.layout, self.batch.deciding, starts.alike(known), iterations=iterations, tolerance=0.03,
+                rival=known.cost, nuisances=self.batch.nuisances,
+            )  # fmt: skip
+            if found is None or not found.cost < known.cost:
+                break
+            if not found.is_converged:
+                rest = self.fit(
+                    known.layout, self.batch.deciding, found.state, iterations=_SHORT, tolerance=0.03,
+                    nuisances=self.batch.nuisances,
+                )  # fmt: skip
+                found = found if rest is None else rest
+            known, gain = found, known.cost - found.cost
+            if gain < _SAME:
+                break
+        return known
+
+    def _is_strained(self, found: Fit) -> bool:
+        """Return whether a fit not far from the noise needs specimens that differ by more than they were taken to."""
+        is_near = found.cost < _NOT_FAR * sum(term.size for term in self.batch.deciding)
+        return is_near and found.penalty > found.state.own[:, NUISANCES:].size
 
     def fit(
         self,

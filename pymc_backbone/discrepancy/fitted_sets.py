@@ -85,7 +85,7 @@ class FittedSets:
     own: Mapping[str, Effect] = field(default_factory=dict)
     variants: tuple[str, ...] = ()
     tolerance: Mapping[str, float] = field(default_factory=dict)
-    asked: dict[tuple[Set, int], State] = field(default_factory=dict)
+    asked: dict[tuple[Set, int], object] = field(default_factory=dict)
     varied: dict[Set, Proposal] = field(default_factory=dict)
     limited: tuple[Fit | None, float] = (None, np.inf)
     noisy: dict[int, tuple[Fit, bool]] = field(default_factory=dict)
@@ -339,6 +339,7 @@ class FittedSets:
         if proposal is None:
             return []
         layout = self.layout(names)
+        self.asked[names, id(proposal)] = proposal
         found: list[Fit] = []
         ways: list[Way] = []
         limit, is_refuted = self._limit, True

@@ -8,7 +8,7 @@ import numpy as np
 
 from . import evidence, starts
 from .curves import frequencies
-from .descent import IN_REACH, is_heavy
+from .descent import GLANCE, IN_REACH, is_heavy
 from .fitted_sets import POSSIBLE_BACKBONE, FittedSets
 from .joint_fit import Fit, parameters_of
 from .layout import Layout
@@ -28,6 +28,8 @@ _NEAR_BY = 10.0  # reduced chi-square of a smaller set up to which a linear step
 _LOST_GAIN = 3.0  # promised over achieved, from which a fit has lost an effect
 _HARDLY = 0.05  # share of what a refuted set leaves, which one more effect has to promise (it keeps ten times as much)
 _FAR = 1000.0  # chi-square of the backbones above those of the best set, from which they are not doubted
+_RIVALS, _MOST_RIVALS = 7.0, 8  # logarithm of the odds within which sets rival the best, and how many are asked
+_IDLE, _LOWER = 4, 0.5  # rivals in a row that lie no lower, after which no more are asked; and what is lower
 _ASKED_FOR = 10.0  # fall of chi-square, as a linear step promises it, that no set in want of it can be named against
 
 
@@ -241,6 +243,41 @@ class RevisitedSets(FittedSets):
             if np.isfinite(change) and own[r, 0] + change > 0.0:
                 own[r, 0] += change
         return state
+
+    def _begin_otherwise(self) -> bool:
+        """Begin the most probable sets again from elsewhere; return whether another one is the most probable then.
+
+        With specimens that are alike, and from their own look in the backbones where they were only begun beside
+        another set. What has a kink or a memory rests in one of several dents, and its evidence with it. No more are
+        asked where some in a row lie no lower.
+        """
+        best = self.best()
+        if self.is_refuted(best) or not self.explains(self.fits[best]):
+            return False
+        idle = 0
+        for names in self._rivals():
+            known, proposal = self.fits[names], self._proposal(names)
+            self.progress("the most probable sets, begun otherwise", 0.5)
+            found = [self.descent.begun_alike(known, GLANCE)] if len(self.batch.specimens) > 1 else [known]
+            if proposal is not None and (names, id(proposal)) not in self.asked:
+                found += self._proposed(names, known.cost)
+            self.fits[names] = min(found, key=lambda item: item.cost)
+            idle = 0 if self.fits[names].cost < known.cost - _LOWER else idle + 1
+            if idle == _IDLE:
+                break
+        return self.best() != best
+
+    def _rivals(self) -> list[Set]:
+        """Return the best set and those that are nearly as probable, but for what has no shape, or costs much.
+
+        And but for what adds to the best set: that began where this one ended.
+        """
+        probability = evidence.probabilities(self.fits, self.batch, len(self.candidates), variants=self.variants)
+        best = self.best()
+        least = probability[best].log_posterior - _RIVALS
+        near = [names for names in self.ranked() if probability[names].log_posterior > least]
+        apart = [names for names in near if not set(best) < set(names) and not self.layout(names).is_strength.all()]
+        return [names for names in apart if not is_heavy(self.layout(names))][:_MOST_RIVALS]
 
     def _settle(self) -> None:
         """Carry the fit of the best set on if it did not come to rest; and others where nothing explains."""

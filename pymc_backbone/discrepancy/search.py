@@ -62,6 +62,9 @@ class Search(FollowedSets):
         if self.is_cut:
             self._complete()
         self._ask_kindred()
+        if self._begin_otherwise() and not self._is_spent:
+            self._enlarge()
+        self._look_back()
         self._settle()
 
     def _ask_single_effects(self) -> None:

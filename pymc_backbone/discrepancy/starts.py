@@ -138,6 +138,13 @@ def typical(layout: Layout) -> FloatArray:
     return eta
 
 
+def alike(known: Fit) -> State:
+    """Return where a fit ended, with specimens that do not differ in their effects: what they differ by may hold it."""
+    own = known.state.own.copy()
+    own[:, normal_equations.NUISANCES :] = 0.0
+    return State(known.state.eta, own)
+
+
 def mirrored(layout: Layout, state: State) -> State | None:
     """Return the start that moves as the mirror image of this one: its backbones are the same, its samples are not.
 

@@ -29,8 +29,10 @@ class VariedSets(RevisitedSets):
             for variant in self.variants:
                 names = tuple(sorted({*(other for other in best if other != name), variant}))
                 is_asked = name in LIBRARY[variant].variant_of and len(names) == len(best) and names not in self.fits
-                if not is_asked or self._is_spent or (self._is_costly(names) and not self._is_costly(best)):
+                if not is_asked or (self._is_costly(names) and not self._is_costly(best)):
                     continue
+                if self._is_spent and (self._is_costly(names) or not self.explains(self.fits[best])):
+                    continue  # of what explains the records, the few that are soon fitted are asked all the same
                 self.progress("variants of effects", 0.5)
                 found = self._fit_varied(names)
                 if self._is_needed(names) and found is not None and self.explains(found):
