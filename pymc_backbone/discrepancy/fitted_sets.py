@@ -237,7 +237,8 @@ class FittedSets:
         is_near = self.is_any_exact(parents)
         found: list[Fit] = []
         if not is_near:
-            found = self._beside(names, rival) or self._proposed(names, rival)
+            found = self._beside(names, rival)
+            found += self._proposed(names, rival) if not found else self._other_side(layout, found, rival)
         if is_near or not found or self._gains_nothing(found, parents):
             for parent in parents[:2] if len(names) > 1 and (is_near or not found) else parents[:1]:
                 self._was_asked(names, parent)
@@ -358,7 +359,7 @@ class FittedSets:
             absent = self._without_base(layout, proposal, rival, ways)
             is_refuted = is_refuted and (not absent or ways[-1][1] > limit)
             found += absent
-            found += self._mirrored(layout, found, rival)
+            found += self._other_side(layout, found, rival)
         if found and is_refuted:
             self.refuted.add(names)
         return found
@@ -399,9 +400,9 @@ class FittedSets:
         reached = self.descent.from_afar(layout, state, rival, ways, self._limit)
         return [] if reached is None else [reached]
 
-    def _mirrored(self, layout: Layout, found: list[Fit], rival: float | None) -> list[Fit]:
-        """Return the fit from the mirror image of the best, where the backbones do not say which side is which."""
-        if not found or not self.batch.has_records:
+    def _other_side(self, layout: Layout, found: list[Fit], rival: float | None) -> list[Fit]:
+        """Return the fit from the mirror image of the best that is not exact, where backbones do not tell the sides."""
+        if not found or not self.batch.has_records or self.is_any_exact(found):
             return []
         best = min(found, key=lambda item: item.cost)
         image = starts.mirrored(layout, best.state)
