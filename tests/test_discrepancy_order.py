@@ -322,7 +322,7 @@ def test_a_single_effect_of_several_shapes_begins_from_minima_that_backbones_do_
         begun.append(state)
         return SimpleNamespace(cost=search.count * (1.0 + 0.05 * (len(begun) == 1)), layout=layout)
 
-    search._in_order = lambda _, proposal: iter([(value, eta) for value, eta, _ in proposal.starts])
+    search.descent.in_order = lambda _, proposed: iter([(value, eta) for value, eta, _ in proposed])
     search.descent.from_afar = from_afar
     found = search._proposed(names, None)
     assert len(begun) == len(found) == asked

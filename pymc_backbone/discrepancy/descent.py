@@ -7,7 +7,7 @@ of them to all; these hand over to the samples.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -35,6 +35,7 @@ _SAME = 1.0  # chi-square within which two starts ended at the same place
 _SAME_WAY = 0.005  # relative difference of two costs over all turning points that were reached on the same way
 _SAME_PLACE = 1e-4  # the same over the first of them
 _SAME_FAILURE = 0.05  # the same where the other start stayed above what can be rivalled
+_FOLLOWS = 30.0  # reduced chi-square of the first turning points from which a start does not follow them
 _FIRST_WINDOW = 12  # turning points
 _TELLING = 100  # turning points from which a window refutes: over fewer a fit may not have come to rest
 _FILTERED = 10.0  # how much more these have to leave behind a band-pass, where they are not quite those of the motion
@@ -94,6 +95,34 @@ class Descent:
             layout, terms, state, iterations=_ON_THE_WAY, tolerance=_ENOUGH, goal=_NEAR_NOISE * count
         )  # fmt: skip
         return (state, np.inf) if found is None else (found.state, found.cost / count)
+
+    def in_order(
+        self, layout: Layout, proposed: Sequence[tuple[float, FloatArray, FloatArray]]
+    ) -> Iterator[tuple[float, State]]:
+        """Yield the starts of a set, each with what it promises; as the backbones rank them, if the first is one.
+
+        Backbones of the mean specimen may rank a start first that does not follow the first cycles. Then all have to,
+        and that which does best begins: a whole fit costs as much as twenty such looks. The first comes next, as it was
+        before it followed them, because what the record says of the release may be at fault.
+        """
+        released = ((promised, self.released(layout, eta, own)) for promised, eta, own in proposed)
+        if not self.batch.has_records or len(proposed) < 2:
+            yield from released
+            return
+        promised, begun = next(released)
+        followed, miss = self.first_look(layout, begun)
+        if miss < _FOLLOWS:
+            yield promised, followed
+            yield from released
+            return
+        looks = [(miss, 0, promised, followed)]
+        for k, (promised, state) in enumerate(released, start=1):
+            followed, miss = self.first_look(layout, state)
+            looks.append((miss, k, promised, followed))
+        ahead, *others = sorted(looks, key=lambda item: item[:2])
+        others.sort(key=lambda item: item[1] > 0)
+        for _, k, promised, followed in (ahead, *others):
+            yield promised, begun if k == 0 and ahead[1] > 0 else followed
 
     def hopeless(self, best: Fit | None) -> float:
         """Return the sum of squares over the turning points from which no other model can rival one that explains.

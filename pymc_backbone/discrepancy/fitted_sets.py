@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
@@ -18,7 +18,6 @@ from .curves import is_told_apart, level_chi_square
 from .descent import IN_REACH, Descent, Way
 from .joint_fit import Fit
 from .layout import Layout, make_layout
-from .normal_equations import State
 from .propose import Proposal, propose
 from .scatter import SCATTER
 from .set_fits import Set
@@ -35,7 +34,6 @@ _LIMIT = 4.0  # of the budget, that a fit which began before it was spent may ta
 _POOR = 1.5  # reduced chi-square above which a fit may have lost its way
 _NOT_FAR = 2.0  # reduced chi-square of a smaller set up to which the records say where a further effect begins
 _UNTOLD = 1.0  # reduced chi-square of the backbones of a smaller set up to which they do not say what else is there
-_FOLLOWS = 30.0  # reduced chi-square of the first turning points from which a start does not follow them
 _MUCH_MORE = 10.0  # chi-square of the backbones above their lowest minimum, from which that is asked as well
 _MINIMA, _ALIKE = 2, 3.0  # fits of a single effect of several shapes; chi-square within which its minima are alike
 _LOST = 6.0  # reduced chi-square of the backbones, over what was promised, from which a fit ended elsewhere
@@ -346,7 +344,7 @@ class FittedSets:
         limit, is_refuted = self._limit, True
         lowest = min((promised for promised, _, _ in proposal.starts), default=0.0)
         is_kept, is_alone = False, len(names) == 1 and np.count_nonzero(~layout.is_strength) > 1
-        for promised, state in self._in_order(layout, proposal):
+        for promised, state in self.descent.in_order(layout, proposal.starts):
             if is_kept and not (is_alone and len(found) < _MINIMA and promised < lowest + _ALIKE):
                 break
             reached = self.descent.from_afar(layout, state, rival, ways, limit)
@@ -363,32 +361,6 @@ class FittedSets:
         if found and is_refuted:
             self.refuted.add(names)
         return found
-
-    def _in_order(self, layout: Layout, proposal: Proposal) -> Iterator[tuple[float, State]]:
-        """Yield the starts of a set, each with what it promises; as the backbones rank them, if the first is one.
-
-        Backbones of the mean specimen may rank a start first that does not follow the first cycles. Then all have to,
-        and that which does best begins: a whole fit costs as much as twenty such looks. The first comes next, as it was
-        before it followed them, because what the record says of the release may be at fault.
-        """
-        released = ((promised, self.descent.released(layout, eta, own)) for promised, eta, own in proposal.starts)
-        if not self.batch.has_records or len(proposal.starts) < 2:
-            yield from released
-            return
-        promised, begun = next(released)
-        followed, miss = self.descent.first_look(layout, begun)
-        if miss < _FOLLOWS:
-            yield promised, followed
-            yield from released
-            return
-        looks = [(miss, 0, promised, followed)]
-        for k, (promised, state) in enumerate(released, start=1):
-            followed, miss = self.descent.first_look(layout, state)
-            looks.append((miss, k, promised, followed))
-        ahead, *others = sorted(looks, key=lambda item: item[:2])
-        others.sort(key=lambda item: item[1] > 0)
-        for _, k, promised, followed in (ahead, *others):
-            yield promised, begun if k == 0 and ahead[1] > 0 else followed
 
     def _without_base(self, layout: Layout, proposal: Proposal, rival: float | None, ways: list[Way]) -> list[Fit]:
         """Return the fit of a set from where the effects of the model as it is are absent: they may imitate the set."""
