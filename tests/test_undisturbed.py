@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 import pytest
@@ -18,7 +19,7 @@ def test_a_drift_is_asked_before_cycles_are_left_out_and_noise_is_weighed(is_dri
     def says(name):
         return lambda *_: asked.append(name)
 
-    for name in ("earlier", "begun", "motion_noise", "disturbed"):
+    for name in ("low_pass", "earlier", "begun", "motion_noise", "disturbed"):
         monkeypatch.setattr(module, name, says(name))
     monkeypatch.setattr(module.evidence, "leaves_noise", lambda _, found: left[found])
     monkeypatch.setattr(module, "_over_motion", lambda *_: 1e-3)
@@ -31,13 +32,13 @@ def test_a_drift_is_asked_before_cycles_are_left_out_and_noise_is_weighed(is_dri
     known = module.undisturbed(SimpleNamespace(), search, [], None, says("searched"), drifting)
     assert known.search is search and known.is_drifting == is_drifting
     between = [] if is_drifting else ["begun", "motion_noise"]
-    assert asked == ["earlier", "drift", *between, "disturbed"]
+    assert asked == ["low_pass", "earlier", "drift", *between, "disturbed"]
 
 
 @pytest.mark.parametrize(("quieter", "is_straightened"), [(0.95, False), (0.5, True)])
 def test_sensors_are_straightened_beside_a_drift_where_less_noise_is_left(quieter, is_straightened, monkeypatch):
     """A noise that was estimated with the disturbance in it hides that, and a drift takes the rest."""
-    for name in ("earlier", "begun", "motion_noise"):
+    for name in ("low_pass", "earlier", "begun", "motion_noise"):
         monkeypatch.setattr(module, name, lambda *_: None)
     bent = SimpleNamespace(is_bent=True, undisturbed=lambda records: records)
     monkeypatch.setattr(module, "disturbed", lambda _: bent)
@@ -50,3 +51,35 @@ def test_sensors_are_straightened_beside_a_drift_where_less_noise_is_left(quiete
     drifting = {(): Drifting("drift", 0.0)}
     known = module.undisturbed(question, search, [], None, lambda _: straight, lambda _: drifting)
     assert known.search is (straight if is_straightened else search) and known.is_bent == is_straightened
+
+
+@pytest.mark.parametrize("helps", [True, False])
+def test_a_low_pass_is_kept_where_more_is_explained_behind_it(helps, monkeypatch):
+    """It is said, and what follows is asked of the search behind it; else nothing of it is left."""
+    behind = SimpleNamespace(sentence=lambda _: "a filter", passed=lambda batch: "filtered")
+    seen = []
+    for name in ("earlier", "begun", "motion_noise", "disturbed"):
+        monkeypatch.setattr(module, name, lambda search, name=name: seen.append((name, search)))
+    monkeypatch.setattr(module, "low_pass", lambda _: behind)
+    monkeypatch.setattr(module.evidence, "leaves_noise", lambda _, found: found == "explained")
+    monkeypatch.setattr(module.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01))
+    before = SimpleNamespace(batch=None, fits={(): "base"}, best=tuple)
+    after = SimpleNamespace(batch=None, fits={(): "explained" if helps else "base"}, best=tuple)
+    asked = []
+
+    @dataclass
+    class Question:
+        said: tuple[str, ...] = ()
+        batch: str = "as measured"
+
+        def of_records(self, records, measuring, said):
+            return Question(tuple(said))
+
+    def searched(question):
+        asked.append(question)
+        return after
+
+    known = module.undisturbed(Question(), before, [], None, searched, lambda _: {})
+    assert [(item.said, item.batch) for item in asked] == [(("a filter",), "filtered")]
+    assert known.search is (after if helps else before)
+    assert {search.fits[()] for _, search in seen} == {known.search.fits[()]}
