@@ -20,6 +20,7 @@ from .batch import Batch
 from .data_term import WaveformTerm
 from .joint_fit import Fit, fit
 from .normal_equations import derivatives
+from .record_term import BETWEEN, INSIDE, orthogonal_to
 from .search import Search
 from .whitening import with_slow_noise
 
@@ -34,7 +35,7 @@ _FINER = (
 _FORGOTTEN = 13.8  # time constants of the slowest pole after which a filter's past is 1e-6
 _TAPER = (0.75, 1.0)  # of the highest frequency that the samples hold: beyond, the filter is closed smoothly
 _GIBBS = 8  # samples beyond the delay by which the filter looks ahead
-_FEWEST, _MOST_COLUMNS, _BETWEEN = 4, 0.6, 0.3  # rows of a window, and columns of its bases over its rows
+_FEWEST = 4  # values of a window
 _FEWEST_CYCLES = 8  # of a record, that a look needs
 _MASKED = (3.0, 0.5)  # cycles at the beginning and the end that a look leaves out
 _PRICE = 16.0  # chi-square that order and cut-off must be worth
@@ -149,13 +150,12 @@ def _without_end(term: WaveformTerm, lost: int) -> WaveformTerm:
         if rows < _FEWEST:
             continue
         whole = rows == basis.shape[0]
-        inside = basis if whole else np.linalg.qr(basis[:rows, : int(_MOST_COLUMNS * rows)])[0]
+        inside = basis if whole else np.linalg.qr(basis[:rows, : int(INSIDE * rows)])[0]
         subspace.append((kept, inside))
         if term.beside:
             between = term.beside[index][1]
             if not whole:
-                between = between[:rows, : int(_BETWEEN * rows)]
-                between = np.linalg.qr(between - inside @ (inside.T @ between))[0]
+                between = orthogonal_to(inside, between[:rows, : int(BETWEEN * rows)])
             beside.append((kept, between))
 
     def shorter(columns: FloatArray) -> FloatArray:

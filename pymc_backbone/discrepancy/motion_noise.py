@@ -18,6 +18,7 @@ from .._common.checks import FloatArray
 from . import evidence
 from .batch import Batch
 from .data_term import Subspace, WaveformTerm
+from .record_term import orthogonal_to
 from .search import Search
 from .whitening import means
 
@@ -148,8 +149,7 @@ def _weighed(term: WaveformTerm, course: FloatArray, factor: float) -> WaveformT
     for window, basis in term.subspace:
         subspace.append((window, np.linalg.qr(weight[window, None] * basis)[0]))
     for (window, basis), (_, between) in zip(subspace, term.beside, strict=True):
-        lines = weight[window, None] * between
-        beside.append((window, np.linalg.qr(lines - basis @ (basis.T @ lines))[0]))
+        beside.append((window, orthogonal_to(basis, weight[window, None] * between)))
     return replace(term, whiten=_weighing(term.whiten, weight), subspace=subspace, beside=beside)
 
 

@@ -25,6 +25,8 @@ _AT_RELEASE = 0.3  # of a half cycle: so close to its first sample a record begi
 _AROUND = 0.25  # of a half cycle
 _CLEARLY = 4.0  # standard deviations of the noise
 _MOST_LOST = 400
+INSIDE, BETWEEN = 0.6, 0.3
+"""Largest share of the values in a window that are lines of the motion, and that lie midway between these."""
 
 
 def first_turning_point(record: ConditionedRecord, cycles: Cycles) -> int:
@@ -165,7 +167,7 @@ def _behind_band_pass(record: ConditionedRecord, band_pass: BandPass, cycles: Cy
     subspace = []
     for window in _windows(at, _PASSED_WINDOW):
         u = np.linspace(-1.0, 1.0, window.stop - window.start)[:, None]
-        columns = np.hstack([shapes[window], u * shapes[window]])[:, : max(1, int(0.6 * u.size))]
+        columns = np.hstack([shapes[window], u * shapes[window]])[:, : max(1, int(INSIDE * u.size))]
         subspace.append((window, np.linalg.qr(columns)[0]))
     fade = fade_of(cycles.smoothed_amplitude)
     return WaveformTerm(time, values, reduce, size, subspace, signal, 1, measured.order, 0.0, fade=fade)
@@ -178,9 +180,14 @@ def _subspaces(phase: FloatArray, per_cycle: float) -> tuple[Subspace, Subspace]
     inside = [(window, _harmonics(phase[window], range(harmonics + 1))) for window in windows]
     beside = []
     for window, basis in inside:
-        between = _harmonics(phase[window], [k + 0.5 for k in range(harmonics)])[:, : int(0.3 * basis.shape[0])]
-        beside.append((window, np.linalg.qr(between - basis @ (basis.T @ between))[0]))
+        between = _harmonics(phase[window], [k + 0.5 for k in range(harmonics)])[:, : int(BETWEEN * basis.shape[0])]
+        beside.append((window, orthogonal_to(basis, between)))
     return inside, beside
+
+
+def orthogonal_to(basis: FloatArray, lines: FloatArray) -> FloatArray:
+    """Return an orthonormal basis (n, k) of what lines (n, k) hold beside an orthonormal basis (n, d)."""
+    return np.linalg.qr(lines - basis @ (basis.T @ lines))[0]
 
 
 def _phase(time: FloatArray, cycles: Cycles) -> FloatArray:
@@ -211,5 +218,5 @@ def _harmonics(phase: FloatArray, orders: Iterable[float]) -> FloatArray:
             columns.append(np.cos(angle) * amplitude)
             if order:
                 columns.append(np.sin(angle) * amplitude)
-    basis = np.column_stack(columns[: max(1, int(0.6 * phase.size))])
+    basis = np.column_stack(columns[: max(1, int(INSIDE * phase.size))])
     return np.linalg.qr(basis)[0]
