@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import xarray as xr
+from scipy.signal import lfilter
 from scipy.stats import f, kstest, multivariate_normal
 
 from pymc_backbone.discrepancy import evidence, rivals, starts, verify
@@ -29,7 +30,7 @@ from pymc_backbone.discrepancy.locate import mean_gap, where_different
 from pymc_backbone.discrepancy.normal_equations import information, start_state
 from pymc_backbone.discrepancy.scatter import SCATTER
 from pymc_backbone.discrepancy.search import Search
-from pymc_backbone.discrepancy.second_mode import second_mode_check
+from pymc_backbone.discrepancy.second_mode import line_beside, line_near, second_mode_check
 from pymc_backbone.discrepancy.study import HeldOut
 from pymc_backbone.effects import LIBRARY
 from pymc_backbone.oscillator import Oscillator
@@ -604,6 +605,20 @@ def test_a_second_mode_is_seen(frequency, rng):
     assert not check.passed
     said = float(check.message.split(" Hz")[0].split()[-1])
     assert said == pytest.approx(frequency, abs=0.3)  # a bin of a record of five seconds is 0.2 Hz wide
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.5, 0.8, 0.9])
+def test_noise_with_a_colour_holds_no_line(correlation, rng):
+    time = np.arange(2400) / 40.0
+    begun = np.exp(-time / 40.0)
+    seen, false = 0, 0
+    for _ in range(40):
+        noise = lfilter([np.sqrt(1.0 - correlation**2)], [1.0, -correlation], rng.standard_normal(3000))[600:]
+        false += line_beside(time, noise, 1.0).height > 0.0
+        false += line_near(time, noise, (0.99, 1.0)).height > 0.0
+        line = line_beside(time, noise + 0.8 * begun * np.cos(2.0 * np.pi * 3.4 * time), 1.0)
+        seen += abs(line.frequency - 3.4) < 0.02
+    assert false <= 3 and seen >= 32
 
 
 def test_no_second_mode_is_seen_in_noise_and_harmonics(cubic, linear):

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .._common.checks import FloatArray
+from .._common.checks import BoolArray, FloatArray
 from .._common.text import per_cent
 from . import evidence
 from .batch import Batch
@@ -28,6 +28,9 @@ _BEYOND = 0.5  # of the range of the measured frequencies, by which those of the
 _ERRORS = 1.0  # standard errors of a measured frequency by which the range goes beyond it
 _WIDE = 0.5  # of the frequency, from which the ranges of harmonics run into one another
 _FEWEST = 8  # bins beside the harmonics that tell how high nothing is
+_AROUND = 24  # bins on either side of a peak that tell it where noise has a colour ...
+_OF_A_LINE = 3  # ... but for those that a line itself fills
+_PEAKS = 12  # highest bins beside the harmonics that are looked at: where noise has a colour, a line is not the highest
 
 
 class Line(NamedTuple):
@@ -68,8 +71,11 @@ def line_beside(time: FloatArray, residuals: FloatArray, frequency: float) -> Li
     beside = _beside(grid, frequency)
     if np.count_nonzero(beside) < _FEWEST:
         return Line()
-    peak = int(np.flatnonzero(beside)[np.argmax(power[beside])])
-    return _line(grid, power, peak, float(np.median(power[beside])))
+    highest = Line()
+    for peak in np.flatnonzero(beside)[np.argsort(-power[beside])][:_PEAKS]:
+        line = _line(grid, power, int(peak), _level(power, beside, int(peak)))
+        highest = max(highest, line)
+    return highest
 
 
 def line_near(time: FloatArray, residuals: FloatArray, between: tuple[float, float]) -> Line:
@@ -79,12 +85,13 @@ def line_near(time: FloatArray, residuals: FloatArray, between: tuple[float, flo
     beside = _beside(grid, 0.5 * (low + high))
     if np.count_nonzero(beside) < _FEWEST:
         return Line()
-    level, width, highest = float(np.median(power[beside])), float(grid[1]), Line()
+    width, highest = float(grid[1]), Line()
     for k in range(2, int(grid[-1] / high)):
         if k * (high - low) > _WIDE * low:
             break
         close = np.flatnonzero((grid > k * low - _FAR * width) & (grid < k * high + _FAR * width))
-        line = _line(grid, power, int(close[np.argmax(power[close])]), level)
+        peak = int(close[np.argmax(power[close])])
+        line = _line(grid, power, peak, _level(power, beside, peak))
         is_off = max(k * low - line.frequency, line.frequency - k * high) > _OFF * width
         if is_off and line.height > highest.height:
             highest = line
@@ -109,10 +116,21 @@ def _periodogram(time: FloatArray, residuals: FloatArray) -> tuple[FloatArray, F
     return np.fft.rfftfreq(residuals.size, float(np.median(np.diff(time)))), power
 
 
-def _beside(grid: FloatArray, frequency: float) -> np.ndarray:
+def _beside(grid: FloatArray, frequency: float) -> BoolArray:
     """Return which frequencies are beside the harmonics, and not as slow as the record is long."""
     order = grid / frequency
     return np.asarray((np.abs(order - np.round(order)) * frequency > _FAR * grid[1]) & (grid > 2.0 * grid[1]))
+
+
+def _level(power: FloatArray, beside: BoolArray, peak: int) -> float:
+    """Return how high nothing is at a peak: the median beside the harmonics, or that of the bins around it if higher.
+
+    Noise that is not white is higher at one end of the spectrum than at the other, and no line there.
+    """
+    distance = np.abs(np.arange(power.size) - peak)
+    near = beside & (distance <= _AROUND) & (distance > _OF_A_LINE)
+    around = float(np.median(power[near])) if np.count_nonzero(near) >= _FEWEST else 0.0
+    return max(float(np.median(power[beside])), around)
 
 
 def _line(grid: FloatArray, power: FloatArray, peak: int, level: float) -> Line:
