@@ -209,3 +209,13 @@ def test_a_module_is_there_after_what_went_on_beside_its_import():
         pass
     assert "colorsys" in sys.modules
     assert all(thread.name != "imports" for thread in threading.enumerate())
+
+
+def test_short_turns_end_with_their_block():
+    before = sys.getswitchinterval()
+    with threads.short_turns():
+        assert sys.getswitchinterval() < 1e-3
+    assert sys.getswitchinterval() == before
+    with pytest.raises(ValueError), threads.short_turns():
+        raise ValueError
+    assert sys.getswitchinterval() == before

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import functools
 import os
+import sys
 import threading
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from typing import Any
 
 from threadpoolctl import threadpool_limits
 
+_TURN = 2e-4  # seconds
 THREAD_PREFIX = "backbone"
 """How the names of the threads begin that wait for jobs."""
 
@@ -102,6 +105,20 @@ def with_one_thread[**P, R](function: Callable[P, R]) -> Callable[P, R]:
     return limited
 
 
+@contextmanager
+def short_turns() -> Iterator[None]:
+    """Let threads that return from compiled code get the interpreter soon, in the time of one block of the main thread.
+
+    They would wait for five milliseconds, and a simulation takes one.
+    """
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(min(before, _TURN))
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(before)
+
+
 def cores() -> int:
     """Return how many cores this process may use; one where its linear algebra was told to keep to one."""
     told = os.environ.get("OMP_NUM_THREADS", "")
@@ -115,4 +132,4 @@ def _pool(_process: int, count: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(count - 1, thread_name_prefix=THREAD_PREFIX)
 
 
-__all__ = ["THREAD_PREFIX", "cores", "in_threads", "with_one_thread"]
+__all__ = ["THREAD_PREFIX", "cores", "in_threads", "short_turns", "with_one_thread"]

@@ -10,12 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
 
 import numpy as np
 from scipy.optimize import minimize
 
 from .._common.checks import FloatArray
+from .._common.threads import in_threads
 from ..measurement.reading.record import Record
 from . import evidence
 from .batch import Batch
@@ -169,20 +171,21 @@ def disturbed(search: Search) -> Disturbed | None:
     likeliest = [best] if is_exact else search.ranked()[:_ASKED]
     asked = [part for names in likeliest if names for part in combinations(names, len(names) - 1)]
     asked += [] if is_exact else likeliest
-    found: list[tuple[float, Disturbed]] = []
+    jobs, priced = [], []
     for names in dict.fromkeys(asked):
         start = search.fit_set(names)
         if start is None:
             continue
         for has_line, is_bent in ((True, False), (False, True), (True, True)):
-            coefficients = 4.0 * has_line + 2.0 * is_bent
-            price = _COST * coefficients * len(batch.specimens)
+            price = _COST * (4.0 * has_line + 2.0 * is_bent) * len(batch.specimens)
             limit = search.fits[best].cost - price if is_exact else _NEAR * search.count
-            beside = _beside(batch, start, limit, has_line=has_line, is_bent=is_bent)
-            if beside is not None:
-                cost, items = beside
-                known = dict(zip(batch.specimens, items, strict=True))
-                found.append((cost + price + 2.0 * _COST * len(names), Disturbed(known, names)))
+            jobs.append(partial(_beside, batch, start, limit, has_line=has_line, is_bent=is_bent))
+            priced.append((names, price + 2.0 * _COST * len(names)))
+    found: list[tuple[float, Disturbed]] = []
+    for (names, price), beside in zip(priced, in_threads(jobs), strict=True):
+        if beside is not None:
+            cost, items = beside
+            found.append((cost + price, Disturbed(dict(zip(batch.specimens, items, strict=True)), names)))
     return min(found, key=lambda item: item[0])[1] if found else None
 
 

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from .._common.checks import InputError
+from .._common.threads import short_turns
 from ..effects import Effect
 from ..inference.options import Sampling
 from ..measurement.conditioning.conditioned import ConditionedRecord
@@ -175,7 +176,7 @@ def find_missing_effect(
     given_levels = None if levels is None else np.asarray(levels).tolist()
     measuring = Measuring(band, start, stop, given_levels, strict=strict, floor=floor)
     # The matrices are small: several threads of linear algebra would wait for each other, and round differently.
-    with threadpool_limits(1):
+    with threadpool_limits(1), short_turns():
         question = ask(
             oscillator, data, candidates=candidates, max_effects=max_effects, tolerance=tolerance, measuring=measuring
         )
