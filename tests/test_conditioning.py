@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.interpolate import make_interp_spline
+from scipy.signal import butter, lfilter
 
 from pymc_backbone._common.checks import InputError
 from pymc_backbone.measurement.conditioning.condition import ConditionedRecord, condition
@@ -718,6 +719,22 @@ def test_drowned_in_noise(rng: np.random.Generator) -> None:
     with pytest.raises(InputError):
         condition(record(time, rng.normal(size=2000)))
     refuses(time, np.exp(-8.0 * time) * np.cos(OMEGA * time) + 0.5 * rng.normal(size=2000))
+
+
+@pytest.mark.parametrize("order", [0, 4])
+def test_the_jump_of_an_acceleration_at_the_release_is_no_spike(order: int, rng: np.random.Generator) -> None:
+    time = np.arange(2400) / 800.0
+    moving = time >= 0.1
+    elapsed = time[moving] - 0.1
+    values = np.zeros(time.size)
+    values[moving] = -100.0 * np.exp(-0.6 * elapsed) * np.cos(2.0 * np.pi * 20.0 * elapsed)
+    if order:
+        values = lfilter(*butter(order, 100.0, fs=800.0), values)
+    values += 0.1 * rng.standard_normal(time.size)
+    decay = condition(record(time, values, "acceleration"))
+    assert 0.09 < decay.time[0] < 0.125 and not [note for note in decay.notes if "spike" in note]
+    values[1200] += 30.0
+    assert [note for note in condition(record(time, values, "acceleration")).notes if "a spike of 3" in note]
 
 
 def test_hopeless_records_end_in_an_input_error(rng: np.random.Generator) -> None:

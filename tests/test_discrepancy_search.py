@@ -23,7 +23,7 @@ from pymc_backbone.discrepancy.curves import (
 )
 from pymc_backbone.discrepancy.decide import decide, doubted, is_none_other
 from pymc_backbone.discrepancy.decision import NAMED
-from pymc_backbone.discrepancy.drift_proposals import beside_drifts
+from pymc_backbone.discrepancy.drift_proposals import beside_drifts, single_beside_drifts
 from pymc_backbone.discrepancy.joint_fit import fit
 from pymc_backbone.discrepancy.layout import make_layout
 from pymc_backbone.discrepancy.locate import mean_gap, where_different
@@ -886,6 +886,13 @@ def test_a_law_is_found_that_a_strong_drift_had_hidden_in_the_backbones():
     # half the change of the stiffness, in units of 5 %; a few per cent is what a record of 25 cycles tells
     np.testing.assert_allclose(drifting.state.own[:, 5], 0.5 * change / 0.05, rtol=0.05)
     assert drifting.centre[0] == pytest.approx(cubic * STIFFNESS / AMPLITUDE**2, rel=0.05)
+
+
+def test_sliders_alone_are_asked_beside_drifts():
+    batch = batch_of(drifting_records(np.random.default_rng(5), 0.04))
+    search = Search(batch, Oscillator(MASS), ("jenkins",), 1)
+    search.fit_set(())
+    assert {names for names, _ in single_beside_drifts(search)} <= {("jenkins",)}
 
 
 def test_backbones_beside_drifts_have_them_as_errors():

@@ -13,6 +13,8 @@ from pymc_backbone.measurement.conditioning.lost_samples import Jump, find_jump,
 from pymc_backbone.measurement.cycles import extract_cycles
 from pymc_backbone.measurement.reading.record import Record
 from pymc_backbone.measurement.reading.records import read_records
+from pymc_backbone.oscillator import Oscillator
+from pymc_backbone.simulation.decay import simulate_waveform
 
 from .test_conditioning import FORCES, simulated
 
@@ -48,6 +50,20 @@ def test_lost_samples_are_noticed_said_and_put_in(lost: list[tuple[int, int]], r
     cycles = extract_cycles(condition(record(values)))
     off = np.abs(cycles.frequency - FREQUENCY) / cycles.frequency_error
     assert off.max() < 4.5  # of some thirty cycles
+
+
+def test_a_clearance_that_is_left_is_no_lost_sample(rng: np.random.Generator) -> None:
+    """Where friction brings the motion into a gap, its frequency steps, and the phase by 0.7 sampling intervals."""
+    oscillator = Oscillator(1.0, ["freeplay", "coulomb_friction"])
+    stiffness = (2.0 * np.pi * FREQUENCY) ** 2
+    time = np.arange(40 * 55) / (55 * FREQUENCY)
+    for friction in np.geomspace(0.002, 0.006, 12):
+        parameters = [stiffness, 0.005 * np.sqrt(stiffness), 3.2 * stiffness, 0.53, friction * stiffness]
+        motion = simulate_waveform(oscillator, parameters, time, 1.0).displacement
+        moving = motion[np.isfinite(motion)]
+        noisy = moving + 10.0 ** (-55.0 / 20.0) / np.sqrt(2.0) * rng.standard_normal(moving.size)
+        notes = condition(Record("s", time[: moving.size], noisy)).notes
+        assert not [note for note in notes if "check the logger" in note]
 
 
 def test_without_the_check_the_frequency_is_wrong(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:

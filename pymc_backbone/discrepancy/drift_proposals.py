@@ -34,7 +34,8 @@ def single_beside_drifts(search: Search) -> Iterator[tuple[Set, State]]:
     batch = beside_drifts(search.batch)
     sliders = [name for name in search.candidates if search.layout((name,)).simulator.needs_decay]
     others = tuple(name for name in search.candidates if name not in sliders)
-    asked = [(others, SCATTER), *(((name,), scatter) for name in sliders for scatter in (SCATTER, WIDE_SCATTER))]
+    asked = [(others, SCATTER)] if others else []
+    asked += [((name,), scatter) for name in sliders for scatter in (SCATTER, WIDE_SCATTER)]
     for names, scatter in asked:
         found = propose(batch, search.base, names, 1, search.own, scatter=scatter)
         yield from _begun(search, [item for item in found if item.names])

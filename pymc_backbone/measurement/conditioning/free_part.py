@@ -19,7 +19,7 @@ from .noise import quantum
 from .plausibility import check_clipping, check_moves, check_per_cycle
 from .release import end_of_drive, end_of_rest, leading_rest
 from .second_release import earlier_decay
-from .spikes import Spike, without_spikes
+from .spikes import WIDEST, Spike, without_spikes
 from .time_grid import to_uniform
 from .tracking import dominant_frequency
 
@@ -162,15 +162,25 @@ class FreePart:
         return (values, False) if index is None else (self._without(values, index, "moved by hand"), True)
 
     def _note_spikes(self, spikes: list[Spike]) -> None:
-        """Say which spikes of the free decay were bridged."""
-        places = [(self.samples.start + spike.first / self.samples.sampling_rate, spike) for spike in spikes]
-        for time, spike in places:
-            if time >= self.begin:
-                samples = "1 sample" if spike.count == 1 else f"{spike.count} samples"
-                self.notes.append(
-                    f"warning: a spike of {spike.height:.3g} {self.record.unit} at {time:.6g} s ({samples}) was cut "
-                    "out and bridged; if it is motion, look at the sensor's cable and range"
-                )
+        """Say which spikes of the free decay were bridged.
+
+        Where a structure is let go an acceleration jumps: what stands beside that is motion, and is left as it was.
+        """
+        first = round((self.begin - self.samples.start) * self.rate)
+        for spike in spikes:
+            if spike.first < first:
+                continue
+            if self.is_cut and spike.first < first + WIDEST:
+                there = slice(spike.first - first, spike.first - first + spike.count)
+                self.values = self.values.copy()
+                self.values[there] = self.samples.values[spike.first : spike.first + spike.count]
+                continue
+            time = self.samples.start + spike.first / self.samples.sampling_rate
+            samples = "1 sample" if spike.count == 1 else f"{spike.count} samples"
+            self.notes.append(
+                f"warning: a spike of {spike.height:.3g} {self.record.unit} at {time:.6g} s ({samples}) was cut "
+                "out and bridged; if it is motion, look at the sensor's cable and range"
+            )
 
     def _without(self, values: FloatArray, index: int, state: str) -> FloatArray:
         """Return the values from an index on and note what is dropped."""

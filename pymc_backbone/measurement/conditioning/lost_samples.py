@@ -26,7 +26,9 @@ _GAIN = 20.0
 """Logarithm of the likelihood ratio over the best other number of samples."""
 _WHOLE = 0.1
 """How far from a whole number the shift may be that fits best, beside three of its standard errors."""
-_AS_GOOD = 2.5
+_AS_GOOD = 1.6
+"""What may be left with the jump mended, over the geometric mean of what is left on either side: where the motion
+changes its course within a few cycles, as in a gap, one side is rougher than the other."""
 _CONFIRM = 2.25
 _HARMONICS = 3
 _NORMAL = 1.4826
@@ -226,7 +228,7 @@ def _confirmed(
     off, error = 0.5 * (others[0] - others[1]) / bend, np.sqrt(2.0 * least / freedom / bend)
     if not abs(off) < _WHOLE + 3.0 * error:
         return None
-    if least / freedom > _AS_GOOD * max(*beside, floor):
+    if least / freedom > _AS_GOOD * max(float(np.exp(np.mean(np.log(np.maximum(beside, floor))))), floor):
         return None
     scale = max(least / freedom, floor)
     likely = candidates[misfits < misfits.min() + 4.0 * scale]
