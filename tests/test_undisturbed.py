@@ -19,7 +19,7 @@ def test_a_drift_is_asked_before_cycles_are_left_out_and_noise_is_weighed(is_dri
     def says(name):
         return lambda *_: asked.append(name)
 
-    for name in ("low_pass", "earlier", "begun", "motion_noise", "disturbed"):
+    for name in ("sensor_filter", "earlier", "begun", "motion_noise", "disturbed"):
         monkeypatch.setattr(module, name, says(name))
     monkeypatch.setattr(module.evidence, "leaves_noise", lambda _, found: left[found])
     monkeypatch.setattr(module, "_over_motion", lambda *_: 1e-3)
@@ -32,13 +32,13 @@ def test_a_drift_is_asked_before_cycles_are_left_out_and_noise_is_weighed(is_dri
     known = module.undisturbed(SimpleNamespace(), search, [], None, says("searched"), drifting)
     assert known.search is search and known.is_drifting == is_drifting
     between = [] if is_drifting else ["begun", "motion_noise"]
-    assert asked == ["low_pass", "earlier", "drift", *between, "disturbed"]
+    assert asked == ["sensor_filter", "earlier", "drift", *between, "disturbed"]
 
 
 @pytest.mark.parametrize(("quieter", "is_straightened"), [(0.95, False), (0.5, True)])
 def test_sensors_are_straightened_beside_a_drift_where_less_noise_is_left(quieter, is_straightened, monkeypatch):
     """A noise that was estimated with the disturbance in it hides that, and a drift takes the rest."""
-    for name in ("low_pass", "earlier", "begun", "motion_noise"):
+    for name in ("sensor_filter", "earlier", "begun", "motion_noise"):
         monkeypatch.setattr(module, name, lambda *_: None)
     bent = SimpleNamespace(is_bent=True, undisturbed=lambda records: records)
     monkeypatch.setattr(module, "disturbed", lambda _: bent)
@@ -60,7 +60,7 @@ def test_a_low_pass_is_kept_where_more_is_explained_behind_it(helps, monkeypatch
     seen = []
     for name in ("earlier", "begun", "motion_noise", "disturbed"):
         monkeypatch.setattr(module, name, lambda search, name=name: seen.append((name, search)))
-    monkeypatch.setattr(module, "low_pass", lambda _: behind)
+    monkeypatch.setattr(module, "sensor_filter", lambda _: behind)
     monkeypatch.setattr(module.evidence, "leaves_noise", lambda _, found: found == "explained")
     monkeypatch.setattr(module.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01))
     before = SimpleNamespace(batch=None, fits={(): "base"}, best=tuple)

@@ -272,7 +272,7 @@ class WaveformTerm:
     fade : float
         What one unit of the drift of damping adds to the decrement, summed over the record.
     chain : callable, optional
-        Takes (n, c) simulated columns through what the measuring chain does to the motion (`low_pass`).
+        Takes (n, c) simulated columns through what the measuring chain does to the motion (`sensor_filter`).
     """
 
     time: FloatArray
@@ -336,16 +336,18 @@ class WaveformTerm:
         columns[:, :p] = slopes[:, 1:-1]
         columns[:, p] = slopes[:, 0]
         columns[:, p + 1] = -slopes[:, -1]
-        columns[:, p + 2] = self.offset_scale
+        columns[:, p + 2] = 0.0
         columns[:, p + 3] = slopes[:, -1] * course.later
         if course.hastened is not None:
             columns[:, p + 3] += values * course.hastened
         columns[:, p + 4] = -course.share * values
-        columns[:, p + 5] = offset * self.offset_scale + values
+        columns[:, p + 5] = values
         if not np.isfinite(columns).all():
             return None  # drifts far from any motion
         if self.chain is not None:
             columns = self.chain(columns)
+        columns[:, p + 2] = self.offset_scale  # the zero of what is read, behind all filters
+        columns[:, p + 5] += offset * self.offset_scale
         if self.together > 1:
             columns = average(columns, self.together)
             columns[:, p + 5] = self.values[EDGE:-EDGE] - columns[:, p + 5]
@@ -366,9 +368,10 @@ class WaveformTerm:
         values = simulated[0]
         if course.factor is not None:
             values = values * course.factor
-        column = (offset * self.offset_scale + values)[:, None]
+        column = values[:, None]
         if self.chain is not None and np.isfinite(column).all():
             column = self.chain(column)
+        column = column + offset * self.offset_scale
         if self.together > 1:
             left = self.values[EDGE:-EDGE, None] - average(column, self.together)
         else:

@@ -15,11 +15,11 @@ from .earlier_release import Earlier, earlier
 from .evidence import Drifting
 from .first_cycles import begun
 from .joint_fit import Fit
-from .low_pass import LowPass, low_pass
 from .motion_noise import MotionNoise, motion_noise
 from .question import Question
 from .readings import Disturbed, disturbed, sentences
 from .search import Search, Set
+from .sensor_filter import SensorFilter, sensor_filter
 
 _PASSES = 2  # times that bent sensors and lines are looked for
 _QUIETER = 0.8  # of the noise that a drift leaves over the motion, up to which straightened records explain more
@@ -59,7 +59,7 @@ class _Asked:
     measuring: Measuring
     searched: Callable[[Question], Search]
     release: Earlier | None = None
-    low_pass: LowPass | None = None
+    sensor_filter: SensorFilter | None = None
     noise: MotionNoise | None = None
 
     def of(self, records: Sequence[Record], said: Sequence[str]) -> Undisturbed:
@@ -67,8 +67,8 @@ class _Asked:
         other = self.question.of_records(records, self.measuring, said)
         if self.release is not None:
             other = replace(other, batch=self.release.released(other.batch))
-        if self.low_pass is not None:
-            other = replace(other, batch=self.low_pass.passed(other.batch))
+        if self.sensor_filter is not None:
+            other = replace(other, batch=self.sensor_filter.passed(other.batch))
         if self.noise is not None:
             other = replace(other, batch=self.noise.weighed(other.batch))
         return Undisturbed(other, self.searched(other))
@@ -138,14 +138,14 @@ class _Filtered(NamedTuple):
 
 def _filtered(asked: _Asked, again: Search, records: Sequence[Record], said: Sequence[str]) -> _Filtered | None:
     """Return the question with a low-pass in front of the records, where it is clearly better then."""
-    if asked.low_pass is not None or (found := low_pass(again)) is None:
+    if asked.sensor_filter is not None or (found := sensor_filter(again)) is None:
         return None
-    asked.low_pass = found
+    asked.sensor_filter = found
     sentence = found.sentence(again.batch)
     tried = asked.of(records, (*said, sentence))
     if _is_better(tried.search, again):
         return _Filtered(sentence, tried)
-    asked.low_pass = None
+    asked.sensor_filter = None
     return None
 
 

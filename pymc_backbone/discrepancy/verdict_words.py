@@ -50,7 +50,7 @@ def _of_mechanism(item: MissingMechanism, is_like: bool) -> str:
     if len(together) > 1:  # not one or the other: every set that explains holds them all
         like = ", or ones like them, not exactly" if is_like else ""
         which = f"its laws are {', '.join(together[:-1])} and {together[-1]} together{like}"
-    elif len(laws) > 1 and (is_like or not together):
+    elif len(laws) > 1 and not together:
         told = ", ".join(f"{in_words(law.effect)} {100.0 * law.probability:.0f} %" for law in laws[:_SPOKEN])
         which = f"which law these records do not tell: {told}"
     else:

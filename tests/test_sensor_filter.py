@@ -8,8 +8,8 @@ from scipy.signal import butter, freqs, sosfilt
 
 import pymc_backbone as pb
 from pymc_backbone.discrepancy import evidence
-from pymc_backbone.discrepancy.low_pass import LowPass, _Chain, low_pass
 from pymc_backbone.discrepancy.search import Search
+from pymc_backbone.discrepancy.sensor_filter import SensorFilter, _Chain, sensor_filter
 
 from .discrepancy_cases import FREQUENCY, MASS, TIME, batch_of, decaying_sinusoid, make_records, noisy
 
@@ -17,14 +17,14 @@ STEP = float(TIME[1] - TIME[0])
 CANDIDATES = ("cubic_stiffness", "quintic_stiffness", "quadratic_damping", "freeplay")
 
 
-def measured(rng, cut=None, order=4, line=0.0):
+def measured(rng, cut=None, order=4, line=0.0, kind="lowpass", share=2.0):
     """Records of specimens with a cubic spring, behind a causal digital filter which begins at rest."""
-    records = make_records(rng, ("cubic_stiffness",), specimens=3, decibels=200.0, share=2.0)
+    records = make_records(rng, ("cubic_stiffness",), specimens=3, decibels=200.0, share=share)
     found = []
     for record in records:
         values = record.values + line * decaying_sinusoid(1.0, 2.2 * FREQUENCY)
         if cut is not None:
-            values = sosfilt(butter(order, 2.0 * cut * STEP, output="sos"), values)
+            values = sosfilt(butter(order, 2.0 * cut * STEP, kind, output="sos"), values)
         found.append(noisy(rng, record.specimen, TIME, values, 55.0))
     return found
 
@@ -45,15 +45,37 @@ def searched(records, behind=None):
 @pytest.mark.parametrize("order", [1, 2, 3, 4, 6, 8])
 def test_the_response_is_butterworths(order):
     at = np.array([0.1, 1.0, 2.7, 10.0])
-    gain, phase = LowPass(order, 2.7).response(at)
+    gain, phase = SensorFilter(order, 2.7).response(at)
     _, expected = freqs(*butter(order, 2.0 * np.pi * 2.7, analog=True), worN=2.0 * np.pi * at)
     np.testing.assert_allclose(gain * np.exp(1j * phase), expected, rtol=1e-9)
     assert (np.diff(phase) < 0.0).all()
 
 
+@pytest.mark.parametrize("order", [1, 2])
+def test_the_response_of_a_high_pass_is_butterworths(order):
+    at = np.array([0.1, 1.0, 2.7, 10.0])
+    gain, phase = SensorFilter(order, 2.7, "high-pass").response(at)
+    _, expected = freqs(*butter(order, 2.0 * np.pi * 2.7, "highpass", analog=True), worN=2.0 * np.pi * at)
+    np.testing.assert_allclose(gain * np.exp(1j * phase), expected, rtol=1e-9)
+    assert SensorFilter(order, 2.7, "high-pass").response(np.zeros(1))[0] == 0.0
+
+
+@pytest.mark.parametrize("share", [0.3])
+def test_a_coupling_to_alternating_current_is_found_and_the_law_behind_it(share, rng):
+    without = searched(measured(rng, cut=share * FREQUENCY, order=1, kind="highpass", share=8.0))
+    assert not evidence.leaves_noise(without.batch, without.fits[without.best()])
+    found = sensor_filter(without)
+    assert found is not None and (found.order, found.kind) == (1, "high-pass")
+    assert found.cut / FREQUENCY == pytest.approx(share, rel=0.25)
+    behind = Search(found.passed(without.batch), pb.Oscillator(MASS), CANDIDATES, 2)
+    behind.run()
+    assert behind.best() == ("cubic_stiffness",) and evidence.leaves_noise(behind.batch, behind.fits[behind.best()])
+    assert "as behind a high-pass of order 1" in found.sentence(behind.batch)
+
+
 @pytest.mark.parametrize("order", [2, 4, 8])
 def test_the_fundamental_passes_and_a_harmonic_is_turned(order):
-    filtered = LowPass(order, 3.5 * FREQUENCY)
+    filtered = SensorFilter(order, 3.5 * FREQUENCY)
     time = np.arange(4000) / (40.0 * FREQUENCY)
     chain = _Chain(filtered, FREQUENCY, float(time[1]), time.size)
     waves = np.exp(2j * np.pi * FREQUENCY * np.array([1.0, 3.0]) * time[:, None])
@@ -71,15 +93,15 @@ def test_a_filter_is_found_and_the_law_behind_it(rng):
     records = measured(rng, cut=4.0 * FREQUENCY)
     without = searched(records)
     assert not evidence.leaves_noise(without.batch, without.fits[without.best()])
-    found = low_pass(without)
+    found = sensor_filter(without)
     assert found is not None and found.cut / FREQUENCY == pytest.approx(4.0, rel=0.08)
     behind = searched(records, found)
     best = behind.best()
     assert best == ("cubic_stiffness",) and evidence.leaves_noise(behind.batch, behind.fits[best])
-    assert f"order {found.order}" in found.sentence(behind.batch) and low_pass(behind) is None
+    assert f"order {found.order}" in found.sentence(behind.batch) and sensor_filter(behind) is None
 
 
 @pytest.mark.parametrize("line", [0.0, 2e-5])
 def test_no_filter_is_made_up(rng, line):
     """Neither for records that a law explains nor for the line of another mode beside the harmonics."""
-    assert low_pass(searched(measured(rng, line=line))) is None
+    assert sensor_filter(searched(measured(rng, line=line))) is None

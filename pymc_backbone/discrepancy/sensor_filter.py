@@ -1,15 +1,18 @@
-"""A low-pass between structure and record: the same filter for the simulation, where that explains what no law does.
+"""A filter between structure and record: the same one for the simulation, where that explains what no law does.
 
 The electronics of a sensor, or a filter against aliases, whose cut-off lies a few times above the mode passes the
-fundamental nearly as it is, and turns and weakens the harmonics. No law does that: what turns a third harmonic damps,
-too. A smooth law then leaves the records unexplained, or a small effect beside it, mostly a clearance, stands in.
+fundamental nearly as it is, and turns and weakens the harmonics. A coupling to alternating current, as most
+accelerometers have it, turns the fundamental away from its harmonics and makes a slow decay of the jump at the release.
+No law does that: what turns a third harmonic damps, too. A smooth law then leaves the records unexplained, or a small
+effect beside it, mostly a clearance, stands in.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
@@ -18,14 +21,19 @@ from .._common.checks import FloatArray
 from . import evidence
 from .batch import Batch
 from .data_term import WaveformTerm
+from .descent import is_heavy
 from .joint_fit import Fit, fit
 from .normal_equations import derivatives
 from .record_term import BETWEEN, INSIDE, orthogonal_to
 from .search import Search
 from .whitening import with_slow_noise
 
+Kind = Literal["low-pass", "high-pass"]
+
 _ORDERS = (1, 2, 3, 4, 6, 8)
-_CUTS = (1.6, 9.0)  # cut-offs that are looked at, over the frequency of the mode
+_CUTS = (1.6, 9.0)  # cut-offs of low-passes that are looked at, over the frequency of the mode
+_COUPLED = (0.02, 0.045, 0.1, 0.2, 0.4)  # those of high-passes behind which sets are fitted at first ...
+_NEARER = (1.4, 1.18, 1.08, 1.03)  # ... and ratios to the best of them of those that are tried then
 _LOOKS = 20
 _FINER = (
     (1.25, 9),
@@ -46,12 +54,13 @@ _NEAR, _LEFT = (
     3.0,
     0.3,
 )  # chi-square over the number of samples, and share of what was left, that a filter leaves at most
+_LESS = 0.7  # of what is left where records only begin as behind a high-pass, that is left behind it at most
 _ITERATIONS = 12
 
 
 @dataclass(frozen=True)
-class LowPass:
-    """A Butterworth low-pass in front of all records.
+class SensorFilter:
+    """A Butterworth filter in front of all records.
 
     Attributes
     ----------
@@ -59,10 +68,13 @@ class LowPass:
         Number of its poles.
     cut : float
         Frequency [Hz] at which it passes half of the power.
+    kind : str
+        Which frequencies pass.
     """
 
     order: int
     cut: float
+    kind: Kind = "low-pass"
 
     @property
     def poles(self) -> Any:
@@ -72,7 +84,11 @@ class LowPass:
 
     def response(self, frequency: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return gain (n,) and phase (n,) [rad], which falls steadily, at frequencies (n,) [Hz]."""
-        factors = 1.0 / (1.0 - 1j * np.asarray(frequency)[:, None] / self.cut / self.poles)
+        ratio = np.asarray(frequency, dtype=np.float64)[:, None] / self.cut
+        if self.kind == "high-pass":
+            factors = ratio / (ratio + 1j / self.poles)
+        else:
+            factors = 1.0 / (1.0 - 1j * ratio / self.poles)
         return np.abs(factors).prod(axis=1), np.angle(factors).sum(axis=1)
 
     def passed(self, batch: Batch) -> Batch:
@@ -85,9 +101,10 @@ class LowPass:
     def sentence(self, batch: Batch) -> str:
         """Return what was found, in one sentence."""
         ratio = self.cut / float(np.median([record.frequency for record in batch.records]))
+        done = "turned" if self.kind == "high-pass" else "turned and weakened"
         return (
-            "warning: the harmonics of the motion are turned and weakened as behind a low-pass of order "
-            f"{self.order} at {self.cut:.3g} Hz, {ratio:.1f} times the frequency of the mode; the simulation was sent "
+            f"warning: the harmonics of the motion are {done} as behind a {self.kind} of order "
+            f"{self.order} at {self.cut:.3g} Hz, {ratio:.2g} times the frequency of the mode; the simulation was sent "
             "through the same filter. Look at the filters of sensor, amplifier and logger"
         )
 
@@ -95,16 +112,16 @@ class LowPass:
 class _Chain:
     """The filter on equally spaced columns: delay and gain of the fundamental, which the release holds, taken off."""
 
-    def __init__(self, low_pass: LowPass, frequency: float, step: float, count: int) -> None:
-        slowest = 2.0 * np.pi * low_pass.cut * float(np.abs(low_pass.poles.real).min())
-        gain, phase = low_pass.response(np.array([frequency]))
+    def __init__(self, chosen: SensorFilter, frequency: float, step: float, count: int) -> None:
+        slowest = 2.0 * np.pi * chosen.cut * float(np.abs(chosen.poles.real).min())
+        gain, phase = chosen.response(np.array([frequency]))
         delay = -float(phase[0]) / (2.0 * np.pi * frequency)
         self.count = count
         self.before = min(int(np.ceil(_FORGOTTEN / slowest / step)), count - 1)
-        self.ahead = min(int(np.ceil(delay / step)) + _GIBBS, count - 1)
+        self.ahead = min(max(int(np.ceil(delay / step)), 0) + _GIBBS, count - 1)
         self.size = next_fast_len(count + self.before + self.ahead, real=True)
         grid = rfftfreq(self.size, step)
-        gains, phases = low_pass.response(grid)
+        gains, phases = chosen.response(grid)
         share = np.clip((2.0 * step * grid - _TAPER[0]) / (_TAPER[1] - _TAPER[0]), 0.0, 1.0)
         gains *= np.cos(0.5 * np.pi * share) ** 2 / gain[0]
         self._response = gains * np.exp(1j * (phases + 2.0 * np.pi * grid * delay))
@@ -116,14 +133,14 @@ class _Chain:
         return np.asarray(passed[self.before : self.before + self.count])
 
 
-def _transients(low_pass: LowPass, elapsed: FloatArray) -> FloatArray:
+def _transients(chosen: SensorFilter, elapsed: FloatArray) -> FloatArray:
     """Return what the filter may still hold of the past (n, 2 order), from the first instant on.
 
     Its decays, and what they change by where the poles are a little elsewhere: no filter is exactly Butterworth's.
     """
     columns = []
-    for pole in low_pass.poles[low_pass.poles.imag >= -1e-9]:
-        past = 2.0 * np.pi * low_pass.cut * elapsed
+    for pole in chosen.poles[chosen.poles.imag >= -1e-9]:
+        past = 2.0 * np.pi * chosen.cut * elapsed
         wave = np.exp(pole * past)
         waves = (wave, past * wave)
         columns += [part.real for part in waves]
@@ -131,13 +148,20 @@ def _transients(low_pass: LowPass, elapsed: FloatArray) -> FloatArray:
     return np.column_stack(columns)
 
 
-def _passed(term: WaveformTerm, low_pass: LowPass, frequency: float) -> WaveformTerm:
+def _passed(term: WaveformTerm, chosen: SensorFilter, frequency: float) -> WaveformTerm:
     """Return a term whose simulation goes through a filter, which begins with an unknown past."""
     step = float(np.median(np.diff(term.time)))
-    chain = _Chain(low_pass, frequency, step, term.time.size)
-    modes = term.signal * _transients(low_pass, term.time - term.time[0])
-    behind = replace(term, whiten=with_slow_noise(term.whiten, term.compared(modes)), chain=chain)
+    chain = _Chain(chosen, frequency, step, term.time.size)
+    behind = replace(_with_past(term, chosen), chain=chain)
     return _without_end(behind, int(np.ceil(chain.ahead * term.size / term.time.size)))
+
+
+def _with_past(term: WaveformTerm, chosen: SensorFilter) -> WaveformTerm:
+    """Return a term that may hold what a filter still has of the past."""
+    modes = term.signal * _transients(chosen, term.time - term.time[0])
+    if chosen.kind == "high-pass":  # which is ahead of the motion: its first values lie between samples not all known
+        modes = np.hstack([modes, term.signal * np.eye(term.time.size, min(_GIBBS, term.time.size))])
+    return replace(term, whiten=with_slow_noise(term.whiten, term.compared(modes)))
 
 
 def _without_end(term: WaveformTerm, lost: int) -> WaveformTerm:
@@ -164,8 +188,8 @@ def _without_end(term: WaveformTerm, lost: int) -> WaveformTerm:
     return replace(term, whiten=shorter, size=size, subspace=subspace, beside=beside)
 
 
-def low_pass(search: Search) -> LowPass | None:
-    """Return the low-pass behind which a set of effects explains the records; None where there is none.
+def sensor_filter(search: Search) -> SensorFilter | None:
+    """Return the filter behind which a set of effects explains the records; None where there is none.
 
     Looked for where the most probable set does not leave noise, with the likeliest and what is in these; else with the
     sets that lack one of its effects, which then have to explain the samples better than it does. None where records
@@ -181,40 +205,91 @@ def low_pass(search: Search) -> LowPass | None:
     asked = [] if is_exact else [names for names in likeliest if names]
     asked += [part for names in likeliest if len(names) > 1 for part in combinations(names, len(names) - 1)]
     frequency = float(np.median([record.frequency for record in batch.records]))
-    filters = [LowPass(order, float(cut)) for order in _ORDERS for cut in np.geomspace(*_CUTS, _LOOKS) * frequency]
-    promised = []
-    for names in dict.fromkeys(asked):
-        start = search.fit_set(names)
-        looked = None if start is None else _look(batch, batch, start, filters)
-        if start is not None and looked is not None and looked.gain > _PRICE:
-            promised.append((looked.cost + _EACH * start.layout.free.size, start, looked.best))
-    promised.sort(key=lambda item: item[0])
-    found = [_behind(batch, start, first) for _, start, first in promised[:_FITTED]]
+    starts = [start for names in dict.fromkeys(asked) if (start := search.fit_set(names)) is not None]
+    found = _low_passes(batch, starts, frequency)
+    if not is_exact:
+        found += _high_passes(batch, [start for start in starts if not is_heavy(start.layout)], frequency)
     # a filter's past is fitted, too: first cycles that it left are explained
-    kept = [item for item in found if item is not None and item.cost < best_cost - _PRICE]
+    kept = [item for item in found if item.cost < best_cost - _PRICE]
     noise = float(search.count)
     nearly = min(_NEAR * noise, noise + _LEFT * (best_cost - noise))
     kept = [item for item in kept if item.is_exact or (not is_exact and item.cost < nearly)]
-    return min(kept, key=lambda item: item.cost + item.price).low_pass if kept else None
+    return min(kept, key=lambda item: item.cost + item.price).filter if kept else None
+
+
+def _low_passes(batch: Batch, starts: Sequence[Fit], frequency: float) -> list[_Behind]:
+    """Return sets behind the low-passes that suit them, those of which a look promises most."""
+    filters = [SensorFilter(order, float(cut)) for order in _ORDERS for cut in np.geomspace(*_CUTS, _LOOKS) * frequency]
+    promised = []
+    for start in starts:
+        looked = _look(batch, batch, start, filters)
+        if looked is not None and looked.gain > _PRICE:
+            promised.append((looked.cost + _EACH * start.layout.free.size, start, looked.best))
+    promised.sort(key=lambda item: item[0])
+    found = [_behind(batch, start, first) for _, start, first in promised[:_FITTED]]
+    return [item for item in found if item is not None]
+
+
+def _high_passes(batch: Batch, starts: Sequence[Fit], frequency: float) -> list[_Behind]:
+    """Return sets behind the high-passes that suit them, of one pole where that leaves noise, else of two.
+
+    What tells one is mostly the slow decay after the jump at the release, and no look from fits without it: so sets are
+    fitted behind some, each begun where the one before ended.
+    """
+
+    def fitted(chosen: SensorFilter, start: Fit) -> tuple[SensorFilter, Fit] | None:
+        terms = chosen.passed(batch).waveform
+        solved = fit(start.layout, terms, start.state, iterations=_ITERATIONS, nuisances=batch.nuisances)
+        return None if solved is None else (chosen, solved)
+
+    def cost(item: tuple[SensorFilter, Fit]) -> float:
+        return item[1].cost + _EACH * item[1].layout.free.size
+
+    first = SensorFilter(1, _COUPLED[1] * frequency, "high-pass")
+    begun = sorted((item for start in starts if (item := fitted(first, start)) is not None), key=cost)[:_FITTED]
+    found: list[_Behind] = []
+    for order in (1, 2):
+        for _, start in begun:
+            tried = [(first, start)]
+            for share in _COUPLED:
+                chosen = SensorFilter(order, share * frequency, "high-pass")
+                tried += [item for item in [fitted(chosen, tried[-1][1])] if item is not None]
+            best = min(tried[1:], key=cost, default=None)
+            for ratio in _NEARER:
+                if best is not None:
+                    beside = [fitted(replace(best[0], cut=best[0].cut * by), best[1]) for by in (ratio, 1.0 / ratio)]
+                    best = min([best, *(item for item in beside if item is not None)], key=cost)
+            if best is not None and best[1].cost < _LESS * _without_filter(batch, best[0], start) - _PRICE:
+                found.append(_behind_it(batch, *best))
+        if any(item.is_exact for item in found):
+            break
+    return found
+
+
+def _without_filter(batch: Batch, chosen: SensorFilter, start: Fit) -> float:
+    """Return the cost of a set where records may begin with what a filter has of the past, and go through none."""
+    terms = tuple(_with_past(term, chosen) for term in batch.waveform)
+    solved = fit(start.layout, terms, start.state, iterations=_ITERATIONS, nuisances=batch.nuisances)
+    return np.inf if solved is None else solved.cost
 
 
 @dataclass(frozen=True)
 class _Behind:
-    """A set behind the low-pass that suits it best: its cost, what its parameters must be worth, if it leaves noise."""
+    """A set behind the filter that suits it best: its cost, what its parameters must be worth, if it leaves noise."""
 
     cost: float
     price: float
     is_exact: bool
-    low_pass: LowPass
+    filter: SensorFilter
 
 
-def _behind(batch: Batch, start: Fit, first: LowPass) -> _Behind | None:
-    """Return a set behind the low-pass that suits it best, looked for from the first on; None where it does not fit."""
+def _behind(batch: Batch, start: Fit, first: SensorFilter) -> _Behind | None:
+    """Return a set behind the filter that suits it best, looked for from the first on; None where it does not fit."""
     best, behind, found = first, batch, start
     for ratio, count in ((1.0, 1), *_FINER):
         if count > 1:
             cuts = np.geomspace(best.cut / ratio, best.cut * ratio, count)
-            looked = _look(batch, behind, found, [LowPass(best.order, float(cut)) for cut in cuts])
+            looked = _look(batch, behind, found, [replace(best, cut=float(cut)) for cut in cuts])
             if looked is None:
                 return None
             best = looked.best
@@ -224,10 +299,17 @@ def _behind(batch: Batch, start: Fit, first: LowPass) -> _Behind | None:
             return None
         found = solved
     lowest, highest = (bound * float(np.median([record.frequency for record in batch.records])) for bound in _CUTS)
-    if not lowest < best.cut < highest:
-        return None
+    return _behind_it(batch, best, found) if lowest < best.cut < highest else None
+
+
+def _behind_it(batch: Batch, best: SensorFilter, found: Fit) -> _Behind:
+    """Return what a fit behind a filter says of both."""
+    behind = best.passed(batch)
     lost = sum(term.size for term in batch.waveform) - sum(term.size for term in behind.waveform)
-    return _Behind(found.cost + lost, _EACH * found.layout.free.size, evidence.leaves_noise(behind, found), best)
+    each = 2.0 * best.order + _GIBBS * (best.kind == "high-pass")  # amounts of what a filter held before, all fitted
+    past = each * len(batch.specimens)
+    price = _EACH * found.layout.free.size
+    return _Behind(found.cost + lost + past, price, evidence.leaves_noise(behind, found), best)
 
 
 @dataclass(frozen=True)
@@ -236,10 +318,10 @@ class _Looked:
 
     cost: float
     gain: float
-    best: LowPass
+    best: SensorFilter
 
 
-def _look(batch: Batch, behind: Batch, found: Fit, filters: list[LowPass]) -> _Looked | None:
+def _look(batch: Batch, behind: Batch, found: Fit, filters: list[SensorFilter]) -> _Looked | None:
     """Return what the best of some filters and one step of the set's values promise; None where that fails.
 
     ``behind`` is the batch whose terms the set was fitted to, ``batch`` the same without a filter.
@@ -281,4 +363,4 @@ def _rows(term: WaveformTerm, known: WaveformTerm) -> slice:
     return slice(round(_MASKED[0] * each), min(term.size - round(_MASKED[1] * each), known.size))
 
 
-__all__ = ["LowPass", "low_pass"]
+__all__ = ["SensorFilter", "sensor_filter"]
