@@ -490,7 +490,16 @@ def test_words_of_each_verdict():
         (
             "found",
             {"named_level": NamedLevel.MECHANISM, "mechanisms": (HARDENING,), "is_approximate": True},
-            "which law these records do not tell: cubic stiffness 96 %, quintic stiffness 3 %.",
+            "its law is cubic stiffness or one like it, not exactly.",
+        ),
+        (
+            "found",
+            {
+                "named_level": NamedLevel.MECHANISM,
+                "mechanisms": (mechanism_of("spring", 0.99, 0.9, cubic_stiffness=0.6, quintic_stiffness=0.4),),
+                "is_approximate": True,
+            },
+            "which law these records do not tell: cubic stiffness 60 %, quintic stiffness 40 %.",
         ),
         ("unexplained", {}, "no set of known effects explains it"),
         ("unexplained", {"drift_probability": 0.9}, "a drift with time explains the records better"),

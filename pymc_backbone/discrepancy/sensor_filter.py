@@ -233,37 +233,47 @@ def _low_passes(batch: Batch, starts: Sequence[Fit], frequency: float) -> list[_
 def _high_passes(batch: Batch, starts: Sequence[Fit], frequency: float) -> list[_Behind]:
     """Return sets behind the high-passes that suit them, of one pole where that leaves noise, else of two.
 
-    What tells one is mostly the slow decay after the jump at the release, and no look from fits without it: so sets are
-    fitted behind some, each begun where the one before ended.
+    What tells one is mostly the slow decay after the jump at the release, and no look from fits without it: so the sets
+    that leave least are fitted behind some, each begun where the one before ended, and further where less is left.
     """
-
-    def fitted(chosen: SensorFilter, start: Fit) -> tuple[SensorFilter, Fit] | None:
-        terms = chosen.passed(batch).waveform
-        solved = fit(start.layout, terms, start.state, iterations=_ITERATIONS, nuisances=batch.nuisances)
-        return None if solved is None else (chosen, solved)
-
-    def cost(item: tuple[SensorFilter, Fit]) -> float:
-        return item[1].cost + _EACH * item[1].layout.free.size
-
-    first = SensorFilter(1, _COUPLED[1] * frequency, "high-pass")
-    begun = sorted((item for start in starts if (item := fitted(first, start)) is not None), key=cost)[:_FITTED]
+    begun = sorted(starts, key=lambda start: start.cost)[:_FITTED]
     found: list[_Behind] = []
     for order in (1, 2):
-        for _, start in begun:
-            tried = [(first, start)]
-            for share in _COUPLED:
-                chosen = SensorFilter(order, share * frequency, "high-pass")
-                tried += [item for item in [fitted(chosen, tried[-1][1])] if item is not None]
-            best = min(tried[1:], key=cost, default=None)
-            for ratio in _NEARER:
-                if best is not None:
-                    beside = [fitted(replace(best[0], cut=best[0].cut * by), best[1]) for by in (ratio, 1.0 / ratio)]
-                    best = min([best, *(item for item in beside if item is not None)], key=cost)
-            if best is not None and best[1].cost < _LESS * _without_filter(batch, best[0], start) - _PRICE:
+        for start in list(begun):
+            best = _high_pass(batch, start, [SensorFilter(order, cut * frequency, "high-pass") for cut in _COUPLED])
+            if best is None:
+                begun.remove(start)
+            else:
                 found.append(_behind_it(batch, *best))
         if any(item.is_exact for item in found):
             break
     return found
+
+
+def _high_pass(batch: Batch, start: Fit, filters: Sequence[SensorFilter]) -> tuple[SensorFilter, Fit] | None:
+    """Return the high-pass that suits a set best, and the set behind it; None where it leaves little less."""
+
+    def fitted(chosen: SensorFilter, start: Fit) -> list[tuple[SensorFilter, Fit]]:
+        terms = chosen.passed(batch).waveform
+        solved = fit(start.layout, terms, start.state, iterations=_ITERATIONS, nuisances=batch.nuisances)
+        return [] if solved is None else [(chosen, solved)]
+
+    def cost(item: tuple[SensorFilter, Fit]) -> float:
+        return item[1].cost
+
+    tried = [(filters[0], start)]
+    for chosen in filters:
+        tried += fitted(chosen, tried[-1][1])
+    best = min(tried[1:], key=cost, default=None)
+    if best is None or not best[1].cost < _LESS * _without_filter(batch, best[0], start) - _PRICE:
+        return None
+    for ratio in _NEARER:
+        at, found = best
+        best = min(
+            [best, *(item for by in (ratio, 1.0 / ratio) for item in fitted(replace(at, cut=by * at.cut), found))],
+            key=cost,
+        )
+    return best
 
 
 def _without_filter(batch: Batch, chosen: SensorFilter, start: Fit) -> float:
