@@ -66,7 +66,7 @@ def test_a_coupling_to_alternating_current_is_found_and_the_law_behind_it(share,
     assert not evidence.leaves_noise(without.batch, without.fits[without.best()])
     found = sensor_filter(without)
     assert found is not None and (found.order, found.kind) == (1, "high-pass")
-    assert found.cut / FREQUENCY == pytest.approx(share, rel=0.25)
+    assert found.cut / FREQUENCY == pytest.approx(share, rel=0.08)
     behind = Search(found.passed(without.batch), pb.Oscillator(MASS), CANDIDATES, 2)
     behind.run()
     assert behind.best() == ("cubic_stiffness",) and evidence.leaves_noise(behind.batch, behind.fits[behind.best()])

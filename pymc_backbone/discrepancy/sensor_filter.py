@@ -253,9 +253,9 @@ def _high_passes(batch: Batch, starts: Sequence[Fit], frequency: float) -> list[
 def _high_pass(batch: Batch, start: Fit, filters: Sequence[SensorFilter]) -> tuple[SensorFilter, Fit] | None:
     """Return the high-pass that suits a set best, and the set behind it; None where it leaves little less."""
 
-    def fitted(chosen: SensorFilter, start: Fit) -> list[tuple[SensorFilter, Fit]]:
+    def fitted(chosen: SensorFilter, known: Fit) -> list[tuple[SensorFilter, Fit]]:
         terms = chosen.passed(batch).waveform
-        solved = fit(start.layout, terms, start.state, iterations=_ITERATIONS, nuisances=batch.nuisances)
+        solved = fit(known.layout, terms, known.state, iterations=_ITERATIONS, nuisances=batch.nuisances)
         return [] if solved is None else [(chosen, solved)]
 
     def cost(item: tuple[SensorFilter, Fit]) -> float:

@@ -84,7 +84,7 @@ def undisturbed(
 ) -> Undisturbed:
     """Return the question and search of records without what disturbs them; as they were where nothing does.
 
-    A low-pass in front of the records, through which the simulation is sent, is looked for first, and once more without
+    A filter in front of the records, through which the simulation is sent, is looked for first, and once more without
     first cycles. Specimens are released earlier, or else first cycles left out, where a set of effects leaves noise
     then, or half of what was left at most. Where the noise grows with the motion, samples count by the noise that they
     have. A bent sensor and another mode's line are taken out where a set leaves noise then; what was found with the
@@ -137,7 +137,7 @@ class _Filtered(NamedTuple):
 
 
 def _filtered(asked: _Asked, again: Search, records: Sequence[Record], said: Sequence[str]) -> _Filtered | None:
-    """Return the question with a low-pass in front of the records, where it is clearly better then."""
+    """Return the question with a filter in front of the records, where it is clearly better then."""
     if asked.sensor_filter is not None or (found := sensor_filter(again)) is None:
         return None
     asked.sensor_filter = found
