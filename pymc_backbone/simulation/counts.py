@@ -15,8 +15,9 @@ from numba.extending import intrinsic
 from .._common.compiled import NativeFunction, cached
 from .pointers import INTEGERS
 
-# Parameter vectors simulated for their values alone, with derivatives, in vain; and answered from a memory instead.
-SIMULATIONS, GRADIENTS, FAILURES, REMEMBERED, N_COUNTS = range(5)
+# Parameter vectors simulated for their values alone, with derivatives, in vain; and answered from a memory instead;
+# and half cycles of decays that were run through for it.
+SIMULATIONS, GRADIENTS, FAILURES, REMEMBERED, HALF_CYCLES, N_COUNTS = range(6)
 
 
 @intrinsic
@@ -81,3 +82,8 @@ def read_counts() -> dict[str, int]:
         "simulations": counted[SIMULATIONS],
         "gradients": counted[GRADIENTS],
     }
+
+
+def half_cycles_run() -> int:
+    """Return how many half cycles of decays were run through in this process: the work, whatever the machine."""
+    return int(_place()[HALF_CYCLES])

@@ -7,6 +7,8 @@ import math
 import numpy as np
 
 from .._common.checks import FloatArray
+from .counts import HALF_CYCLES
+from .counts import count as note
 from .curves import compiled
 from .halfcycle import COMPLETED, RUNAWAY, STUCK, half_cycle
 from .instants import DISPLACEMENT
@@ -88,6 +90,7 @@ def run_decay(run: Run, stop: float, more: int, maximum: int, turns: Turns, wave
             pace = math.log(before / memory[AMPLITUDE]) / _CHECK_PROGRESS
             if not 10.0 * pace * (maximum - count) > math.log(memory[AMPLITUDE] / stop):
                 break
+    note(HALF_CYCLES, count)
     # What sticks stays where it is; after any other end there is no answer.
     held = 0.0 if code == STUCK else np.nan
     is_displacement = waveform.quantity == DISPLACEMENT
