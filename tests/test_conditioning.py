@@ -696,6 +696,20 @@ def test_clipping(side: str, per_cycle: int, rng: np.random.Generator) -> None:
     assert condition(record(time, np.clip(noisy, low, high)), start=again).amplitude < 0.82
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_model_that_is_held_beside_a_step_of_the_converter_is_not_clipping(
+    side: float, rng: np.random.Generator
+) -> None:
+    time, (x, _, _) = simulated("linear", 0.005, 40, 40)
+    held = np.concatenate([np.full(50, x[0]), x]) + 1.5e-3 * rng.normal(size=x.size + 50)
+    step = 2.0 / 2**9
+    values = side * np.minimum(np.floor((held - 0.25 * step) / step) * step, np.floor(x[0] / step) * step)
+    runs = np.count_nonzero(np.diff((values == values[0]).astype(int)) == 1)
+    assert runs > 5, "the last digit should come and go"
+    conditioned = condition(record(np.arange(values.size) * (time[1] - time[0]), values))
+    assert conditioned.amplitude == pytest.approx(1.0, rel=0.02)
+
+
 @pytest.mark.parametrize("bits", [8, 10])
 def test_a_coarse_converter_is_not_clipping(bits: int) -> None:
     time, (x, _, _) = simulated("linear", 0.0005, 60, 200)

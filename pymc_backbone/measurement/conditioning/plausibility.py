@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..._common.checks import FloatArray, InputError
+from ..._common.checks import BoolArray, FloatArray, InputError, IntArray
 from .tracking import Track
 
 MINIMUM_PER_CYCLE = 8.0
@@ -55,8 +55,7 @@ def check_clipping(
     middle, amplitude = 0.5 * float(values.max() + values.min()), 0.5 * float(np.ptp(values))
     for extreme in (float(values.max()), float(values.min())):
         at = np.abs(values - extreme) <= 1e-9 * amplitude
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], at, [False]]).astype(int)))
-        first, length = edges[::2], edges[1::2] - edges[::2]
+        first, length = _runs_of_peaks(at, (values > middle) == (extreme > middle))
         # the fall of a true cosine from the middle to the end of the run
         fall = amplitude * (1.0 - np.cos(np.minimum(np.pi * frequency * (length - 1) / sampling_rate, np.pi)))
         cut = (length >= 2) & (fall > 3.0 * step) & (fall > 1e-3 * amplitude)
@@ -74,6 +73,21 @@ def check_clipping(
                 f"first at {time[first[cut][0]]:.6g} s; widen the range, or use what follows with "
                 f"`start={time[last]:.6g}`."
             )
+
+
+def _runs_of_peaks(at: BoolArray, beyond: BoolArray) -> tuple[IntArray, IntArray]:
+    """Return where the values stay at their extreme, and for how many samples, at most once in each peak.
+
+    Of a peak, while the motion is ``beyond`` the middle, the longest run counts: a model that is held before its release
+    comes and goes with the last digit of the converter, many times, and is one.
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], at, [False]]).astype(int)))
+    first, last = edges[::2], edges[1::2]
+    if not first.size:
+        return first, first
+    crossings = np.cumsum(np.concatenate([[0], np.diff(beyond.astype(int)) != 0]))
+    _, begin = np.unique(crossings[first], return_index=True)
+    return first[begin], np.maximum.reduceat(last - first, begin)
 
 
 def check_cycles(path: Track | None, name: str, what: str) -> Track:
