@@ -141,11 +141,13 @@ def drifting_records(
     specimens: int = 2,
     cubic: float = 0.0,
     damping: tuple[float, float] = (1, 0),
+    one_side: float = 0.0,
 ) -> list[Record]:
     """Specimens whose stiffness changes linearly with time by ``change`` over the record, by SciPy.
 
     ``cubic`` is the force of a cubic spring at `AMPLITUDE`, over that of the linear one; ``damping`` that at release
-    over `DAMPING`, and by how much of itself it changes over the record.
+    over `DAMPING`, and by how much of itself it changes over the record; ``one_side`` how much stiffer it is on the
+    positive side.
     """
     length = TIME[-1] - RELEASE_TIME
     records = []
@@ -155,6 +157,7 @@ def drifting_records(
         def rate(t: float, state: Any) -> list[float]:
             stiffness = STIFFNESS * (1.0 + change * t / length)
             harder = cubic * STIFFNESS * state[0] * (state[0] / AMPLITUDE) ** 2
+            harder += one_side * STIFFNESS * max(state[0], 0.0)
             loss = DAMPING * damping[0] * (1.0 + damping[1] * t / length)
             return [state[1], -(stiffness * state[0] + harder + loss * state[1]) / MASS]
 

@@ -888,6 +888,17 @@ def test_a_law_is_found_that_a_strong_drift_had_hidden_in_the_backbones():
     assert drifting.centre[0] == pytest.approx(cubic * STIFFNESS / AMPLITUDE**2, rel=0.05)
 
 
+def test_a_plain_law_beside_a_drift_rivals_a_contact_that_makes_up_for_both():
+    """A spring with two sides that cools: with a free approach, a contact bends the backbone as the drift does."""
+    batch = batch_of(drifting_records(np.random.default_rng(5), -0.004, 1, one_side=0.04))
+    search = search_of(batch, ("bilinear_stiffness", "hertz_contact"), 1)
+    assert search.best() == ("hertz_contact",)
+    beside = rivals.drifting_sets(search)[("bilinear_stiffness",)].fit
+    contact, alone = (search.fits[names].cost for names in (("hertz_contact",), ("bilinear_stiffness",)))
+    assert beside.cost < contact + 10.0 and alone > contact + 100.0
+    assert beside.centre[0] == pytest.approx(0.04 * STIFFNESS, rel=0.1)
+
+
 def test_sliders_alone_are_asked_beside_drifts():
     batch = batch_of(drifting_records(np.random.default_rng(5), 0.04))
     search = Search(batch, Oscillator(MASS), ("jenkins",), 1)

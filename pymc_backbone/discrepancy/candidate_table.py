@@ -17,6 +17,7 @@ _POSSIBLE = 0.01  # probability from which a set is called possible
 _NOT_TRUSTED = "; its probability is not to be trusted: importance sampling does not confirm its evidence"
 _WITH_DRIFT = "; with a drift in time beside it"
 _AS_MUCH = 1.0  # chi-square of the backbones up to which a set leaves as much as the likeliest
+_BY_BACKBONES = "by its backbones, with what no law explains in them, far less probable"
 _ABOUT = 0.5  # of the best set's probability, from which a set explains the records about as well
 
 
@@ -124,8 +125,8 @@ def _reason(names: Set, probability: float, gain: float, decision: Decision, sta
     if status is Status.NOT_CONVERGED:
         return "could explain the backbones, but its fit to the records did not come to rest"
     if status is Status.REJECTED and not np.isfinite(gain):
-        return "by its backbones, with what no law explains in them, far less probable"
-    if set(decision.best) < set(names) and np.isfinite(gain):
+        return _BY_BACKBONES
+    if set(decision.best) < set(names) and np.isfinite(gain) and not (decision.is_approximate and gain > 0.0):
         return f"adds {', '.join(map(in_words, sorted(extra)))}, which improves chi-square by {max(gain, 0.0):.3g} only"
     if set(names) < set(decision.best) and np.isfinite(gain):
         lost = ", ".join(map(in_words, sorted(set(decision.best) - set(names))))
@@ -140,4 +141,6 @@ def _reason(names: Set, probability: float, gain: float, decision: Decision, sta
         )
     if gain < 0.0:
         return f"chi-square is larger by {-gain:.3g}"
+    if decision.is_approximate:
+        return f"chi-square is smaller by {gain:.3g}, but {_BY_BACKBONES}"
     return f"chi-square is smaller by {gain:.3g}, less than its extra parameters are worth"

@@ -25,8 +25,8 @@ _LIKELIEST = 3  # of these that begin
 _RIDGE = 1e-9
 
 
-def single_beside_drifts(search: Search) -> Iterator[tuple[Set, State]]:
-    """Yield every single effect and its start, by its backbones beside drifts, those that remember last.
+def single_beside_drifts(search: Search, *, remembering: bool = True) -> Iterator[tuple[Set, State]]:
+    """Yield every single effect and its start, by its backbones beside drifts, those that remember last or not at all.
 
     What looks lack is taken from the exact simulation of what leads: beside others a slider is led astray, and is asked
     alone. It slips in some records and not in others: then only wide scatter leads there, and it begins twice.
@@ -35,7 +35,7 @@ def single_beside_drifts(search: Search) -> Iterator[tuple[Set, State]]:
     sliders = [name for name in search.candidates if search.layout((name,)).simulator.needs_decay]
     others = tuple(name for name in search.candidates if name not in sliders)
     asked = [(others, SCATTER)] if others else []
-    asked += [((name,), scatter) for name in sliders for scatter in (SCATTER, WIDE_SCATTER)]
+    asked += [((name,), scatter) for name in sliders if remembering for scatter in (SCATTER, WIDE_SCATTER)]
     for names, scatter in asked:
         found = propose(batch, search.base, names, 1, search.own, scatter=scatter)
         yield from _begun(search, [item for item in found if item.names])

@@ -37,6 +37,7 @@ def departing(search: Search, decision: Decision) -> Decision:
     if simpler is not None and simpler != best and _is_kept(search, weighed, simpler):
         # what is only possible beside the certain takes nothing of what these explain alone
         best, mechanisms = simpler, _told(search, weighed, simpler)
+    search.mend(best)
     lack = evidence.lack_of_fit(search.batch, search.fits[best])
     if search.is_refuted(best):
         lack = replace(lack, share=float("nan"))  # of a motion out of phase

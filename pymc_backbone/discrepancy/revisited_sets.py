@@ -135,6 +135,16 @@ class RevisitedSets(FittedSets):
                     found = self._extended(names, self.layout(names), known, None)
                     self.fits[names] = min([self.fits[names], *found], key=lambda item: item.cost)
 
+    def mend(self, names: Set) -> None:
+        """Fit a set again from the smaller ones that leave less than it does: its own fit has lost its way."""
+        if self.is_refuted(names):
+            return
+        for smaller in combinations(names, max(len(names) - 1, 0)):
+            known = self.fits.get(smaller)
+            if names and known is not None and known.cost < self.fits[names].cost:
+                found = self._extended(names, self.layout(names), known, None)
+                self.fits[names] = min([self.fits[names], *found], key=lambda item: item.cost)
+
     def _look_within(self) -> None:
         """Fit the subsets that were not asked of sets that explain the records as well as the best.
 

@@ -42,8 +42,9 @@ def drifting_sets(search: Search) -> dict[Set, Drifting]:
     of its mechanism where that effect is a variant of these; where no set leaves noise, what is in the next ones, too.
     Where a drift helps one of them, the same is asked of the other laws of its mechanisms. Sets with an equation of
     their own are asked where they lack one effect only, or nothing simpler is left; where turning points refuted the
-    most probable set, no set that remembers is. Where nothing leaves noise even so, the backbones are asked beside
-    drifts, unless a drift alone explains less than half of what is missing.
+    most probable set, no set that remembers is. Where a drift alone explains half of what is missing, the backbones are
+    asked beside drifts: for every effect where nothing leaves noise even so, and where something does, for those that
+    are soon simulated. A law of several parameters, such as a contact, had stood for a drift beside a plain one.
     """
     best = search.best()
     is_exact = evidence.leaves_noise(search.batch, search.fits[best])
@@ -66,15 +67,36 @@ def drifting_sets(search: Search) -> dict[Set, Drifting]:
     ]
     helped.sort(key=lambda names: found[names].fit.cost)
     _ask(search, [other for names in helped[:_ASKED] for other in _of_the_same_kind(search, names)], found, limit)
-    if not is_exact and search.batch.has_open_records and _is_bent(search, found):
-        if not any(evidence.leaves_noise(search.batch, item.fit) for item in found.values()):
+    if search.batch.has_open_records and (best or not is_exact) and _is_bent(search, found):
+        if is_exact:
+            _ask_plain(search, found, limit)
+        elif not any(evidence.leaves_noise(search.batch, item.fit) for item in found.values()):
             _ask_backbones(search, found)
     return found
 
 
+def _ask_plain(search: Search, found: dict[Set, Drifting], limit: float) -> None:
+    """Add the fits of single effects that are soon simulated, as their backbones propose them beside drifts.
+
+    One that leaves clearly more than the best set is no rival of it, and one that the drift does not help stands
+    without: neither is added.
+    """
+    best = search.best()
+    worst = search.fits[best].cost + _HELPED
+    for names, state in single_beside_drifts(search, remembering=False):
+        if names in found or names == best:
+            continue
+        drifting = drift_fit(search.batch, search.layout(names), state, limit)
+        if drifting is None or drifting.cost > worst or (alone := search.fit_set(names)) is None:
+            continue
+        if drifting.cost < alone.cost - _HELPED:
+            found[names] = Drifting(drifting, drift_bonus(drifting))
+
+
 def _is_bent(search: Search, found: dict[Set, Drifting]) -> bool:
     """Return whether a drift may bend the backbones as much as a law: by itself it explains half of what is missing."""
-    return () in found and found[()].fit.cost < _BENT * search.fits[()].cost
+    noise = min(search.fits[search.best()].cost, search.count)
+    return () in found and found[()].fit.cost - noise < _BENT * (search.fits[()].cost - noise)
 
 
 def _ask_backbones(search: Search, found: dict[Set, Drifting]) -> None:

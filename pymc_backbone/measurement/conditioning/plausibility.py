@@ -78,7 +78,7 @@ def check_clipping(
 def _runs_of_peaks(at: BoolArray, beyond: BoolArray) -> tuple[IntArray, IntArray]:
     """Return where the values stay at their extreme, and for how many samples, at most once in each peak.
 
-    Of a peak, while the motion is ``beyond`` the middle, the longest run counts: a model that is held before its release
+    Of a peak, while the motion is ``beyond`` the middle, the longest run counts: a model that is held before release
     comes and goes with the last digit of the converter, many times, and is one.
     """
     edges = np.flatnonzero(np.diff(np.concatenate([[False], at, [False]]).astype(int)))
