@@ -14,6 +14,7 @@ from scipy.integrate import solve_ivp
 
 from pymc_backbone.discrepancy.batch import Batch, batch_of_records
 from pymc_backbone.measurement.conditioning.condition import condition
+from pymc_backbone.measurement.conditioning.conditioned import ConditionedRecord
 from pymc_backbone.measurement.cycles import extract_cycles
 from pymc_backbone.measurement.levels import backbones_at_levels, default_levels
 from pymc_backbone.measurement.reading.record import Record
@@ -128,7 +129,11 @@ def noisy(
 
 def batch_of(records: Sequence[Record], mass: float = MASS) -> Batch:
     """The batch of some records, as the search makes it."""
-    conditioned = [condition(record) for record in records]
+    return batch_of_conditioned([condition(record) for record in records], mass)
+
+
+def batch_of_conditioned(conditioned: Sequence[ConditionedRecord], mass: float = MASS) -> Batch:
+    """The batch of some records that are conditioned already."""
     cycles = [extract_cycles(record) for record in conditioned]
     observables = ("frequency", "damping", "offset")
     backbones = backbones_at_levels(cycles, default_levels(cycles), observables, amplitude_unit=conditioned[0].unit)

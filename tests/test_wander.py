@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -13,10 +15,11 @@ from pymc_backbone.discrepancy.layout import make_layout
 from pymc_backbone.discrepancy.normal_equations import start_state
 from pymc_backbone.discrepancy.whitening import whitener, with_slow_noise
 from pymc_backbone.measurement.conditioning.condition import condition
-from pymc_backbone.measurement.conditioning.wander import Wander, of_one_sensor
+from pymc_backbone.measurement.conditioning.wander import MidLine, Wander, mid_lines_differ, of_one_sensor
+from pymc_backbone.measurement.extraction import _of_one_sensor
 from pymc_backbone.measurement.reading.record import Record
 from pymc_backbone.oscillator import Oscillator
-from tests.discrepancy_cases import MASS, batch_of
+from tests.discrepancy_cases import MASS, batch_of, batch_of_conditioned
 
 FREQUENCY, RATE, RATIO, CYCLES = 5.0, 150.0, 0.006, 60
 TIME = np.arange(int(CYCLES / FREQUENCY * RATE)) / RATE
@@ -91,6 +94,48 @@ def test_records_of_one_sensor_are_judged_together():
     # one that is loud among quiet ones stays so
     mixed = of_one_sensor([*quiet, condition(record(np.random.default_rng(1), WALK)).measured.wander])
     assert mixed[-1] is not None and mixed[-1].is_sure
+
+
+def line(change: float, side: float = 1.0, low: float = 0.1, high: float = 1.0, error: float = 1e-4) -> Wander:
+    """A mid-line that moves with the square of the amplitude, by so much up to 1."""
+    amplitude = np.linspace(low, high, 20)
+    own = MidLine(amplitude, change * amplitude**2, error, side)
+    return Wander(np.zeros(1), np.ones(1), 1.0, 0.1, np.zeros(1), np.zeros((0, 2)), own)
+
+
+@pytest.mark.parametrize(
+    ("lines", "differ"),
+    [
+        ([line(0.02), line(0.03, high=0.7), line(0.025, low=0.2)], False),  # a third of scatter
+        ([line(0.02), line(-0.03), line(0.025)], True),
+        ([line(0.02, 1.0), line(-0.02, -1.0)], False),  # to the side of the release
+        ([line(0.02, 1.0), line(-0.02, 1.0)], True),
+        ([line(2e-4), line(-2e-4), line(-1e-4)], False),  # within the errors
+        ([line(0.02, low=0.8), line(-0.02, high=0.9)], False),  # hardly an amplitude in common
+        ([line(0.02), None], False),
+    ],
+)
+def test_mid_lines_of_one_structure_are_one_function_of_the_amplitude(lines, differ):
+    assert mid_lines_differ(lines) == differ
+
+
+def test_a_zero_that_drifts_otherwise_in_each_record_is_not_taken_for_physics():
+    """A drift is smooth, and so a function of the amplitude in one decay; only beside others it is seen to be none."""
+    records = []
+    for r, size in enumerate((0.03, -0.02, 0.01)):
+        own = record(np.random.default_rng(300 + r), 0.0, 1.0 - 0.1 * r, f"specimen {r}")
+        drift = size * (1.0 - np.exp(-2.0 * TIME / TIME[-1]))
+        records.append(replace(own, values=own.values + drift))
+    together = _of_one_sensor([condition(one) for one in records])
+    for one, alone in zip(together, (condition(one) for one in records), strict=True):
+        assert not alone.measured.wander.is_sure and one.measured.wander.is_sure
+        assert sum("zero drifts" in note for note in one.notes) == 1
+    batch = batch_of_conditioned(together)
+    found = _linear_fit(batch)
+    assert evidence.lack_of_fit(batch, found).p_value > 1e-3
+    assert found.cost / sum(term.size for term in batch.deciding) == pytest.approx(1.0, abs=0.06)
+    without = _linear_fit(batch_of(records))
+    assert without.cost > 5.0 * found.cost
 
 
 def test_whitening_makes_slow_noise_white():

@@ -20,7 +20,7 @@ from .._common.checks import OBSERVABLES, FloatArray, InputError, check_levels
 from .._common.threads import in_threads
 from .conditioning.condition import condition
 from .conditioning.conditioned import ConditionedRecord
-from .conditioning.wander import of_one_sensor
+from .conditioning.wander import mid_lines_differ, of_one_sensor
 from .cycles import Cycles, extract_cycles
 from .envelope import envelope_cycles
 from .levels import DEFAULT_LEVELS, backbones_at_levels, default_levels
@@ -37,6 +37,10 @@ REPEATS = 0.002
 """Relative standard deviation of frequency up to which they do: clamping and temperature make as much."""
 LEAST_SHARE = 0.5
 """Share of the records that must remain: where most cannot be used, something is wrong with all of them."""
+_ZERO_DRIFTS = (
+    "the sensor's zero drifts: the mid-lines of the records are no common function of their amplitudes; they are "
+    "counted as noise, not as the structure's"
+)
 _AT_ONCE = 8  # records between two calls of what shows the progress
 _NARROW = 1.5  # the widest range of a specimen over that which all share, from which the search takes the whole range
 _FEWEST_LEVELS, _MOST_LEVELS = 8, 20
@@ -317,10 +321,15 @@ def _tried[T, R](work: Callable[[T], R], item: T) -> R | InputError:
 
 
 def _of_one_sensor(records: Sequence[ConditionedRecord]) -> list[ConditionedRecord]:
-    """Return the records, the slow noise of each judged with that of the others."""
-    together = of_one_sensor([record.measured.wander for record in records])
+    """Return the records, the slow noise and the mid-line of each judged with those of the others."""
+    wanders = [record.measured.wander for record in records]
+    said: tuple[str, ...] = ()
+    if mid_lines_differ(wanders):
+        said = (_ZERO_DRIFTS,)
+        wanders = [item if item is None or item.of_all is None else item.of_all for item in wanders]
+    together = of_one_sensor(wanders)
     return [
-        replace(record, measured=replace(record.measured, wander=wander))
+        replace(record, notes=(*record.notes, *said), measured=replace(record.measured, wander=wander))
         for record, wander in zip(records, together, strict=True)
     ]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.fft import dct
@@ -28,6 +28,34 @@ _POSSIBLE = 0.2  # probability below which it is left out
 _SURE = 0.95
 _MOST_MODES = 200
 _SEEN = 0.1  # share of the other noise from which slow noise counts
+_WIDE = 1.3  # ratio of amplitudes that records have in common from which their mid-lines are compared
+_UNLIKE = 0.7  # spread of the mid-lines over their mean, beyond which they are no structure's
+_STANDS_OUT = 6.0  # standard errors that one has to be off the mean for it
+_PLACES = 40  # at which a mid-line is kept
+
+
+@dataclass(frozen=True)
+class MidLine:
+    """Mid-line of a record as a function of its amplitude.
+
+    Attributes
+    ----------
+    amplitude, value : (g,) arrays
+        Amplitudes, rising, and the mid-line there, smooth [unit].
+    error : float
+        Root mean square of what it leaves of the tracked one [unit].
+    side : float
+        1 where the first turning point is on the positive side, else -1.
+    """
+
+    amplitude: FloatArray
+    value: FloatArray
+    error: float
+    side: float
+
+    def change(self, low: float, high: float) -> float:
+        """Return by how much the mid-line moves between two amplitudes."""
+        return float(np.diff(np.interp([low, high], self.amplitude, self.value))[0])
 
 
 @dataclass(frozen=True)
@@ -48,6 +76,10 @@ class Wander:
         Logarithm of the likelihood of none, and of each power law that was asked.
     asked : (g, 2) array
         Level and power of these.
+    mid_line : MidLine or None
+        Mid-line of the record; None where the structure has as good as none.
+    of_all : Wander or None
+        The slow noise where nothing of the mid-line is the structure's.
     """
 
     levels: FloatArray
@@ -56,6 +88,8 @@ class Wander:
     probability: float
     likelihood: FloatArray
     asked: FloatArray
+    mid_line: MidLine | None = None
+    of_all: Wander | None = None
 
     def at(self, frequency: FloatArray) -> FloatArray:
         """Return the one-sided density [unit^2/Hz] at positive frequencies [Hz]."""
@@ -135,7 +169,15 @@ def find_wander(
     electronics to a random walk) and size are averaged over what the record supports. An acceleration that decays
     slowly has as good as no mid-line of its own.
     """
-    middle, shapes = _mid_line(values, sampling_rate, path, order)
+    middle, shapes, line = _mid_line(values, sampling_rate, path, order)
+    found = _slow_noise(middle, shapes, path, spectrum)
+    if found is None or line is None:
+        return found
+    return replace(found, mid_line=line, of_all=_slow_noise(middle, shapes[:, :1], path, spectrum))
+
+
+def _slow_noise(middle: FloatArray, shapes: FloatArray, path: Track, spectrum: NoiseSpectrum) -> Wander | None:
+    """Return the slow noise of a mid-line (n,) beside shapes (n, s) that it may have; None where it is too short."""
     n, per_cycle = middle.size, path.per_cycle
     if n < 3 * per_cycle:
         return None
@@ -190,6 +232,30 @@ def of_one_sensor(wanders: Sequence[Wander | None]) -> list[Wander | None]:
     return result
 
 
+def mid_lines_differ(wanders: Sequence[Wander | None]) -> bool:
+    """Return whether the mid-lines of several records are no function of the amplitude that these have in common.
+
+    Then they are no structure's, however smooth, and all of them is slow noise (`Wander.of_all`). They are compared
+    over the amplitudes that all records have. Nominally equal structures differ by a third at most; hysteresis moves
+    the mid-line to the side of the release, an asymmetric spring to its own.
+    """
+    lines = [item.mid_line for item in wanders if item is not None and item.mid_line is not None]
+    if len(lines) < 2:
+        return False
+    low = max(float(line.amplitude[0]) for line in lines)
+    high = min(float(line.amplitude[-1]) for line in lines)
+    if not high > _WIDE * low:
+        return False
+    change = np.array([line.change(low, high) for line in lines])
+    error = np.sqrt(2.0) * np.array([line.error for line in lines])
+    for one in (change, change * np.array([line.side for line in lines])):
+        off = np.abs(one - one.mean())
+        spread = float(np.sqrt((off**2).sum() / (off.size - 1)))
+        if spread < _UNLIKE * abs(one.mean()) or not np.any(off > _STANDS_OUT * error):
+            return False
+    return True
+
+
 def _alone(count: int) -> FloatArray:
     """Return the logarithm of the prior of none and of so many power laws: even, and even among these."""
     return np.append(np.log(0.5), np.full(count, np.log(0.5 / count)))
@@ -208,8 +274,10 @@ def _log_likelihood(density: FloatArray, expected: FloatArray) -> float:
     return -0.5 * float(np.sum(density / expected + np.log(expected)))
 
 
-def _mid_line(values: FloatArray, sampling_rate: float, path: Track, order: int) -> tuple[FloatArray, FloatArray]:
-    """Return the mid-line (n,) on a grid of uniform phase, and what a structure's own is made of (n, s)."""
+def _mid_line(
+    values: FloatArray, sampling_rate: float, path: Track, order: int
+) -> tuple[FloatArray, FloatArray, MidLine | None]:
+    """Return the mid-line (n,) on a grid of uniform phase, what a structure's own is made of (n, s), and that one."""
     per_cycle = path.per_cycle
     stamps = np.arange(values.size) / sampling_rate
     step = 2.0 * np.pi / per_cycle
@@ -225,7 +293,16 @@ def _mid_line(values: FloatArray, sampling_rate: float, path: Track, order: int)
     amplitude = path.amplitude_at(path.time_at(inner)) / float(path.amplitude.max())
     ratio = float(np.log(path.amplitude[0] / path.amplitude[-1])) / (2.0 * np.pi * path.cycles)
     if order == 2 and ratio < _SLOW:  # twice the rate of decay, over the angular frequency, squared: next to nothing
-        return middle, np.ones((middle.size, 1))
+        return middle, np.ones((middle.size, 1)), None
     # few cycles hold few frequencies: not all are given away to shapes
     powers = (0, 1, 2, 3) if middle.size > _MANY * per_cycle else (0, 2)
-    return middle, np.column_stack([*(amplitude**power for power in powers), second.real])
+    own = np.column_stack([amplitude**power for power in powers])
+    smooth = own @ np.linalg.lstsq(own, middle, rcond=None)[0]
+    places = np.argsort(amplitude)[np.linspace(0, middle.size - 1, min(_PLACES, middle.size)).astype(int)]
+    size = amplitude * float(path.amplitude.max())
+    first = samples[:per_cycle]
+    line = None
+    if middle.size:
+        side = 1.0 if np.argmax(first) < np.argmin(first) else -1.0
+        line = MidLine(size[places], smooth[places], float(np.sqrt(np.mean((middle - smooth) ** 2))), side)
+    return middle, np.column_stack([own, second.real]), line
