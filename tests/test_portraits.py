@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 import pymc_backbone as pb
 from pymc_backbone._common.checks import InputError
-from pymc_backbone.discrepancy.portraits import Portraits, beyond_spring
+from pymc_backbone.discrepancy.layout import make_layout
+from pymc_backbone.discrepancy.portraits import Portraits, _simulated, beyond_spring
 from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.measurement.cycles import extract_cycles
 from pymc_backbone.measurement.harmonics import harmonic_decay, peaks_of
@@ -113,6 +116,25 @@ def test_sections_of_the_force_are_the_true_law(rng):
 
 
 # ---- over time and frequency -------------------------------------------------------------------
+
+
+def test_a_model_is_released_from_where_it_comes_back():
+    """Of a softening spring the force turns at sqrt(k / -k3): from beyond it, nothing comes back."""
+    barrier = 1.1 * TOP
+    oscillator = pb.Oscillator(1.0, "cubic_stiffness")
+    vector = oscillator.pack(
+        {"linear_stiffness": STIFFNESS, "viscous_damping": DAMPING, "cubic_stiffness": -STIFFNESS / barrier**2}
+    )
+    found = SimpleNamespace(layout=make_layout(oscillator, TOP, OMEGA), parameters=lambda _: vector)
+    x = decay("cubic_stiffness", -STIFFNESS / barrier**2)
+    measured = harmonic_decay(TIME, x, peaks_of(TIME, x))
+    simulated = _simulated(found, measured, (1.3 * barrier, TOP), True)
+    np.testing.assert_allclose(
+        np.interp(measured.amplitude[::-1], simulated.amplitude[::-1], simulated.ratios[::-1, 1]),
+        measured.ratios[::-1, 1],
+        atol=0.05 * measured.ratios[:, 1].max(),  # between points the line through two is off by 4 %
+    )
+    assert _simulated(found, measured, (1.3 * barrier,), True) is None
 
 
 def test_ridge_of_a_chirp_and_a_second_mode(rng):

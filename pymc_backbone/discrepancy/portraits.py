@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -81,9 +82,10 @@ def portraits(batch: Batch, base: Fit, named: Fit | None, *, quick: bool = False
     of_base = of_named = None
     if measured is not None:
         # a fit is of the cycles after a release: the models are released as much higher as they lose until then
-        top = 1.05 * float(np.abs(measured.turning[:, :, 0]).max()) * float(np.exp(_HIGHER * cycles.damping[:3].mean()))
-        of_base = _simulated(base, measured, top, has_mid_line)
-        of_named = None if named is None else _simulated(named, measured, top, has_mid_line)
+        least = float(np.abs(measured.turning[:, :, 0]).max())
+        releases = (1.05 * least * float(np.exp(_HIGHER * cycles.damping[:3].mean())), 1.05 * least, least)
+        of_base = _simulated(base, measured, releases, has_mid_line)
+        of_named = None if named is None else _simulated(named, measured, releases, has_mid_line)
     stiffness = float(base.parameters(0)[0])
     mass = base.layout.oscillator.mass
     return Portraits(
@@ -122,32 +124,43 @@ def _shows_forces(decay: HarmonicDecay, mass: float, stiffness: float) -> bool:
     return decay.amplitude.size >= _AT_LEAST and error < _SEEN * max(ranges)
 
 
-def _simulated(found: Fit, measured: HarmonicDecay, top: float, has_mid_line: bool) -> HarmonicDecay | None:
-    """Return the harmonics of a model over the measured amplitudes; None where it cannot be simulated soon."""
+def _simulated(
+    found: Fit, measured: HarmonicDecay, releases: Sequence[float], has_mid_line: bool
+) -> HarmonicDecay | None:
+    """Return the harmonics of a model over the measured amplitudes; None where it cannot be simulated soon.
+
+    It is released from the first of the amplitudes from which it comes back: a pendulum does not from beyond the top.
+    """
     if is_heavy(found.layout):
         return None
-    parameters = found.parameters(0)
-    oscillator = found.layout.oscillator
+    decays = (_decay(found, release, _LOWER * float(measured.amplitude.min())) for release in releases)
+    time, values = next((decay for decay in decays if decay is not None), (None, None))
+    if time is None or values is None:
+        return None
+    peaks = peaks_of(time, values)
+    height = np.interp(peaks, time, values)
+    peaks = peaks[height > _LOWER * float(measured.amplitude.min())]
+    return harmonic_decay(time, values, peaks, has_mid_line=has_mid_line) if peaks.size else None
+
+
+def _decay(found: Fit, release: float, bottom: float) -> tuple[FloatArray, FloatArray] | None:
+    """Return instants and displacements of a decay down to an amplitude; None where it does not come back."""
+    parameters, oscillator = found.parameters(0), found.layout.oscillator
     omega = float(np.sqrt(parameters[0] / oscillator.mass))
-    bottom = _LOWER * float(measured.amplitude.min())
     cycles = 40
     while True:
-        step = float(2.0 * np.pi / omega / _PER_CYCLE)
-        time = np.arange(cycles * _PER_CYCLE, dtype=np.float64) * step
+        time = np.arange(cycles * _PER_CYCLE, dtype=np.float64) * float(2.0 * np.pi / omega / _PER_CYCLE)
         try:
-            values = simulate_waveform(oscillator, parameters, time, top).values
+            values = simulate_waveform(oscillator, parameters, time, release).values
         except InputError:
             return None
         usable = np.isfinite(values)
+        if not usable[: 2 * _PER_CYCLE].all():
+            return None
         last = np.abs(values[usable][-2 * _PER_CYCLE :]).max(initial=0.0)
         if last < bottom or cycles >= _MOST_CYCLES or not usable.all():
-            break
+            return time[usable], values[usable]
         cycles = min(4 * cycles, _MOST_CYCLES)
-    time, values = time[usable], values[usable]
-    peaks = peaks_of(time, values)
-    height = np.interp(peaks, time, values)
-    peaks = peaks[height > bottom]
-    return harmonic_decay(time, values, peaks, has_mid_line=has_mid_line) if peaks.size else None
 
 
 __all__ = ["LEAST_PER_CYCLE", "Portraits", "beyond_spring", "portraits"]
