@@ -240,6 +240,17 @@ def test_no_summary_of_the_library_says_what_an_effect_does_before_its_colon():
         assert what != effect.summary and not re.search(r"frequency|offset|no damping|rises|unchanged", what)
 
 
+def test_what_moves_the_mid_line_alone_is_not_below_the_tolerance(rng):
+    """A spring of two sides, as a crack makes one: frequency and damping do not change with the amplitude."""
+    records = drifting_records(rng, 0.0, one_side=0.08)
+    study = study_of(records, candidates=("bilinear_stiffness", "coulomb_friction"))
+    assert study.verdict == "found" and list(study.missing_effects) == ["bilinear_stiffness"]
+    lenient = study_of(
+        records, candidates=("bilinear_stiffness",), tolerance={"frequency": 0.001, "damping": 0.03, "offset": 0.1}
+    )
+    assert lenient.verdict == "adequate" and lenient.below_tolerance == ("bilinear_stiffness",)
+
+
 def test_a_weak_effect_is_named_but_below_the_tolerance(rng):
     records = make_records(rng, ("cubic_stiffness",), share=0.02, specimens=3)
     study = study_of(records)

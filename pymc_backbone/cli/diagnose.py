@@ -91,7 +91,8 @@ def add_diagnose(commands: Any) -> None:
         "--tolerance",
         type=options.tolerance,
         metavar="LIST",
-        help="relative differences that do not matter (frequency=0.001,damping=0.03); 0: statistics alone",
+        help="differences that do not matter, relative, of the offset as a share of the amplitude "
+        "(frequency=0.001,damping=0.03,offset=0.01); 0: statistics alone",
     )
     search.add_argument(
         "--held-out", type=options.count("--held-out", 0), metavar="N", help="number of specimens to hold out"

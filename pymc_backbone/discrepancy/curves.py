@@ -150,17 +150,20 @@ def _simulated(layout: Layout, parameters: FloatArray, levels: FloatArray, relea
 
 
 def relative_change(batch: Batch, larger: Fit, smaller: Fit) -> dict[str, float]:
-    """Return the largest relative change of frequency and damping over the levels between two fits."""
+    """Return the largest change of the backbones over the levels between two fits.
+
+    Of frequency and damping relative to their values; the offset is a share of the amplitude already.
+    """
     levels = np.asarray(batch.backbones["level"])
     first = on_levels(batch, larger)
     second = on_levels(batch, smaller, free_effects=smaller.layout.free.size > 0)
-    worst = {"frequency": 0.0, "damping": 0.0}
+    worst = {"frequency": 0.0, "damping": 0.0, "offset": 0.0}
     for r, term in enumerate(batch.levels):
         inside = levels[(levels >= term.levels[0] * 0.999) & (levels <= term.levels[-1] * 1.001)]
         a, b = (curve(item, item.parameters(r), inside, term.release) for item in (first, second))
-        for row, key in ((0, "frequency"), (1, "damping")):
+        for row, key in enumerate(worst):
             with np.errstate(invalid="ignore", divide="ignore"):
-                change = np.abs(a[row] - b[row]) / np.abs(a[row])
+                change = np.abs(a[row] - b[row]) / (1.0 if key == "offset" else np.abs(a[row]))
             worst[key] = max(worst[key], float(np.nanmax(change)) if np.isfinite(change).any() else np.inf)
     return worst
 

@@ -24,8 +24,8 @@ from .layout import make_layout
 
 Data = xr.Dataset | Sequence[Record] | Sequence[ConditionedRecord]
 
-TOLERANCE: Mapping[str, float] = {"frequency": 0.001, "damping": 0.03}
-"""Relative change of the backbones below which a missing effect does not matter, by default."""
+TOLERANCE: Mapping[str, float] = {"frequency": 0.001, "damping": 0.03, "offset": 0.01}
+"""Change of the backbones below which a missing effect does not matter, by default: relative; of the amplitude."""
 WAVEFORM_SHARE = 0.1
 """Part of the tolerance on damping, as a share of the motion, that waveforms may depart by unexplained."""
 _VANISHED = 1e-9  # of the force at a typical strength: rounding

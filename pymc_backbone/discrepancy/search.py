@@ -110,7 +110,7 @@ class Search(FollowedSets):
 
     def _is_tolerable(self) -> bool:
         """Return whether the best set will do, and changes the backbones by less than half the tolerance."""
-        limits = {key: limit for key, limit in self.tolerance.items() if key in ("frequency", "damping")}
+        limits = {key: limit for key, limit in self.tolerance.items() if key != "waveform"}
         best = self.best()
         if not best or not any(limits.values()) or not self._is_explained():
             return False

@@ -128,8 +128,9 @@ def find_missing_effect(
     max_effects : int, default 3
         Largest number of effects that may be missing together.
     tolerance : mapping of str to float, or 0, optional
-        Relative change of ``frequency`` and ``damping`` below which an effect does not matter; by default 0.001 and
-        0.03. With 0 statistics alone decide.
+        Relative change of ``frequency`` and ``damping``, and change of the ``offset`` of the mid-line as a share of the
+        amplitude, below which an effect does not matter; by default 0.001, 0.03 and 0.01. With 0 statistics alone
+        decide.
     held_out : int, optional
         At most so many specimens are left out in turn; 0 skips the verification. By default 6.
     quick : bool, default False
