@@ -52,9 +52,14 @@ class VariedSets(RevisitedSets):
         ]
 
     def _ask_plain(self) -> None:
-        """Fit what variants of the likeliest sets vary once more, from there: its own fits may have lost their way."""
+        """Fit what variants of the likeliest sets vary once more, from there: its own fits may have lost their way.
+
+        Where the effort is spent, of what explains the records alone: else backbones decide, and no law is named.
+        """
         for names in self.ranked()[:_LIKELIEST]:
             varied = self.fits[names]
+            if self._is_spent and not self.explains(varied):
+                continue
             for plain in self._plain(names) if not self.is_refuted(names) else ():
                 known, is_possible = self.fits.get(plain), {*plain} <= {*self.candidates, *self.variants}
                 if not is_possible or (known is not None and known.cost < varied.cost + NEEDED):
