@@ -17,6 +17,7 @@ from .joint_fit import Fit
 
 _PER_CYCLE = 64
 _MOST_CYCLES = 400  # of a simulated decay
+_RELEASES = 8  # from which a model is tried, the highest first
 _HIGHER = 3.0  # cycles that a model is released before the first fit
 _LOWER = 0.5  # times the lowest measured amplitude down to which models are simulated
 _AT_LEAST = 3  # points with an error that leaves something to see
@@ -83,7 +84,8 @@ def portraits(batch: Batch, base: Fit, named: Fit | None, *, quick: bool = False
     if measured is not None:
         # a fit is of the cycles after a release: the models are released as much higher as they lose until then
         least = float(np.abs(measured.turning[:, :, 0]).max())
-        releases = (1.05 * least * float(np.exp(_HIGHER * cycles.damping[:3].mean())), 1.05 * least, least)
+        top = 1.05 * least * float(np.exp(_HIGHER * cycles.damping[:3].mean()))
+        releases = np.geomspace(top, least, _RELEASES).tolist()
         of_base = _simulated(base, measured, releases, has_mid_line)
         of_named = None if named is None else _simulated(named, measured, releases, has_mid_line)
     stiffness = float(base.parameters(0)[0])
