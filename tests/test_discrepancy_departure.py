@@ -16,9 +16,10 @@ from pymc_backbone.discrepancy.batch import Batch, batch_of_backbones
 from pymc_backbone.discrepancy.data_term import LevelTerm
 from pymc_backbone.discrepancy.departing import DepartingSets
 from pymc_backbone.discrepancy.departure import NOISES, OWN_SHARE, SCALES, SIZES, Choice
+from pymc_backbone.discrepancy.inexact import _without_idle
 from pymc_backbone.discrepancy.joint_fit import fit
 from pymc_backbone.discrepancy.layout import make_layout
-from pymc_backbone.discrepancy.mechanisms import _log_size
+from pymc_backbone.discrepancy.mechanisms import Weighed, _log_size
 from pymc_backbone.discrepancy.normal_equations import start_state
 from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.oscillator import Oscillator
@@ -261,3 +262,25 @@ def test_laws_of_one_mechanism_are_as_probable_beforehand():
     _, one, two, _ = mechanisms.PRIOR_OF_COUNT
     twice = 0.1 * one / 2  # two laws of friction
     assert np.exp(total).sum() == pytest.approx(one + two + twice, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("cost", "parent", "moved"),
+    [
+        (119.0, 120.0, True),  # the second effect does nothing for the samples
+        (100.0, 120.0, False),
+        (399.0, 400.0, False),  # far from the noise: the samples do not say so
+    ],
+)
+def test_an_effect_that_backbones_alone_want_is_not_believed(cost, parent, moved):
+    """Backbones are made of the samples: what brings them nearer and these not follows an error of the backbones."""
+    fits = {
+        ("bilinear_stiffness",): SimpleNamespace(cost=parent),
+        ("bilinear_stiffness", "bouc_wen"): SimpleNamespace(cost=cost),
+    }
+    search = SimpleNamespace(fits=fits, count=100, is_refuted=lambda _: False, fit_set=fits.get, mend=lambda _: None)
+    chances = {("bilinear_stiffness",): 0.01, ("bilinear_stiffness", "bouc_wen"): 0.98, (): 0.01}
+    weighed = Weighed({}, chances, {}, 0.0, True, np.zeros(0))
+    found = _without_idle(search, weighed).probabilities
+    expected = {("bilinear_stiffness",): 0.99, ("bilinear_stiffness", "bouc_wen"): 0.0, (): 0.01}
+    assert found == pytest.approx(expected if moved else chances)

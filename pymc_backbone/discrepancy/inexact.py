@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import combinations
 
 from ..effects import EITHER
 from . import evidence
@@ -14,8 +15,11 @@ from .mechanisms import Weighed, weigh
 from .search import Search, Set
 from .shares import estimates_with, missing_mechanisms, remainder_of
 from .study import MissingMechanism
+from .varied_sets import NEEDED
 from .verdict import MECHANISM_NAMED, NamedLevel, Verdict
 
+_LITTLE = 0.01  # probability of a set from which it is asked whether each of its effects does anything
+_NEAR = 3.0  # reduced chi-square up to which the samples say so
 MOST_OF_THE_GAP = 0.85
 """Share of the gap that named mechanisms explain together: it shrinks at least sevenfold."""
 
@@ -29,6 +33,7 @@ def departing(search: Search, decision: Decision) -> Decision:
     weighed = weigh(search)
     if weighed is None:
         return replace(decision, verdict=Verdict.UNEXPLAINED, below=())
+    weighed = _without_idle(search, weighed)
     ranked = weighed.ranked()
     best = next((names for names in ranked if _is_kept(search, weighed, names)), ())
     mechanisms = _told(search, weighed, best)
@@ -67,6 +72,33 @@ def departing(search: Search, decision: Decision) -> Decision:
     # the base with a departure is no explanation, and not listed as one
     sets = {names: chance for names, chance in weighed.probabilities.items() if names and names in search.fits}
     return replace(known, verdict=Verdict.AMBIGUOUS, listed=listed(sets, 1.0 - sum(sets.values())))
+
+
+def _without_idle(search: Search, weighed: Weighed) -> Weighed:
+    """Return the sets without what does nothing for the samples: its probability goes to the set without that effect.
+
+    Backbones are made of the samples. What brings them nearer and these not follows an error of the backbones.
+    """
+    chances = dict(weighed.probabilities)
+    for names in sorted(chances, key=len, reverse=True):
+        for parent in combinations(names, max(len(names) - 1, 0)):
+            if chances[names] < _LITTLE or parent not in chances or not _is_idle(search, names, parent):
+                continue
+            chances[parent] += chances[names]
+            chances[names] = 0.0
+            break
+    return replace(weighed, probabilities=chances)
+
+
+def _is_idle(search: Search, names: Set, parent: Set) -> bool:
+    """Return whether a set leaves as much of the samples as the set without one of its effects, both near the noise."""
+    smaller = search.fits.get(parent)
+    if not parent or smaller is None or smaller.cost > _NEAR * search.count or search.is_refuted(parent):
+        return False
+    if search.fit_set(names) is None or search.is_refuted(names):
+        return False
+    search.mend(names)
+    return search.fits[names].cost > smaller.cost - NEEDED
 
 
 def _is_kept(search: Search, weighed: Weighed, names: Set) -> bool:
