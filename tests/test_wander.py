@@ -8,18 +8,23 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+import pymc_backbone as pb
 from pymc_backbone.discrepancy import evidence
 from pymc_backbone.discrepancy.batch import Batch
+from pymc_backbone.discrepancy.drifting_zero import SENTENCE, drifting_zero
 from pymc_backbone.discrepancy.joint_fit import Fit, fit
 from pymc_backbone.discrepancy.layout import make_layout
 from pymc_backbone.discrepancy.normal_equations import start_state
+from pymc_backbone.discrepancy.question import ask
+from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.discrepancy.whitening import whitener, with_slow_noise
 from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.measurement.conditioning.wander import MidLine, Wander, mid_lines_differ, of_one_sensor
 from pymc_backbone.measurement.extraction import _of_one_sensor
+from pymc_backbone.measurement.options import Measuring
 from pymc_backbone.measurement.reading.record import Record
 from pymc_backbone.oscillator import Oscillator
-from tests.discrepancy_cases import MASS, batch_of, batch_of_conditioned
+from tests.discrepancy_cases import MASS, batch_of, batch_of_conditioned, drifting_records
 
 FREQUENCY, RATE, RATIO, CYCLES = 5.0, 150.0, 0.006, 60
 TIME = np.arange(int(CYCLES / FREQUENCY * RATE)) / RATE
@@ -121,11 +126,7 @@ def test_mid_lines_of_one_structure_are_one_function_of_the_amplitude(lines, dif
 
 def test_a_zero_that_drifts_otherwise_in_each_record_is_not_taken_for_physics():
     """A drift is smooth, and so a function of the amplitude in one decay; only beside others it is seen to be none."""
-    records = []
-    for r, size in enumerate((0.03, -0.02, 0.01)):
-        own = record(np.random.default_rng(300 + r), 0.0, 1.0 - 0.1 * r, f"specimen {r}")
-        drift = size * (1.0 - np.exp(-2.0 * TIME / TIME[-1]))
-        records.append(replace(own, values=own.values + drift))
+    records = drifting(300, (0.03, -0.02, 0.01))
     together = _of_one_sensor([condition(one) for one in records])
     for one, alone in zip(together, (condition(one) for one in records), strict=True):
         assert not alone.measured.wander.is_sure and one.measured.wander.is_sure
@@ -136,6 +137,42 @@ def test_a_zero_that_drifts_otherwise_in_each_record_is_not_taken_for_physics():
     assert found.cost / sum(term.size for term in batch.deciding) == pytest.approx(1.0, abs=0.06)
     without = _linear_fit(batch_of(records))
     assert without.cost > 5.0 * found.cost
+
+
+def drifting(seed: int, sizes: tuple[float, ...]) -> list[Record]:
+    """Records whose zero creeps by so much, smoothly and so as a function of the amplitude."""
+    records = [record(np.random.default_rng(seed + r), 0.0, 1.0 - 0.1 * r, f"s{r}") for r in range(len(sizes))]
+    creep = 1.0 - np.exp(-2.0 * TIME / TIME[-1])
+    return [replace(one, values=one.values + size * creep) for one, size in zip(records, sizes, strict=True)]
+
+
+def test_a_zero_that_drifts_alike_in_all_records_is_no_missing_effect():
+    """No record differs from the others; but no effect moves the mid-line so and leaves the harmonics as they are."""
+    study = pb.find_missing_effect(
+        pb.Oscillator(MASS), drifting(310, (0.02, 0.021)), candidates=["quadratic_stiffness", "coulomb_friction"],
+        quick=True, tolerance=0, random_seed=1,
+    )  # fmt: skip
+    assert study.verdict == "adequate"
+    assert sum(note == SENTENCE for note in study.notes) == 1
+
+
+def test_the_mid_line_of_a_structure_is_not_taken_away(rng):
+    """An asymmetric spring makes its harmonics: with all of the mid-line as noise it is still there."""
+    question = ask(
+        pb.Oscillator(MASS), drifting(310, (0.0, 0.0)), candidates=["coulomb_friction"], max_effects=1, tolerance=0,
+        measuring=Measuring(),
+    )  # fmt: skip
+    search = Search(question.batch, question.base, question.candidates, 1)
+    search.run()
+    assert drifting_zero(question, search, Measuring()) is None  # nothing stands out of the noise
+    bent = drifting_records(rng, 0.0, one_side=0.1)
+    question = ask(
+        pb.Oscillator(MASS), bent, candidates=["coulomb_friction"], max_effects=1, tolerance=0, measuring=Measuring()
+    )
+    search = Search(question.batch, question.base, question.candidates, 1)
+    search.run()
+    assert any(one.measured.wander.of_all.is_sure for one in question.batch.records)
+    assert drifting_zero(question, search, Measuring()) is None
 
 
 def test_whitening_makes_slow_noise_white():

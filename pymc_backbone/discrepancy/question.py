@@ -66,7 +66,9 @@ class Question:
     tolerance: Mapping[str, float]
     notes: tuple[str, ...]
 
-    def of_records(self, records: Sequence[Record], measuring: Measuring, notes: Sequence[str]) -> Question:
+    def of_records(
+        self, records: Sequence[Record] | Sequence[ConditionedRecord], measuring: Measuring, notes: Sequence[str]
+    ) -> Question:
         """Return the same question of other records; ``notes`` say what is different in them."""
         batch, found = batch_of(self.base, records, measuring)
         return replace(self, batch=batch, notes=(*notes, *found, *batch.notes))

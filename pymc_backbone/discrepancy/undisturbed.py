@@ -11,6 +11,7 @@ import numpy as np
 from ..measurement.options import Measuring
 from ..measurement.reading.record import Record
 from . import evidence
+from .drifting_zero import drifting_zero
 from .earlier_release import Earlier, earlier
 from .evidence import Drifting
 from .first_cycles import begun
@@ -84,8 +85,9 @@ def undisturbed(
 ) -> Undisturbed:
     """Return the question and search of records without what disturbs them; as they were where nothing does.
 
-    A filter in front of the records, through which the simulation is sent, is looked for first, and once more without
-    first cycles. Specimens are released earlier, or else first cycles left out, where a set of effects leaves noise
+    A zero that drifts is looked for where no set leaves noise: what does without the mid-line is the answer. A filter
+    in front of the records, through which the simulation is sent, is looked for then, and once more without first
+    cycles. Specimens are released earlier, or else first cycles left out, where a set of effects leaves noise
     then, or half of what was left at most. Where the noise grows with the motion, samples count by the noise that they
     have. A bent sensor and another mode's line are taken out where a set leaves noise then; what was found with the
     noise of disturbed records is found again without it. Where a set leaves noise with a drift in time beside it, which
@@ -93,6 +95,10 @@ def undisturbed(
     estimate of the noise that holds the disturbance hides it.
     """
     known, again = Undisturbed(question, search), search
+    if not _is_exact(search) and (steady := drifting_zero(question, search, measuring)) is not None:
+        tried = Undisturbed(steady, searched(steady))
+        if _is_exact(tried.search):
+            return tried
     said: tuple[str, ...] = ()
     asked = _Asked(question, measuring, searched)
     if (behind := _filtered(asked, search, records, said)) is not None:

@@ -228,7 +228,8 @@ def of_one_sensor(wanders: Sequence[Wander | None]) -> list[Wander | None]:
         # a mixture, for the loudness may differ from record to record
         others = logsumexp(each[[other is not item for other in found]], axis=0) - np.log(len(found) - 1)
         beforehand = np.logaddexp(alone, others) - np.log(2.0)
-        result.append(_averaged(item.likelihood, item.asked, item.top, beforehand))
+        judged = _averaged(item.likelihood, item.asked, item.top, beforehand)
+        result.append(replace(judged, mid_line=item.mid_line, of_all=item.of_all))
     return result
 
 
