@@ -139,6 +139,7 @@ def derivatives(
     return Derivatives(residuals, shared, own, together)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # far from any motion derivatives overflow: counted as a failure
 def _gram(
     layout: Layout, term: DataTerm, eta: FloatArray, values: FloatArray, scatter: float, active: Any
 ) -> FloatArray | None:
