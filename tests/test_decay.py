@@ -169,7 +169,8 @@ def test_any_draw_from_the_default_bounds_is_answered_soon(effects, sensitivitie
             assert np.all(np.isfinite(jacobian[:, status == 0]))
     assert Status.COMPLETED in seen
     assert seen <= set(Status)
-    assert (most > 0) == simulator.needs_decay and most < 3000  # measured: 1079 (jenkins)
+    # measured: 1079 (jenkins); of one cycle per level at most fourteen are tried
+    assert 0 < most <= (3000 if simulator.needs_decay else 2 * 14 * LEVELS.size)
 
 
 # --- arguments -----------------------------------------------------------------------------------------------------

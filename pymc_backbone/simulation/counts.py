@@ -16,7 +16,7 @@ from .._common.compiled import NativeFunction, cached
 from .pointers import INTEGERS
 
 # Parameter vectors simulated for their values alone, with derivatives, in vain; and answered from a memory instead;
-# and half cycles of decays that were run through for it.
+# and half cycles that were run through for it.
 SIMULATIONS, GRADIENTS, FAILURES, REMEMBERED, HALF_CYCLES, N_COUNTS = range(6)
 
 
@@ -85,5 +85,5 @@ def read_counts() -> dict[str, int]:
 
 
 def half_cycles_run() -> int:
-    """Return how many half cycles of decays were run through in this process: the work, whatever the machine."""
+    """Return how many half cycles were run through in this process: the work, whatever the machine."""
     return int(_place()[HALF_CYCLES])

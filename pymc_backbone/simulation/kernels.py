@@ -13,6 +13,8 @@ import numpy as np
 from .._common.checks import FloatArray, IntArray
 from .._common.compiled import cached
 from .by_decay import backbone_by_decay
+from .counts import HALF_CYCLES
+from .counts import count as note
 from .curves import carry_jacobian, compiled, cycle_quantities, cycle_slope, hermite
 from .halfcycle import COMPLETED, NO_RETURN, OUT_OF_REACH, RUNAWAY
 from .instants import ACCELERATION
@@ -71,6 +73,7 @@ def _derivatives_near(levels: FloatArray, k: int, has_regime: bool) -> float:
 def _run_cycle(run: Run, start: float, trough: FloatArray) -> tuple[Cycle, int]:
     """Run one cycle from a peak at ``start`` and leave its slopes there in ``trough``; return it and the status."""
     none = (0.0, 0.0, 0.0, 0.0)
+    note(HALF_CYCLES, 2)
     release_from(run, start)
     code = swing(run, -1.0)
     if code != COMPLETED:
