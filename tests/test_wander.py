@@ -19,8 +19,8 @@ from pymc_backbone.discrepancy.question import ask
 from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.discrepancy.whitening import whitener, with_slow_noise
 from pymc_backbone.measurement.conditioning.condition import condition
-from pymc_backbone.measurement.conditioning.wander import MidLine, Wander, mid_lines_differ, of_one_sensor
-from pymc_backbone.measurement.extraction import _of_one_sensor
+from pymc_backbone.measurement.conditioning.one_sensor import mid_lines_differ, records_of_one_sensor
+from pymc_backbone.measurement.conditioning.wander import MidLine, Wander, of_one_sensor
 from pymc_backbone.measurement.options import Measuring
 from pymc_backbone.measurement.reading.record import Record
 from pymc_backbone.oscillator import Oscillator
@@ -127,7 +127,7 @@ def test_mid_lines_of_one_structure_are_one_function_of_the_amplitude(lines, dif
 def test_a_zero_that_drifts_otherwise_in_each_record_is_not_taken_for_physics():
     """A drift is smooth, and so a function of the amplitude in one decay; only beside others it is seen to be none."""
     records = drifting(300, (0.03, -0.02, 0.01))
-    together = _of_one_sensor([condition(one) for one in records])
+    together = records_of_one_sensor([condition(one) for one in records])
     for one, alone in zip(together, (condition(one) for one in records), strict=True):
         assert not alone.measured.wander.is_sure and one.measured.wander.is_sure
         assert sum("zero drifts" in note for note in one.notes) == 1

@@ -7,7 +7,7 @@ be used is left out with its reason, as long as half of the records remain.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -20,7 +20,7 @@ from .._common.checks import OBSERVABLES, FloatArray, InputError, check_levels
 from .._common.threads import in_threads
 from .conditioning.condition import condition
 from .conditioning.conditioned import ConditionedRecord
-from .conditioning.wander import mid_lines_differ, of_one_sensor
+from .conditioning.one_sensor import records_of_one_sensor
 from .cycles import Cycles, extract_cycles
 from .envelope import envelope_cycles
 from .levels import DEFAULT_LEVELS, backbones_at_levels, default_levels
@@ -37,10 +37,6 @@ REPEATS = 0.002
 """Relative standard deviation of frequency up to which they do: clamping and temperature make as much."""
 LEAST_SHARE = 0.5
 """Share of the records that must remain: where most cannot be used, something is wrong with all of them."""
-_ZERO_DRIFTS = (
-    "the sensor's zero drifts: the mid-lines of the records are no common function of their amplitudes; they are "
-    "counted as noise, not as the structure's"
-)
 _AT_ONCE = 8  # records between two calls of what shows the progress
 _NARROW = 1.5  # the widest range of a specimen over that which all share, from which the search takes the whole range
 _FEWEST_LEVELS, _MOST_LEVELS = 8, 20
@@ -270,7 +266,7 @@ def extract_all(
         cycles = [extracted for _, extracted in pairs]
     else:
         ready = _usable(records, conditioned_record, one_must_do, left_out, lambda done: stage(0.5 * done))
-        together = _of_one_sensor([record for _, record in ready])
+        together = records_of_one_sensor([record for _, record in ready])
         both = _usable(together, extract_cycles, one_must_do, left_out, lambda done: stage(0.5 + 0.5 * done))
         conditioned, cycles = [record for record, _ in both], [extracted for _, extracted in both]
         units = [record.unit for record in conditioned]
@@ -318,20 +314,6 @@ def _tried[T, R](work: Callable[[T], R], item: T) -> R | InputError:
         return work(item)
     except InputError as error:
         return error
-
-
-def _of_one_sensor(records: Sequence[ConditionedRecord]) -> list[ConditionedRecord]:
-    """Return the records, the slow noise and the mid-line of each judged with those of the others."""
-    wanders = [record.measured.wander for record in records]
-    said: tuple[str, ...] = ()
-    if mid_lines_differ(wanders):
-        said = (_ZERO_DRIFTS,)
-        wanders = [item if item is None or item.of_all is None else item.of_all for item in wanders]
-    together = of_one_sensor(wanders)
-    return [
-        replace(record, notes=(*record.notes, *said), measured=replace(record.measured, wander=wander))
-        for record, wander in zip(records, together, strict=True)
-    ]
 
 
 def levels_for(

@@ -28,9 +28,6 @@ _POSSIBLE = 0.2  # probability below which it is left out
 _SURE = 0.95
 _MOST_MODES = 200
 _SEEN = 0.1  # share of the other noise from which slow noise counts
-_WIDE = 1.3  # ratio of amplitudes that records have in common from which their mid-lines are compared
-_UNLIKE = 0.7  # spread of the mid-lines over their mean, beyond which they are no structure's
-_STANDS_OUT = 6.0  # standard errors that one has to be off the mean for it
 _PLACES = 40  # at which a mid-line is kept
 
 
@@ -231,30 +228,6 @@ def of_one_sensor(wanders: Sequence[Wander | None]) -> list[Wander | None]:
         judged = _averaged(item.likelihood, item.asked, item.top, beforehand)
         result.append(replace(judged, mid_line=item.mid_line, of_all=item.of_all))
     return result
-
-
-def mid_lines_differ(wanders: Sequence[Wander | None]) -> bool:
-    """Return whether the mid-lines of several records are no function of the amplitude that these have in common.
-
-    Then they are no structure's, however smooth, and all of them is slow noise (`Wander.of_all`). They are compared
-    over the amplitudes that all records have. Nominally equal structures differ by a third at most; hysteresis moves
-    the mid-line to the side of the release, an asymmetric spring to its own.
-    """
-    lines = [item.mid_line for item in wanders if item is not None and item.mid_line is not None]
-    if len(lines) < 2:
-        return False
-    low = max(float(line.amplitude[0]) for line in lines)
-    high = min(float(line.amplitude[-1]) for line in lines)
-    if not high > _WIDE * low:
-        return False
-    change = np.array([line.change(low, high) for line in lines])
-    error = np.sqrt(2.0) * np.array([line.error for line in lines])
-    for one in (change, change * np.array([line.side for line in lines])):
-        off = np.abs(one - one.mean())
-        spread = float(np.sqrt((off**2).sum() / (off.size - 1)))
-        if spread < _UNLIKE * abs(one.mean()) or not np.any(off > _STANDS_OUT * error):
-            return False
-    return True
 
 
 def _alone(count: int) -> FloatArray:
