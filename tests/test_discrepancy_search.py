@@ -614,11 +614,23 @@ def test_noise_with_a_colour_holds_no_line(correlation, rng):
     seen, false = 0, 0
     for _ in range(40):
         noise = lfilter([np.sqrt(1.0 - correlation**2)], [1.0, -correlation], rng.standard_normal(3000))[600:]
-        false += line_beside(time, noise, 1.0).height > 0.0
+        false += line_beside(time, noise, (1.0, 1.0)).height > 0.0
         false += line_near(time, noise, (0.99, 1.0)).height > 0.0
-        line = line_beside(time, noise + 0.8 * begun * np.cos(2.0 * np.pi * 3.4 * time), 1.0)
+        line = line_beside(time, noise + 0.8 * begun * np.cos(2.0 * np.pi * 3.4 * time), (1.0, 1.0))
         seen += abs(line.frequency - 3.4) < 0.02
     assert false <= 3 and seen >= 32
+
+
+def test_the_harmonics_of_a_motion_that_comes_to_rest_at_another_frequency_are_no_line(rng):
+    """As in a clearance: the frequency falls to 0.6 Hz, where it stays for half of the record."""
+    time = np.arange(4000) / 40.0
+    frequency = 0.6 + 0.4 * np.clip(1.0 - time / 50.0, 0.0, None)
+    phase = 2.0 * np.pi * np.cumsum(frequency) / 40.0
+    left = 0.05 * rng.standard_normal(time.size) + sum(np.cos(k * phase) / k for k in (2, 3))
+    assert line_beside(time, left, (0.6, 1.0)).height == 0.0
+    assert line_beside(time, left, (0.8, 0.8)).frequency == pytest.approx(1.2, abs=0.02)  # by its mean alone, one is
+    beating = line_beside(time, left + 0.3 * np.cos(2.0 * np.pi * 1.1 * time), (0.6, 1.0))
+    assert beating.frequency == pytest.approx(1.1, abs=0.02)
 
 
 def test_no_second_mode_is_seen_in_noise_and_harmonics(cubic, linear):

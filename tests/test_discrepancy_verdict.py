@@ -266,6 +266,22 @@ def test_a_weak_effect_is_named_but_below_the_tolerance(rng):
     assert ("cubic_stiffness",) in named
 
 
+def test_the_model_holds_what_is_below_the_tolerance_where_the_data_need_it(rng):
+    """A drag that changes the damping by less than 3 %, at a noise that shows it: what is named is not the model."""
+    truth = truth_of(CANDIDATES)
+    truth["quadratic_damping"] *= 0.15
+    hidden = ("cubic_stiffness", "quadratic_damping")
+    study = study_of(make_records(rng, hidden, truth=truth, decibels=60.0))
+    check_whole(study)
+    assert study.missing_effects == ("cubic_stiffness",) and study.below_tolerance == ("quadratic_damping",)
+    assert "below the tolerance, and in the model" in study.sentence
+    assert study.extended.effects[-2:] == pb.Oscillator(MASS, hidden).effects[-2:]
+    assert study.parameters["quadratic_damping"]["quadratic_damping"].mean == pytest.approx(
+        truth["quadratic_damping"], rel=0.2
+    )
+    assert study.checks[3].passed and study.held_out_specimens.after < 1.5
+
+
 def test_backbones_alone_are_enough(cubic_records):
     study = study_of(batch_of(cubic_records).backbones)
     check_whole(study)

@@ -190,7 +190,9 @@ def _pruned(search: Search, weighed: Decision, tolerance: Mapping[str, float]) -
     # what is below the tolerance is said, not named: sets that differ by such effects only are one
     together = [names for names in search.fits if set(kept) <= set(names) <= {*kept, *below}]
     probability = float(sum(weighed.probabilities[names] for names in together))
-    return replace(weighed, best=kept, probability=probability, below=below)
+    leaves_noise = evidence.leaves_noise(search.batch, search.fits[kept])
+    simulated = None if leaves_noise else weighed.best
+    return replace(weighed, best=kept, probability=probability, below=below, simulated=simulated)
 
 
 def _by_mechanism(search: Search, decision: Decision) -> Decision:
@@ -199,7 +201,7 @@ def _by_mechanism(search: Search, decision: Decision) -> Decision:
     Which law of a mechanism it is may be open and the mechanism certain: then that is what is named, and the sets that
     remain possible are told beside it.
     """
-    best = decision.best
+    best = decision.model
     # what an exact set leaves is noise, whatever was thought of its size
     is_exact = decision.lack.p_value >= UNEXPLAINED
     noise = search.fits[best].cost if is_exact else search.count

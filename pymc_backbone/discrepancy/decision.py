@@ -48,6 +48,8 @@ class Decision:
         The sets that remain possible, where several do.
     below : tuple of str
         Effects below the tolerance.
+    simulated : tuple of str or None
+        The set of the model, where that has to hold what is below the tolerance to agree with the data; else None.
     adequate_by : AdequateBy or None
         Why nothing is missing.
     drift_probability : float
@@ -88,6 +90,7 @@ class Decision:
     ranked: tuple[Set, ...] = ()
     listed: tuple[Set, ...] = ()
     below: tuple[str, ...] = ()
+    simulated: Set | None = None
     adequate_by: AdequateBy | None = None
     drift_probability: float = 0.0
     drifts: tuple[Set, ...] = ()
@@ -102,6 +105,11 @@ class Decision:
     on_backbones: Fit | None = None
     corrected: Corrected = field(default_factory=Corrected)
     none_other: Mapping[Set, float] = field(default_factory=dict)
+
+    @property
+    def model(self) -> Set:
+        """The set that is simulated, verified and sampled; what it is named for is ``best``."""
+        return self.best if self.simulated is None else self.simulated
 
 
 def listed(chances: Mapping[Set, float], total: float) -> tuple[Set, ...]:

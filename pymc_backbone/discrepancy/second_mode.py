@@ -51,7 +51,8 @@ def second_mode_check(batch: Batch, best: Fit) -> Check:
         plain = replace(term, whiten=lambda columns: columns)
         left = evidence.residuals_of(plain, best, r)
         time, frequency = term.time[: left.size], batch.records[r].frequency
-        for line in (line_beside(time, left, frequency), line_near(time, left, _range(batch.levels[r], frequency))):
+        between = _range(batch.levels[r], frequency)
+        for line in (line_beside(time, left, between), line_near(time, left, between)):
             share = line.height / (np.sqrt(2.0) * term.signal)
             if share > worst[0]:
                 worst = (share, line.frequency, batch.specimens[r])
@@ -65,10 +66,10 @@ def second_mode_check(batch: Batch, best: Fit) -> Check:
     return Check(name, True, "what the model leaves holds no line beside the harmonics of the mode")
 
 
-def line_beside(time: FloatArray, residuals: FloatArray, frequency: float) -> Line:
-    """Return the highest line beside the harmonics of a motion."""
+def line_beside(time: FloatArray, residuals: FloatArray, between: tuple[float, float]) -> Line:
+    """Return the highest line beside the harmonics of a motion whose frequency was in a range."""
     grid, power = _periodogram(time, residuals)
-    beside = _beside(grid, frequency)
+    beside = _beside(grid, between)
     if np.count_nonzero(beside) < _FEWEST:
         return Line()
     highest = Line()
@@ -82,7 +83,7 @@ def line_near(time: FloatArray, residuals: FloatArray, between: tuple[float, flo
     """Return the highest line close to a harmonic of a motion whose frequency was in a range, and none of them."""
     low, high = between
     grid, power = _periodogram(time, residuals)
-    beside = _beside(grid, 0.5 * (low + high))
+    beside = _beside(grid, between)
     if np.count_nonzero(beside) < _FEWEST:
         return Line()
     width, highest = float(grid[1]), Line()
@@ -116,10 +117,13 @@ def _periodogram(time: FloatArray, residuals: FloatArray) -> tuple[FloatArray, F
     return np.fft.rfftfreq(residuals.size, float(np.median(np.diff(time)))), power
 
 
-def _beside(grid: FloatArray, frequency: float) -> BoolArray:
-    """Return which frequencies are beside the harmonics, and not as slow as the record is long."""
-    order = grid / frequency
-    return np.asarray((np.abs(order - np.round(order)) * frequency > _FAR * grid[1]) & (grid > 2.0 * grid[1]))
+def _beside(grid: FloatArray, between: tuple[float, float]) -> BoolArray:
+    """Return which frequencies are beside all harmonics of a motion in a range, and not as slow as the record is long.
+
+    A motion that rests at its lowest frequency has lines at multiples of that, far from those of any mean.
+    """
+    (low, high), far = between, _FAR * grid[1]
+    return np.asarray((np.ceil((grid - far) / high) > np.floor((grid + far) / low)) & (grid > 2.0 * grid[1]))
 
 
 def _level(power: FloatArray, beside: BoolArray, peak: int) -> float:

@@ -81,7 +81,7 @@ class Outcome:
     @property
     def model(self) -> Fit:
         """The fit that is believed: the extended one, or the base."""
-        return self.decision.on_backbones or self.search.fits[self.decision.best]
+        return self.decision.on_backbones or self.search.fits[self.decision.model]
 
     @property
     def judged(self) -> Batch:
@@ -218,7 +218,7 @@ def _curves(
     is_open = decision.verdict is Verdict.AMBIGUOUS and decision.is_approximate
     is_named = decision.named_level is NamedLevel.MECHANISM and decision.is_approximate
     if is_open:  # a set that holds laws of what is certain and of nothing else stands for that
-        is_named = bool(certain_sets(search, decision.mechanisms, (decision.best,)))
+        is_named = bool(certain_sets(search, decision.mechanisms, (decision.model,)))
     if is_named:
         start, gap = outcome.model, float("nan") if held_out is None else held_out.after
     elif is_open or decision.verdict is Verdict.UNEXPLAINED:
@@ -256,7 +256,7 @@ def _decided(known: Undisturbed) -> Outcome:
     decision = decide(search, drifting, question.tolerance)
     second_mode = Check("no second mode", True, "not testable without records")
     if question.batch.has_records:
-        second_mode = second_mode_check(question.batch, search.fits[decision.best])
+        second_mode = second_mode_check(question.batch, search.fits[decision.model])
         if not second_mode.passed:
             decision = mind_second_mode(decision)
     if known.is_bent:
@@ -272,7 +272,7 @@ def _checks(question: Question, outcome: Outcome, verification: Verification) ->
             outcome.drifting,
             decision.drift_probability,
             bool(decision.best),
-            outcome.model if decision.best in decision.drifts else None,
+            outcome.model if decision.model in decision.drifts else None,
         ),
         outcome.second_mode,
         rivals.alike_check(batch, outcome.model),
@@ -307,7 +307,7 @@ def _study(
         candidates=candidates_of(search, decision),
         ambiguous_sets=decision.listed,
         advice=_advice(question, outcome, plan) if decision.listed else (),
-        reasons=words.reasons(batch, extended, decision.best, scatter) if extended is not None else (),
+        reasons=words.reasons(batch, extended, decision.model, scatter) if extended is not None else (),
         below_tolerance=decision.below,
         where=where_different(batch, before),
         missing_p_value=decision.p_missing,
