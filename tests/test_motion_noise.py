@@ -77,6 +77,19 @@ def test_noise_that_is_the_same_everywhere_is_left_alone(rng):
     assert motion_noise(searched(disturbed(rng))) is None
 
 
+def test_a_line_that_decays_with_the_motion_is_no_noise_that_grows(rng):
+    """Another mode, beyond the harmonics that are looked at: its neighbouring samples are not alike."""
+    line = 1e-2 * AMPLITUDE * np.exp(-TIME / 0.5) * np.cos(2.0 * np.pi * 0.4 / (TIME[1] - TIME[0]) * TIME)
+    records = [
+        noisy(rng, record.specimen, TIME, record.values + line, 60.0)
+        for record in make_records(rng, (), specimens=2, decibels=200.0)
+    ]
+    search = searched(records, ("cubic_stiffness",))
+    left = evidence.residuals_of(search.batch.waveform[0], search.fits[()], 0)
+    assert left[: left.size // 6].std() > 1.5 * left[-left.size // 3 :].std()
+    assert motion_noise(search) is None
+
+
 def test_a_law_that_no_set_holds_is_not_taken_for_noise(rng):
     search = searched(disturbed(rng, effects=("coulomb_friction",)), ("quadratic_stiffness",))
     assert search.fits[search.best()].cost > 10.0 * search.count

@@ -24,6 +24,7 @@ from .whitening import means
 
 _GAIN = 20.0  # of the log-likelihood of all records, from which the noise is said to grow
 _ALIKE = 0.1  # correlation of neighbouring samples up to which what is beside the harmonics is noise
+_HIGHEST, _IN_LINES = 0.1, 0.5  # share of the bins, and of the power in them from which it stands in lines: noise has 0.33
 _DECADES = (-2.0, 3.0)  # of the noise that moves with the motion, over that at rest
 
 
@@ -74,7 +75,8 @@ class MotionNoise:
 def motion_noise(search: Search) -> MotionNoise | None:
     """Return how the noise beside the harmonics of the motion grows with it; None where it does not.
 
-    Nor where neighbouring samples are alike: a law that no set holds has harmonics beyond those.
+    Nor where neighbouring samples are alike, or most of the power stands in lines: a law that no set holds has harmonics
+    beyond those that are looked at, and another mode has a line, which decays with the motion.
     """
     batch = search.batch
     if not batch.has_open_records:
@@ -87,6 +89,8 @@ def motion_noise(search: Search) -> MotionNoise | None:
         left, share = _beside(evidence.residuals_of(term, best, r), term.subspace)
         if float(left[1:] @ left[:-1]) > _ALIKE * float(left @ left):
             return None  # no noise of samples, but something that moves
+        if _stands_in_lines(left, float(share.mean())):
+            return None
         found[name] = max((_grown(term, left, share, kind) for kind in (True, False)), key=_gain_of)
     return MotionNoise(found) if sum(item.gain for item in found.values()) > _GAIN else None
 
@@ -102,6 +106,13 @@ def _beside(residuals: FloatArray, subspace: Subspace) -> tuple[FloatArray, Floa
         left[window] = residuals[window] - basis @ (basis.T @ residuals[window])
         share[window] = 1.0 - basis.shape[1] / basis.shape[0]
     return left, share
+
+
+def _stands_in_lines(left: FloatArray, share: float) -> bool:
+    """Return whether a few bins of the spectrum hold most of the power; ``share`` of them is free to hold any."""
+    power = np.sort(np.abs(np.fft.rfft(left)) ** 2)[::-1]
+    highest = max(round(_HIGHEST * share * power.size), 1)
+    return float(power[:highest].sum()) > _IN_LINES * float(power.sum())
 
 
 def _course(term: WaveformTerm, is_of_rate: bool) -> FloatArray:

@@ -70,11 +70,14 @@ class SensorFilter:
         Frequency [Hz] at which it passes half of the power.
     kind : str
         Which frequencies pass.
+    shows_at_release : bool
+        Whether it is told by the slow decay after the release alone, and not by the harmonics.
     """
 
     order: int
     cut: float
     kind: Kind = "low-pass"
+    shows_at_release: bool = False
 
     @property
     def poles(self) -> Any:
@@ -102,8 +105,11 @@ class SensorFilter:
         """Return what was found, in one sentence."""
         ratio = self.cut / float(np.median([record.frequency for record in batch.records]))
         done = "turned" if self.kind == "high-pass" else "turned and weakened"
+        what = f"the harmonics of the motion are {done}"
+        if self.shows_at_release:
+            what = "the records begin with a slow decay beside the motion,"
         return (
-            f"warning: the harmonics of the motion are {done} as behind a {self.kind} of order "
+            f"warning: {what} as behind a {self.kind} of order "
             f"{self.order} at {self.cut:.3g} Hz, {ratio:.2g} times the frequency of the mode; the simulation was sent "
             "through the same filter. Look at the filters of sensor, amplifier and logger"
         )
@@ -208,7 +214,8 @@ def sensor_filter(search: Search) -> SensorFilter | None:
     starts = [start for names in dict.fromkeys(asked) if (start := search.fit_set(names)) is not None]
     found = _low_passes(batch, starts, frequency)
     if not is_exact:
-        found += _high_passes(batch, [start for start in starts if not is_heavy(start.layout)], frequency)
+        fast = [start for start in starts if not is_heavy(start.layout)]
+        found += _high_passes(batch, search.fits[()], fast, frequency)
     # a filter's past is fitted, too: first cycles that it left are explained
     kept = [item for item in found if item.cost < best_cost - _PRICE]
     noise = float(search.count)
@@ -230,28 +237,36 @@ def _low_passes(batch: Batch, starts: Sequence[Fit], frequency: float) -> list[_
     return [item for item in found if item is not None]
 
 
-def _high_passes(batch: Batch, starts: Sequence[Fit], frequency: float) -> list[_Behind]:
+def _high_passes(batch: Batch, base: Fit, starts: Sequence[Fit], frequency: float) -> list[_Behind]:
     """Return sets behind the high-passes that suit them, of one pole where that leaves noise, else of two.
 
-    What tells one is mostly the slow decay after the jump at the release, and no look from fits without it: so the sets
-    that leave least are fitted behind some, each begun where the one before ended, and further where less is left.
+    What tells one is mostly the slow decay after the jump at the release, and no look from fits without it: so the base
+    and the sets that leave least are fitted behind some, each begun where the one before ended, and further where less
+    is left. Decays of one pole and of two are much alike: where the release alone shows a filter, both are tried.
     """
-    begun = sorted(starts, key=lambda start: start.cost)[:_FITTED]
+    begun = [base, *sorted(starts, key=lambda start: start.cost)[:_FITTED]]
     found: list[_Behind] = []
     for order in (1, 2):
         for start in list(begun):
             best = _high_pass(batch, start, [SensorFilter(order, cut * frequency, "high-pass") for cut in _COUPLED])
             if best is None:
                 begun.remove(start)
-            else:
-                found.append(_behind_it(batch, *best))
-        if any(item.is_exact for item in found):
+                continue
+            found.append(_behind_it(batch, *best))
+            if found[-1].is_exact and start is base:
+                begun = [base]  # nothing else is needed
+                break
+        if any(item.is_exact and not item.filter.shows_at_release for item in found):
             break
     return found
 
 
 def _high_pass(batch: Batch, start: Fit, filters: Sequence[SensorFilter]) -> tuple[SensorFilter, Fit] | None:
-    """Return the high-pass that suits a set best, and the set behind it; None where it leaves little less."""
+    """Return the high-pass that suits a set best, and the set behind it; None where it leaves little less.
+
+    A motion without harmonics shows it at the release alone, where records begin with what it has of the past: it then
+    has to leave noise where the set without it does not.
+    """
 
     def fitted(chosen: SensorFilter, known: Fit) -> list[tuple[SensorFilter, Fit]]:
         terms = chosen.passed(batch).waveform
@@ -265,7 +280,10 @@ def _high_pass(batch: Batch, start: Fit, filters: Sequence[SensorFilter]) -> tup
     for chosen in filters:
         tried += fitted(chosen, tried[-1][1])
     best = min(tried[1:], key=cost, default=None)
-    if best is None or not best[1].cost < _LESS * _without_filter(batch, best[0], start) - _PRICE:
+    if best is None:
+        return None
+    shows_at_release = not best[1].cost < _LESS * _without_filter(batch, best[0], start) - _PRICE
+    if shows_at_release and not (best[1].cost < start.cost - _PRICE and _is_exact(batch, best)):
         return None
     for ratio in _NEARER:
         at, found = best
@@ -273,7 +291,13 @@ def _high_pass(batch: Batch, start: Fit, filters: Sequence[SensorFilter]) -> tup
             [best, *(item for by in (ratio, 1.0 / ratio) for item in fitted(replace(at, cut=by * at.cut), found))],
             key=cost,
         )
-    return best
+    return replace(best[0], shows_at_release=shows_at_release), best[1]
+
+
+def _is_exact(batch: Batch, behind: tuple[SensorFilter, Fit]) -> bool:
+    """Return whether a set leaves noise behind a filter."""
+    chosen, found = behind
+    return evidence.leaves_noise(chosen.passed(batch), found)
 
 
 def _without_filter(batch: Batch, chosen: SensorFilter, start: Fit) -> float:
