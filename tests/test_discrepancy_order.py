@@ -10,8 +10,8 @@ import pytest
 from scipy.stats import multivariate_normal
 
 import pymc_backbone as pb
-from pymc_backbone.discrepancy import rivals
 from pymc_backbone.discrepancy import search as search_module
+from pymc_backbone.discrepancy.drift_kinds import drift_bonus
 from pymc_backbone.discrepancy.layout import make_layout
 from pymc_backbone.discrepancy.normal_equations import DRIFTS
 from pymc_backbone.discrepancy.propose import Proposal
@@ -260,6 +260,13 @@ def test_what_a_variant_varies_begins_again_from_the_variant():
     assert not search._is_needed(variant)
 
 
+def _drifting(own, covariance, gained=0.0):
+    """A fit with drifts, and the same set without: as much as the drift bonus asks of both."""
+    state = SimpleNamespace(own=own)
+    scatters = (SimpleNamespace(log_evidence=0.3 + gained), SimpleNamespace(log_evidence=0.3))
+    return tuple(SimpleNamespace(state=state, own_covariance=covariance, scatter=scatter) for scatter in scatters)
+
+
 def test_drifts_of_no_meaning_gain_no_more_than_they_cost():
     """A fit that ended far from the records, at drifts of twenty prior widths of which the data say nothing."""
 
@@ -268,14 +275,14 @@ def test_drifts_of_no_meaning_gain_no_more_than_they_cost():
         own[:, DRIFTS] = np.asarray(values)[:, None]
         covariance = np.ones((4, 9))
         covariance[:, DRIFTS] = variance
-        return SimpleNamespace(state=SimpleNamespace(own=own), own_covariance=covariance)
+        return _drifting(own, covariance)
 
     absurd = np.array([25.0, 7.0, 16.0, 13.0])
-    assert rivals.drift_bonus(of(absurd, 0.999)) <= absurd @ absurd + 0.01
+    assert drift_bonus(*of(absurd, 0.999)) <= absurd @ absurd + 0.01
     # what is alike in all records, and well measured, keeps what that is worth: more than drifts of any size each
     alike, each = (
-        rivals.drift_bonus(of([1.0, 1.02, 0.98, 1.0], 1e-3)),
-        rivals.drift_bonus(of([1.0, -0.4, 0.1, -1.6], 1e-3)),
+        drift_bonus(*of([1.0, 1.02, 0.98, 1.0], 1e-3)),
+        drift_bonus(*of([1.0, -0.4, 0.1, -1.6], 1e-3)),
     )
     assert alike > 2.0 and each < alike
 
@@ -285,14 +292,13 @@ def test_kinds_of_drift_have_their_chances():
     values, variance = np.array([0.30, 0.34, 0.27, 0.31]), 4e-3
     own, covariance = np.zeros((4, 9)), np.ones((4, 9))
     own[:, DRIFTS], covariance[:, DRIFTS] = values[:, None], variance
-    found = rivals.drift_bonus(SimpleNamespace(state=SimpleNamespace(own=own), own_covariance=covariance))
+    found = drift_bonus(*_drifting(own, covariance))
     noise = 1.0 / (1.0 / variance - 1.0)
     measured = values * noise / variance
-    mean, error = measured.mean(), np.sqrt(noise / 4)
-    width = min(3.0 * max(abs(mean), 3.0 * error), 1.0)
+    each = (noise + (0.2 * measured.mean()) ** 2) * np.eye(4)
     densities = [
         multivariate_normal.pdf(measured, cov=noise * np.eye(4)),
-        multivariate_normal.pdf(measured, cov=(noise + (0.2 * mean) ** 2) * np.eye(4) + width**2 * np.ones((4, 4))),
+        np.mean([multivariate_normal.pdf(measured, cov=each + size**2) for size in (1.0, 0.1, 0.01)]),
         multivariate_normal.pdf(measured, cov=(noise + 1.0) * np.eye(4)),
     ]
     of_frequency, of_damping = (np.dot(prior, densities) / densities[-1] for prior in ([1, 2, 1], [2, 1, 1]))
@@ -326,3 +332,13 @@ def test_a_single_effect_of_several_shapes_begins_from_minima_that_backbones_do_
     search.descent.from_afar = from_afar
     found = search._proposed(names, None)
     assert len(begun) == len(found) == asked
+
+
+@pytest.mark.parametrize(("values", "share"), [((0.02, -0.03, 0.01, 0.02), 0.0), ((0.9, -0.7, 0.2, -1.1), 1.0)])
+def test_drifts_take_the_place_of_scatter_as_far_as_each_record_has_its_own(values, share):
+    """Effects scatter less where drifts may differ: that is worth nothing where drifts are absent."""
+    own, covariance = np.zeros((4, 9)), np.ones((4, 9))
+    own[:, DRIFTS], covariance[:, DRIFTS] = np.array(values)[:, None], 2e-3
+    without, with_gain = (drift_bonus(*_drifting(own, covariance, gained)) for gained in (0.0, 5.0))
+    # the evidence of the fit with drifts holds these 5
+    assert with_gain - without == pytest.approx(-5.0 * (1.0 - share), abs=0.35)

@@ -112,6 +112,8 @@ def _weighed(search: Search, drifting: Mapping[Set, Drifting]) -> Decision:
     best = ranked[0]
     # where the most probable set holds one more effect and no drift, a drift beside the smaller set imitates that
     drifts = tuple(names for names in likelier if best in likelier or not set(names) < set(best))
+    # a drift without which a set leaves noise just as well makes up for nothing
+    needed = {names for names in drifts if not evidence.leaves_noise(search.batch, search.fits[names])}
     search.fits.update({names: drifting[names].fit for names in drifts})
     evidences = doubted(search, evidences)
     lack = evidence.lack_of_fit(search.batch, search.fits[best])
@@ -124,7 +126,7 @@ def _weighed(search: Search, drifting: Mapping[Set, Drifting]) -> Decision:
     explained = library_holds(left.p_value)
     none_other = {
         names: is_none_other(
-            search, names, names in drifts,
+            search, names, names in needed,
             compensation(search, names) if len(names) > 1 and evidences[names].probability > _ASKED else 1.0,
         )
         for names in search.fits

@@ -24,7 +24,10 @@ from .whitening import means
 
 _GAIN = 20.0  # of the log-likelihood of all records, from which the noise is said to grow
 _ALIKE = 0.1  # correlation of neighbouring samples up to which what is beside the harmonics is noise
-_HIGHEST, _IN_LINES = 0.1, 0.5  # share of the bins, and of the power in them from which it stands in lines: noise has 0.33
+_HIGHEST, _IN_LINES = (
+    0.1,
+    0.5,
+)  # share of the bins, and of the power in them from which it stands in lines: noise has 0.33
 _DECADES = (-2.0, 3.0)  # of the noise that moves with the motion, over that at rest
 
 
@@ -75,8 +78,8 @@ class MotionNoise:
 def motion_noise(search: Search) -> MotionNoise | None:
     """Return how the noise beside the harmonics of the motion grows with it; None where it does not.
 
-    Nor where neighbouring samples are alike, or most of the power stands in lines: a law that no set holds has harmonics
-    beyond those that are looked at, and another mode has a line, which decays with the motion.
+    Nor where neighbouring samples are alike, or most of the power stands in lines: a law that no set holds has
+    harmonics beyond those that are looked at, and another mode has a line, which decays with the motion.
     """
     batch = search.batch
     if not batch.has_open_records:

@@ -7,9 +7,7 @@ from functools import partial
 from itertools import batched, combinations
 
 import numpy as np
-from scipy.special import logsumexp
 
-from .._common.checks import FloatArray
 from .._common.text import per_cent
 from .._common.threads import in_threads
 from . import evidence
@@ -17,6 +15,7 @@ from .batch import Batch
 from .curves import measured
 from .descent import first_limit, is_heavy
 from .drift_course import DRIFT
+from .drift_kinds import drift_bonus
 from .drift_proposals import sets_beside_drifts, single_beside_drifts
 from .evidence import Drifting
 from .joint_fit import Fit, fit
@@ -29,7 +28,6 @@ from .study import Check
 _ALIKE = 4.0
 _ASKED = 3  # sets that are asked with a drift beside them where none leaves noise, and with other laws
 _HELPED = 20.0  # fall of chi-square by a drift from which other laws of the same mechanisms are asked
-_KINDS_OF_DRIFT = ((0.25, 0.5, 0.25), (0.5, 0.25, 0.25))  # priors of none, common and own: of frequency, of damping
 _FIRST_TURNS = 108  # turning points that may refute a set with a drift, before all are looked at
 _NEAR = 2.0  # reduced chi-square with a drift up to which they are
 _BENT = 0.5  # of what the base leaves, that a drift leaves at most which bends the backbones as much as a law does
@@ -90,7 +88,7 @@ def _ask_plain(search: Search, found: dict[Set, Drifting], limit: float) -> None
         if drifting is None or drifting.cost > worst or (alone := search.fit_set(names)) is None:
             continue
         if drifting.cost < alone.cost - _HELPED:
-            found[names] = Drifting(drifting, drift_bonus(drifting))
+            found[names] = Drifting(drifting, drift_bonus(drifting, alone))
 
 
 def _is_bent(search: Search, found: dict[Set, Drifting]) -> bool:
@@ -116,8 +114,8 @@ def _ask_backbones(search: Search, found: dict[Set, Drifting]) -> None:
             is_lower = names not in found or (drifting is not None and drifting.cost < found[names].fit.cost)
             if drifting is None or not is_lower or drifting.cost > _NEAR * search.count:
                 continue
-            if search.fit_set(names) is not None:
-                found[names] = Drifting(drifting, drift_bonus(drifting))
+            if (alone := search.fit_set(names)) is not None:
+                found[names] = Drifting(drifting, drift_bonus(drifting, alone))
                 is_exact = is_exact or evidence.leaves_noise(search.batch, drifting)
         if is_exact:
             return
@@ -151,7 +149,7 @@ def _ask(search: Search, sets: Iterable[Set], found: dict[Set, Drifting], limit:
     ]
     for names, drifting in zip(starts, in_threads(jobs), strict=True):
         if drifting is not None:
-            found[names] = Drifting(drifting, drift_bonus(drifting))
+            found[names] = Drifting(drifting, drift_bonus(drifting, starts[names]))
 
 
 def _of_the_same_kind(search: Search, names: Set) -> list[Set]:
@@ -189,42 +187,6 @@ def drift_fit(batch: Batch, layout: Layout, state: State, limit: float = np.inf)
     near = fit(layout, batch.waveform, state, iterations=40, nuisances=nuisances)
     both = [item for item in (found, near) if item is not None]
     return min(both, key=lambda item: item.cost) if both else None
-
-
-def drift_bonus(drifting: Fit) -> float:
-    """Return by how much the drift's evidence grows where it may be alike in all records, or of one kind only.
-
-    The fit gives every record drifts of its own. Here, given these with their errors, each kind is absent, common to
-    all records up to a scatter of a fifth, or independent; beforehand, a stiffness that follows the temperature is the
-    most probable. No way to see drifts takes away more than they cost: a fit that ended far from the records, at drifts
-    of no meaning, gains that.
-    """
-    bonus = 0.0
-    for column, prior in zip(DRIFTS, _KINDS_OF_DRIFT, strict=True):
-        value = drifting.state.own[:, column]
-        variance = np.clip(np.nan_to_num(drifting.own_covariance[:, column], nan=1.0), 1e-12, 1.0 - 1e-9)
-        noise = 1.0 / (1.0 / variance - 1.0)
-        measured_drift = value * noise / variance
-        weight = 1.0 / noise
-        mean = float((weight * measured_drift).sum() / weight.sum())
-        error = 1.0 / np.sqrt(float(weight.sum()))
-        width = min(3.0 * max(abs(mean), 3.0 * error), 1.0)
-        logs = [
-            _log_normal(measured_drift, noise),
-            _log_normal(measured_drift, noise + (0.2 * mean) ** 2, width**2),
-            _log_normal(measured_drift, noise + 1.0),
-        ]
-        cost = 0.5 * float(value @ value) - 0.5 * float(np.log(variance).sum())
-        bonus += min(float(logsumexp(logs, b=prior)) - logs[-1], cost)
-    return bonus
-
-
-def _log_normal(value: FloatArray, variance: FloatArray, common: float = 0.0) -> float:
-    """Return the logarithm of a normal density at ``value``, up to a constant: with a variance that all share."""
-    weight = 1.0 / variance
-    shared = 1.0 + common * float(weight.sum())  # by Sherman, Morrison and Woodbury
-    squares = float(weight @ value**2) - common * float(weight @ value) ** 2 / shared
-    return -0.5 * squares - 0.5 * (float(np.log(variance).sum()) + float(np.log(shared)))
 
 
 def drift_check(drifting: Fit | None, probability: float, found: bool, named: Fit | None = None) -> Check:
@@ -306,7 +268,6 @@ def data_terms_check(batch: Batch, reduced: float, limit: float) -> Check:
 __all__ = [
     "alike_check",
     "data_terms_check",
-    "drift_bonus",
     "drift_check",
     "drift_fit",
     "drifting_sets",
