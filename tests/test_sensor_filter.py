@@ -7,11 +7,11 @@ import pytest
 from scipy.signal import butter, freqs, sosfilt
 
 import pymc_backbone as pb
-from pymc_backbone.discrepancy import evidence
+from pymc_backbone.discrepancy import evidence, rivals
 from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.discrepancy.sensor_filter import SensorFilter, _Chain, sensor_filter
 
-from .discrepancy_cases import FREQUENCY, MASS, TIME, batch_of, decaying_sinusoid, make_records, noisy
+from .discrepancy_cases import AMPLITUDE, FREQUENCY, MASS, TIME, batch_of, decaying_sinusoid, make_records, noisy
 
 STEP = float(TIME[1] - TIME[0])
 CANDIDATES = ("cubic_stiffness", "quintic_stiffness", "quadratic_damping", "freeplay")
@@ -71,6 +71,34 @@ def test_a_coupling_to_alternating_current_is_found_and_the_law_behind_it(share,
     behind.run()
     assert behind.best() == ("cubic_stiffness",) and evidence.leaves_noise(behind.batch, behind.fits[behind.best()])
     assert "as behind a high-pass of order 1" in found.sentence(behind.batch)
+
+
+@pytest.mark.parametrize(("order", "share"), [(1, 0.3), (2, 0.4)])
+def test_where_nothing_has_harmonics_the_release_shows_a_high_pass(order, share, rng):
+    """Accelerations of linear structures that are held and let go: the jump decays in the coupling."""
+    time = np.arange(1200) / (40.0 * FREQUENCY)
+    exact = np.zeros(time.size)
+    moving = time >= 0.8 / FREQUENCY
+    elapsed = time[moving] - time[moving][0]
+    omega, damping = 2.0 * np.pi * FREQUENCY, 0.008
+    free = np.exp(-damping * omega * elapsed) * np.cos(omega * elapsed)
+    exact[moving] = -AMPLITUDE * np.gradient(np.gradient(free, elapsed), elapsed)
+    coupled = sosfilt(butter(order, 2.0 * share * FREQUENCY * time[1], "highpass", output="sos"), exact)
+    records = []
+    for name in ("one", "two"):
+        values = coupled + 3e-3 * np.abs(exact).max() * rng.standard_normal(time.size)
+        records.append(pb.Record(name, time, values, "acceleration", "m/s^2"))
+    without = searched(records)
+    assert not evidence.leaves_noise(without.batch, without.fits[without.best()])
+    found = sensor_filter(without)
+    assert (found.order, found.kind, found.shows_at_release) == (order, "high-pass", True)
+    assert found.cut / FREQUENCY == pytest.approx(share, rel=0.15)
+    assert "begin with a slow decay" in found.sentence(without.batch)
+    behind = Search(found.passed(without.batch), pb.Oscillator(MASS), CANDIDATES, 2)
+    behind.run()
+    assert behind.best() == () and evidence.leaves_noise(behind.batch, behind.fits[()])
+    assert rivals.data_terms_check(behind.batch, 50.0, 5.0).passed
+    assert not rivals.data_terms_check(without.batch, 50.0, 5.0).passed
 
 
 @pytest.mark.parametrize("order", [2, 4, 8])

@@ -70,6 +70,11 @@ class Batch:
         return self.has_records and all(record.band is None for record in self.records)
 
     @property
+    def is_behind_filter(self) -> bool:
+        """Whether simulations go through a filter that was found; the backbones are those of the filtered records."""
+        return any(term.chain is not None for term in self.waveform)
+
+    @property
     def nuisances(self) -> tuple[int, ...]:
         """Which of a specimen's own values the deciding data term sees."""
         return (0, 1, 2, 3, 4) if self.has_records else (0, 1)

@@ -214,7 +214,7 @@ def _by_mechanism(search: Search, decision: Decision) -> Decision:
     )
     known = replace(decision, mechanisms=mechanisms)
     is_open = decision.verdict is Verdict.AMBIGUOUS and is_exact and not decision.unfinished
-    is_against = best in decision.drifts and level_chi_square(search.batch, search.fits[best]) >= AGREE
+    is_against = best in decision.drifts and _backbones_disagree(search, best)
     is_doubtful = is_against or not np.isnan(decision.against) or decision.drift_probability >= DRIFT_POSSIBLE
     if not is_open or is_doubtful or not is_told_apart(mechanisms):
         return known
@@ -266,10 +266,16 @@ def _mind_backbones(search: Search, decision: Decision) -> Decision:
     """
     if decision.named_level is not NamedLevel.LAW or decision.ranked[0] not in decision.drifts:
         return decision
-    left = level_chi_square(search.batch, search.fits[decision.ranked[0]])
-    if left < AGREE:
+    if not _backbones_disagree(search, decision.ranked[0]):
         return decision
+    left = level_chi_square(search.batch, search.fits[decision.ranked[0]])
     return replace(decision, verdict=Verdict.AMBIGUOUS, named_level=None, listed=(decision.best,), against=left)
+
+
+def _backbones_disagree(search: Search, names: Set) -> bool:
+    """Return whether a set leaves the backbones far off; behind a filter they are not those of the motion."""
+    batch = search.batch
+    return not batch.is_behind_filter and level_chi_square(batch, search.fits[names]) >= AGREE
 
 
 def mind_second_mode(decision: Decision) -> Decision:

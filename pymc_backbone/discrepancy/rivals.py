@@ -258,6 +258,11 @@ def data_terms_check(batch: Batch, reduced: float, limit: float) -> Check:
     name = "data terms agree"
     if not batch.has_records:
         return Check(name, True, "backbones only: there is one data term")
+    if batch.is_behind_filter:
+        said = (
+            "not compared: the backbones are those of records behind a filter, which the samples are compared through"
+        )
+        return Check(name, True, said)
     if np.isfinite(reduced) and reduced < limit:
         said = f"the set the waveforms want fits the backbones too (reduced chi-square {reduced:.2f})"
         return Check(name, True, said)

@@ -202,7 +202,7 @@ def sensor_filter(search: Search) -> SensorFilter | None:
     are compared through a band-pass, which leaves no harmonics.
     """
     batch, best = search.batch, search.best()
-    if not batch.has_open_records or any(term.chain is not None for term in batch.waveform):
+    if not batch.has_open_records or batch.is_behind_filter:
         return None
     if min(term.cycles for term in batch.waveform) < _FEWEST_CYCLES:
         return None
