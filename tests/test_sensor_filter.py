@@ -76,7 +76,7 @@ def test_a_coupling_to_alternating_current_is_found_and_the_law_behind_it(share,
 @pytest.mark.parametrize(("order", "share"), [(1, 0.3), (2, 0.4)])
 def test_where_nothing_has_harmonics_the_release_shows_a_high_pass(order, share, rng):
     """Accelerations of linear structures that are held and let go: the jump decays in the coupling."""
-    time = np.arange(1200) / (40.0 * FREQUENCY)
+    time = np.arange(1800) / (60.0 * FREQUENCY)
     exact = np.zeros(time.size)
     moving = time >= 0.8 / FREQUENCY
     elapsed = time[moving] - time[moving][0]

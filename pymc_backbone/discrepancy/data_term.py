@@ -16,7 +16,7 @@ import xarray as xr
 from .._common.checks import OBSERVABLES, BoolArray, FloatArray, IntArray
 from ..simulation.decay import Simulator
 from .drift_course import DRIFT, Course, course_of
-from .whitening import EDGE, average
+from .whitening import EDGE, average, means
 
 TOLERANCE = 1e-7  # of one integration step: waveforms to 3e-6 of the amplitude, far below any noise here
 KNOWN = 1e-3  # relative error of a frequency that is known and not measured: it settles the stiffness, no more
@@ -243,6 +243,32 @@ Subspace = list[tuple[slice, FloatArray]]
 
 
 @dataclass(frozen=True, eq=False)
+class Jumps:
+    """Where an acceleration may jump, and the standardised values before those next to it are left out.
+
+    Attributes
+    ----------
+    turning : (t,) array
+        Turning points [s].
+    reach : float
+        Time [s] around one from which no value is taken.
+    instants, phase : (m,) arrays
+        Middle [s] of each value, and phase of the motion there in cycles.
+    per_cycle : float
+        Number of values in a cycle.
+    whiten : callable
+        Takes (n, c) columns to all standardised values (m, c).
+    """
+
+    turning: FloatArray
+    reach: float
+    instants: FloatArray
+    phase: FloatArray
+    per_cycle: float
+    whiten: Callable[[FloatArray], FloatArray]
+
+
+@dataclass(frozen=True, eq=False)
 class WaveformTerm:
     """The samples of one record, in the quantity that was measured.
 
@@ -273,6 +299,12 @@ class WaveformTerm:
         What one unit of the drift of damping adds to the decrement, summed over the record.
     chain : callable, optional
         Takes (n, c) simulated columns through what the measuring chain does to the motion (`sensor_filter`).
+    averaged : int
+        Number of samples of a rate or an acceleration that each standardised value is the mean of.
+    shown : (m,) array or None
+        Which of these values stay, where some are left out.
+    jumps : Jumps or None
+        Why: where the quantity may jump.
     """
 
     time: FloatArray
@@ -287,6 +319,9 @@ class WaveformTerm:
     beside: Subspace = field(default_factory=list)
     fade: float = 1.0
     chain: Callable[[FloatArray], FloatArray] | None = None
+    averaged: int = 1
+    shown: IntArray | None = None
+    jumps: Jumps | None = None
 
     def simulate(
         self,
@@ -308,6 +343,13 @@ class WaveformTerm:
     def compared(self, rows: FloatArray) -> FloatArray:
         """Return of rows at the instants those that are compared with a simulation."""
         return rows[EDGE:-EDGE] if self.together > 1 else rows
+
+    def standardised(self, rows: FloatArray) -> FloatArray:
+        """Return of rows (n,) at the instants the means (m,) over the samples of each standardised value."""
+        kept = self.compared(rows)
+        if self.averaged > 1:
+            kept = means(kept[:, None], self.averaged)[:, 0]
+        return kept[: self.size] if self.shown is None else kept[self.shown[: self.size]]
 
     @cached_property
     def most_turns(self) -> int:

@@ -20,7 +20,6 @@ from .batch import Batch
 from .data_term import Subspace, WaveformTerm
 from .record_term import orthogonal_to
 from .search import Search
-from .whitening import means
 
 _GAIN = 20.0  # of the log-likelihood of all records, from which the noise is said to grow
 _ALIKE = 0.1  # correlation of neighbouring samples up to which what is beside the harmonics is noise
@@ -120,11 +119,7 @@ def _stands_in_lines(left: FloatArray, share: float) -> bool:
 
 def _course(term: WaveformTerm, is_of_rate: bool) -> FloatArray:
     """Return the square of the rate, or its mean over each cycle, at each value; one at the largest motion."""
-    square = np.gradient(term.compared(term.values), term.compared(term.time)) ** 2
-    together = square.size // term.size  # samples of a rate, or an acceleration, that a value is the mean of
-    if together > 1:
-        square = means(square[:, None], together)[:, 0]
-    square = square[: term.size]
+    square = term.standardised(np.gradient(term.values, term.time) ** 2)
     smooth = _over_cycles(square, term)
     course: FloatArray = (square if is_of_rate else smooth) / smooth.max()
     return course

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -11,13 +12,15 @@ from .._common.checks import FloatArray
 from ..measurement.conditioning.conditioned import ConditionedRecord
 from ..measurement.conditioning.filters import BandPass
 from ..measurement.cycles import Cycles
-from .data_term import Subspace, TurningTerm, WaveformTerm
+from .data_term import Jumps, Subspace, TurningTerm, WaveformTerm
 from .drift_course import fade_of
 from .passed import passed_values
 from .whitening import EDGE, means, of_means, whitener, with_slow_noise
 
+_SMEARED = (2.0, 0.1)  # samples, and at most of a half cycle, on either side of a turning point in which a jump is
 _DENSE = 24  # samples per cycle that hold all there is to know; more are averaged
 _PASSED_WINDOW = 8.0  # cycles; a band holds little more than the slowly varying motion itself
+_JUMPING = 2  # derivative of the displacement that jumps where friction changes its direction
 _FITTED = 8  # turning points whose course tells those before them
 _FOUR = 4  # turning points that tell the swing before them
 _MOST_LONGER, _MOST_WIDER = 1.5, 1.8  # change of a swing from one cycle to the next
@@ -133,15 +136,48 @@ def waveform_term(record: ConditionedRecord, cycles: Cycles) -> WaveformTerm:
         values = values[: count * together].reshape(count, together).mean(axis=1)
         subspace, beside = _subspaces(_phase(inner, cycles), per_cycle)
         return WaveformTerm(shown, values, white, inner.size, subspace, signal, together, beside=beside, fade=fade)
-    subspace, beside = _subspaces(_phase(shown, cycles), per_cycle)
-    if together == 1:
-        return WaveformTerm(time, values, white, time.size, subspace, signal, 1, order, scale, beside, fade)
 
-    def of_mean(columns: FloatArray) -> FloatArray:
+    def standardised(columns: FloatArray) -> FloatArray:
         # friction makes acceleration jump and velocity bend: every sample is simulated
         return white(means(columns, together))
 
-    return WaveformTerm(time, values, of_mean, shown.size, subspace, signal, 1, order, scale, beside, fade)
+    whiten = standardised if together > 1 else white
+    phase = _phase(shown, cycles)
+    subspace, beside = _subspaces(phase, per_cycle)
+    term = WaveformTerm(
+        time, values, whiten, shown.size, subspace, signal, 1, order, scale, beside, fade, averaged=together
+    )
+    if order < _JUMPING:
+        return term
+    step = float(np.median(np.diff(time)))
+    samples, share = _SMEARED
+    reach = min(samples * step, share * half) + 0.5 * (together - 1) * step
+    jumps = Jumps(cycles.turning_times, reach, shown, phase, per_cycle, whiten)
+    return beside_jumps(replace(term, jumps=jumps))
+
+
+def beside_jumps(term: WaveformTerm, later: float = 0.0) -> WaveformTerm:
+    """Return a term without the values of an acceleration that hold samples next to a turning point.
+
+    Friction makes it jump there. Between structure and samples is a filter against aliases, which smears a jump over
+    the next ones. Compared with a jump as it is, these refute friction, and a law that is smooth at rest takes its
+    place. ``later`` is by how much [s] a jump comes after what the record shows as its turning point.
+    """
+    jumps = term.jumps
+    if jumps is None:
+        return term
+    turning = jumps.turning + later
+    after = np.searchsorted(turning, jumps.instants)
+    nearest = np.min(
+        [np.abs(jumps.instants - turning[np.clip(after + k, 0, turning.size - 1)]) for k in (-1, 0)], axis=0
+    )
+    kept = np.flatnonzero(nearest > jumps.reach)
+
+    def whiten(columns: FloatArray) -> FloatArray:
+        return jumps.whiten(columns)[kept]
+
+    subspace, beside = _subspaces(jumps.phase[kept], jumps.per_cycle * kept.size / jumps.phase.size)
+    return replace(term, whiten=whiten, size=kept.size, subspace=subspace, beside=beside, shown=kept)
 
 
 def _behind_band_pass(record: ConditionedRecord, band_pass: BandPass, cycles: Cycles) -> WaveformTerm:

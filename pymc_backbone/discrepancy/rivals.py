@@ -259,9 +259,7 @@ def data_terms_check(batch: Batch, reduced: float, limit: float) -> Check:
     if not batch.has_records:
         return Check(name, True, "backbones only: there is one data term")
     if batch.is_behind_filter:
-        said = (
-            "not compared: the backbones are those of records behind a filter, which the samples are compared through"
-        )
+        said = "not compared: the backbones are those of records behind a filter, as the samples are compared"
         return Check(name, True, said)
     if np.isfinite(reduced) and reduced < limit:
         said = f"the set the waveforms want fits the backbones too (reduced chi-square {reduced:.2f})"

@@ -24,7 +24,7 @@ from .data_term import WaveformTerm
 from .descent import is_heavy
 from .joint_fit import Fit, fit
 from .normal_equations import derivatives
-from .record_term import BETWEEN, INSIDE, orthogonal_to
+from .record_term import BETWEEN, INSIDE, beside_jumps, orthogonal_to
 from .search import Search
 from .whitening import with_slow_noise
 
@@ -158,7 +158,8 @@ def _passed(term: WaveformTerm, chosen: SensorFilter, frequency: float) -> Wavef
     """Return a term whose simulation goes through a filter, which begins with an unknown past."""
     step = float(np.median(np.diff(term.time)))
     chain = _Chain(chosen, frequency, step, term.time.size)
-    behind = replace(_with_past(term, chosen), chain=chain)
+    ahead = float(chosen.response(np.array([frequency]))[1][0]) / (2.0 * np.pi * frequency)
+    behind = replace(_with_past(beside_jumps(term, ahead), chosen), chain=chain)
     return _without_end(behind, int(np.ceil(chain.ahead * term.size / term.time.size)))
 
 
@@ -198,7 +199,8 @@ def sensor_filter(search: Search) -> SensorFilter | None:
     """Return the filter behind which a set of effects explains the records; None where there is none.
 
     Looked for where the most probable set does not leave noise, with the likeliest and what is in these; else with the
-    sets that lack one of its effects, which then have to explain the samples better than it does. None where records
+    sets that lack one of its effects, which then have to explain the samples better than it does (behind a high-pass
+    those of velocities and accelerations only). None where records
     are compared through a band-pass, which leaves no harmonics.
     """
     batch, best = search.batch, search.best()
@@ -213,7 +215,7 @@ def sensor_filter(search: Search) -> SensorFilter | None:
     frequency = float(np.median([record.frequency for record in batch.records]))
     starts = [start for names in dict.fromkeys(asked) if (start := search.fit_set(names)) is not None]
     found = _low_passes(batch, starts, frequency)
-    if not is_exact:
+    if not is_exact or (len(best) > 1 and all(term.order for term in batch.waveform)):
         fast = [start for start in starts if not is_heavy(start.layout)]
         found += _high_passes(batch, search.fits[()], fast, frequency)
     # a filter's past is fitted, too: first cycles that it left are explained
