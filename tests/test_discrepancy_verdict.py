@@ -24,6 +24,7 @@ from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.discrepancy.study import LawProbability, MissingMechanism
 from pymc_backbone.discrepancy.verdict import AdequateBy, NamedLevel, Status, Verdict
 from pymc_backbone.effects import BASE_EFFECTS, LIBRARY
+from pymc_backbone.simulation.backbones import simulate_population
 from pymc_backbone.workflows.diagnose import describe_study
 
 from .discrepancy_cases import (
@@ -139,6 +140,23 @@ def test_an_effect_that_is_a_spring_at_rest_is_told_by_what_changes():
     assert softer == "frequency falls by 0.2 Hz from 0.1 to 1 mm"
     same = words._change("damping", np.array([-0.5, -0.4995, -0.5, -0.501]), error, levels, ("", "mm"))
     assert same == "damping is 0.5 lower throughout"
+
+
+def test_what_falls_by_little_and_then_rises_by_much_is_said_to_rise(rng):
+    """A joint that sticks at most levels, where its spring lowers the decrement a little, and slips at the others."""
+    oscillator = pb.Oscillator(MASS) + "jenkins"
+    levels = AMPLITUDE * np.geomspace(0.1, 1.0, 10)
+    stiffness = 0.1 * STIFFNESS
+    truth = np.array([[STIFFNESS, DAMPING, stiffness, 0.7 * AMPLITUDE * stiffness]])
+    backbones = simulate_population(oscillator, truth, levels)
+    errors = np.array([1e-4, 1e-4])[None, :, None] * np.abs(backbones["value"].values)
+    backbones["standard_error"] = (backbones["value"].dims, errors)
+    backbones["covariance"] = (
+        ("specimen", "observable", "level", "level_other"), errors[..., None] ** 2 * np.eye(levels.size)
+    )
+    study = study_of(backbones, candidates=("jenkins",))
+    assert study.missing_effects == ("jenkins",)
+    assert "damping rises by" in study.reasons[0] and "lower" not in study.reasons[0]
 
 
 def test_laws_that_are_needed_together_are_no_alternatives():

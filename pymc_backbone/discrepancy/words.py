@@ -87,11 +87,10 @@ def _power_law(batch: Batch, found: Fit, name: str, row: int) -> str:
     good = np.isfinite(mean) & (np.abs(significance) > 2.0)
     if good.sum() < 3 or np.abs(significance[good]).max() < 4.0:
         return ""
-    sign = np.sign(np.median(mean[good]))
-    good &= mean * sign > 0.0
-    if good.sum() < 3:
-        return f"{OBSERVABLES[row]} departs in both directions"
     unit, length = " Hz" if row == 0 else "", str(batch.backbones.attrs.get("amplitude_unit", "m"))
+    sign = np.sign(np.median(mean[good]))
+    if (mean[good] * sign < 0.0).any():  # no power of the amplitude changes its sign
+        return _change(OBSERVABLES[row], mean[good], error[good], levels[good], (unit, length))
     x, y = np.log(levels[good]), np.log(mean[good] * sign)
     w = (mean[good] / error[good]) ** 2
     centre = np.average(x, weights=w)
