@@ -152,7 +152,8 @@ def test_what_falls_by_little_and_then_rises_by_much_is_said_to_rise(rng):
     errors = np.array([1e-4, 1e-4])[None, :, None] * np.abs(backbones["value"].values)
     backbones["standard_error"] = (backbones["value"].dims, errors)
     backbones["covariance"] = (
-        ("specimen", "observable", "level", "level_other"), errors[..., None] ** 2 * np.eye(levels.size)
+        ("specimen", "observable", "level", "level_other"),
+        errors[..., None] ** 2 * np.eye(levels.size),
     )
     study = study_of(backbones, candidates=("jenkins",))
     assert study.missing_effects == ("jenkins",)

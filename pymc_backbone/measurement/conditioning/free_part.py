@@ -13,6 +13,7 @@ from ..reading.record import MINIMUM_SAMPLES, QUANTITIES, Record
 from ..rough_turning import rough_noise
 from .decimation import Decimation, design_decimation
 from .filters import check_band
+from .hum import without_hum
 from .lift import end_of_lift
 from .lost_samples import MOST, Jump, find_jump, mended, repeats
 from .noise import quantum
@@ -44,7 +45,7 @@ class FreePart:
     samples : UniformSamples
         The chosen part of the record, even in time.
     whole : (m,) array
-        Its values without spikes.
+        Its values without spikes and hum.
     band : (float, float) or None
         Checked edges of the band [Hz].
     frequency : float
@@ -93,6 +94,8 @@ class FreePart:
         self.begin, self.rate = self.samples.start, self.samples.sampling_rate
         self.band = None if band is None else check_band(band, self.rate, self.name)
         self.frequency = self._dominant(time, values)
+        self.whole, hum = without_hum(self.whole, self.rate, self.frequency)
+        self.notes += [] if hum is None else [hum.note]
         self.searches = start is None and not record.starts_free
         self.decimation: Decimation | None = None
         self.values, self.is_cut = self._released(self.whole)

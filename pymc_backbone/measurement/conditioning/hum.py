@@ -1,0 +1,129 @@
+"""Hum of the mains: lines at multiples of 50 or 60 Hz that last through the record, where a structure's decay."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.fft import next_fast_len, rfft
+from scipy.optimize import minimize_scalar
+
+from ..._common.checks import FloatArray
+from ..._common.text import per_cent
+
+MAINS = (50.0, 60.0)
+"""Frequencies [Hz] of the world's mains."""
+_OFF = 4e-3  # of its frequency, by which the mains may be off
+_MOST = 8  # multiples that are looked at
+_FIRST = 3  # one of so many multiples has to be there
+_HIGHEST = 0.4  # of the sampling rate
+_APART = 5.0  # bins between a line and a harmonic of the motion
+_SWEPT = 0.01  # of the frequency of a harmonic, by which the motion may be off it
+_HARMONICS = 6
+_NEAR, _FAR = 4, 30  # bins beside a line that tell how high nothing is
+_LINE = 60.0  # power of a line over the median beside it
+_ABOVE = 4.0  # and over the highest of these
+_FINER = 3  # frequencies that are looked at in each bin
+_LASTS = 0.75  # amplitude in one half of the record over that in the other
+
+
+@dataclass(frozen=True)
+class Hum:
+    """Lines of the mains in one record: frequencies [Hz], and amplitude over the largest reading."""
+
+    frequencies: tuple[float, ...]
+    share: float
+
+    @property
+    def note(self) -> str:
+        """What was done, in one sentence."""
+        places = [f"{frequency:.4g}" for frequency in self.frequencies]
+        where = " and ".join([", ".join(places[:-1]), places[-1]] if len(places) > 1 else places)
+        return (
+            f"hum of the mains at {where} Hz, {per_cent(self.share)} of the largest reading, lasts through the record "
+            "and was taken out"
+        )
+
+
+def without_hum(values: FloatArray, rate: float, frequency: float) -> tuple[FloatArray, Hum | None]:
+    """Return values without the hum of the mains, and that; the values themselves and None where there is none.
+
+    Parameters
+    ----------
+    values : (n,) array
+        Uniform samples.
+    rate : float
+        Samples per second [Hz].
+    frequency : float
+        Of the motion [Hz], whose harmonics are left alone.
+
+    Returns
+    -------
+    (n,) array, Hum or None
+
+    Notes
+    -----
+    A line is hum where it is narrow, stands sixty times above what is beside it, and is as high in one half of the
+    record as in the other, which no line of a decaying structure is. One of the first three multiples has to be there.
+    The window falls to zero at both ends, so that the motion, hundreds of bins away, does not leak into a line.
+    """
+    if rate * _HIGHEST < min(MAINS):
+        return values, None
+    size = next_fast_len(_FINER * values.size, real=True)
+    power = np.abs(rfft(np.hanning(values.size) * values, size)) ** 2
+    found: list[tuple[float, complex]] = []
+    for mains in MAINS:
+        places = [k * mains for k in range(1, _MOST + 1) if k * mains < _HIGHEST * rate]
+        lines = [(k, _line(values, rate, power, place, frequency)) for k, place in enumerate(places, start=1)]
+        seen = [(k, line) for k, line in lines if line is not None]
+        if seen and seen[0][0] <= _FIRST and len(seen) > len(found):
+            found = [line for _, line in seen]
+    if not found:
+        return values, None
+    time = np.arange(values.size) / rate
+    hum = np.sum([np.real(height * np.exp(2j * np.pi * place * time)) for place, height in found], axis=0)
+    largest = float(np.abs(values - np.median(values)).max())
+    share = float(np.sqrt(sum(abs(height) ** 2 for _, height in found))) / largest
+    return values - hum, Hum(tuple(place for place, _ in found), share)
+
+
+def _line(
+    values: FloatArray, rate: float, power: FloatArray, place: float, frequency: float
+) -> tuple[float, complex] | None:
+    """Return frequency and complex amplitude of a line of the mains near a place; None where there is none.
+
+    ``power`` is that of the windowed values, at several frequencies a bin.
+    """
+    width = rate / values.size  # of a bin
+    step = 0.5 * rate / (power.size - 1)
+    order = round(place / frequency)
+    if 0 < order <= _HARMONICS and abs(place - order * frequency) < _APART * width + (_SWEPT + _OFF) * place:
+        return None
+    reach = max(_OFF * place, width)
+    if place - reach < (_FAR + 1) * width:
+        return None
+    near = np.arange(int((place - reach) / step), min(int((place + reach) / step) + 2, power.size))
+    at = int(near[np.argmax(power[near])])
+    bins = np.rint(width / step * np.arange(_NEAR, _FAR + 1)).astype(int)
+    beside = power[np.clip(np.concatenate([at - bins, at + bins]), 0, power.size - 1)]
+    if power[at] < _LINE * float(np.median(beside)) or power[at] < _ABOVE * float(beside.max()):
+        return None
+    solved = minimize_scalar(
+        lambda f: -abs(_height(values, rate, f)), bounds=((at - 1) * step, (at + 1) * step), method="bounded",
+        options={"xatol": 1e-4 * width},
+    )  # fmt: skip
+    best, half = float(solved.x), values.size // 2
+    halves = [abs(_height(part, rate, best)) for part in (values[:half], values[half:])]
+    if min(halves) < _LASTS * max(halves) or abs(best - place) > reach:
+        return None
+    return best, _height(values, rate, best)
+
+
+def _height(values: FloatArray, rate: float, frequency: float) -> complex:
+    """Return the complex amplitude at the first sample of a line at a frequency, through a window of Hann."""
+    window = np.hanning(values.size)
+    wave = np.exp(-2j * np.pi * frequency / rate * np.arange(values.size))
+    return complex(2.0 * ((window * values) @ wave) / window.sum())
+
+
+__all__ = ["MAINS", "Hum", "without_hum"]
