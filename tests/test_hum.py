@@ -31,7 +31,9 @@ def test_hum_is_taken_out_and_told(mains, rng):
 def test_a_record_says_that_hum_was_taken_out(rng):
     values = 1e-3 * (DECAY + hum(50.0)) + 1e-6 * rng.standard_normal(TIME.size)
     conditioned = pb.condition(pb.Record("beam", TIME, values, "displacement", "m"))
-    assert any("hum of the mains at 50 and 150 Hz, 1 % of the largest reading" in note for note in conditioned.notes), conditioned.notes
+    assert any("hum of the mains at 50 and 150 Hz, 1 % of the largest reading" in note for note in conditioned.notes), (
+        conditioned.notes
+    )
     clean = pb.condition(pb.Record("beam", TIME, values - 1e-3 * hum(50.0), "displacement", "m"))
     assert not any("hum" in note for note in clean.notes)
     n = min(clean.displacement.size, conditioned.displacement.size)

@@ -35,6 +35,17 @@ def test_a_drift_is_asked_before_cycles_are_left_out_and_noise_is_weighed(is_dri
     assert asked == ["drifting_zero", "sensor_filter", "earlier", "drift", *between, "disturbed"]
 
 
+def test_of_velocities_and_accelerations_a_filter_is_asked_before_the_zero(monkeypatch):
+    asked = []
+    for name in ("drifting_zero", "sensor_filter", "earlier", "begun", "motion_noise", "disturbed"):
+        monkeypatch.setattr(module, name, lambda *_, name=name: asked.append(name))
+    monkeypatch.setattr(module.evidence, "leaves_noise", lambda *_: False)
+    search = SimpleNamespace(batch=None, fits={(): "base"}, best=tuple)
+    records = [SimpleNamespace(quantity="acceleration"), SimpleNamespace(quantity="velocity")]
+    module.undisturbed(SimpleNamespace(), search, records, None, lambda _: search, lambda _: {})
+    assert asked[:3] == ["sensor_filter", "drifting_zero", "earlier"]
+
+
 @pytest.mark.parametrize(("quieter", "is_straightened"), [(0.95, False), (0.5, True)])
 def test_sensors_are_straightened_beside_a_drift_where_less_noise_is_left(quieter, is_straightened, monkeypatch):
     """A noise that was estimated with the disturbance in it hides that, and a drift takes the rest."""

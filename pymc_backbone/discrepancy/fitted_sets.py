@@ -168,8 +168,14 @@ class FittedSets:
         return self.layouts[names]
 
     def mechanism_of(self, name: str) -> str:
-        """Return the mechanism of an effect."""
-        return (self.own.get(name) or LIBRARY[name]).mechanism or "other"
+        """Return the mechanism of an effect: where a parameter decides, by the fit that leaves least with it."""
+        effect = self.own.get(name) or LIBRARY[name]
+        if effect.mechanism_below is not None:
+            parameter, limit, below = effect.mechanism_below
+            held = [found for names, found in self.fits.items() if name in names]
+            if held and min(held, key=lambda found: found.cost).value_of(parameter) < limit:
+                return below
+        return effect.mechanism or "other"
 
     def _was_asked(self, names: Set, other: Fit) -> bool:
         """Return whether a set was started from this fit of another before, and note that it now is."""

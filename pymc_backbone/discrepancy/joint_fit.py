@@ -114,6 +114,11 @@ class Fit:
         """Return the full parameter vector of one specimen."""
         return parameters_of(self.layout, self.state, specimen)
 
+    def value_of(self, parameter: str) -> float:
+        """Return one parameter of the first specimen."""
+        names = [item.name for item in self.layout.oscillator.parameters]
+        return float(self.parameters(0)[names.index(parameter)])
+
 
 def parameters_of(layout: Layout, state: State, specimen: int) -> FloatArray:
     """Return the full parameter vector of one specimen at a point of the fit."""

@@ -150,8 +150,8 @@ def waveform_term(record: ConditionedRecord, cycles: Cycles) -> WaveformTerm:
     if order < _JUMPING:
         return term
     step = float(np.median(np.diff(time)))
-    samples, share = _SMEARED
-    reach = min(samples * step, share * half) + 0.5 * (together - 1) * step
+    most, share = _SMEARED
+    reach = min(most * step, share * half) + 0.5 * (together - 1) * step
     jumps = Jumps(cycles.turning_times, reach, shown, phase, per_cycle, whiten)
     return beside_jumps(replace(term, jumps=jumps))
 

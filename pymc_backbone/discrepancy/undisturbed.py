@@ -86,23 +86,25 @@ def undisturbed(
     """Return the question and search of records without what disturbs them; as they were where nothing does.
 
     A zero that drifts is looked for where no set leaves noise: what does without the mid-line is the answer. A filter
-    in front of the records, through which the simulation is sent, is looked for then, and once more without first
-    cycles. Specimens are released earlier, or else first cycles left out, where a set of effects leaves noise
-    then, or half of what was left at most. Where the noise grows with the motion, samples count by the noise that they
-    have. A bent sensor and another mode's line are taken out where a set leaves noise then; what was found with the
-    noise of disturbed records is found again without it. Where a set leaves noise with a drift in time beside it, which
-    is likelier, no cycle is left out, and sensors are straightened only where clearly less noise is left then: an
-    estimate of the noise that holds the disturbance hides it.
+    in front of the records, through which the simulation is sent, is looked for then (of velocities and accelerations
+    before, as what couples these to alternating current moves the mid-line, too), and once more without first cycles.
+    Specimens are released earlier, or else first cycles left out, where a set of effects leaves noise then, or half of
+    what was left at most. Where the noise grows with the motion, samples count by the noise that they have. A bent
+    sensor and another mode's line are taken out where a set leaves noise then; what was found with the noise of
+    disturbed records is found again without it. Where a set leaves noise with a drift in time beside it, which is
+    likelier, no cycle is left out, and sensors are straightened only where clearly less noise is left then: an estimate
+    of the noise that holds the disturbance hides it.
     """
     known, again = Undisturbed(question, search), search
-    if not _is_exact(search) and (steady := drifting_zero(question, search, measuring)) is not None:
-        tried = Undisturbed(steady, searched(steady))
-        if _is_exact(tried.search):
-            return tried
+    is_of_rates = bool(records) and all(record.quantity != "displacement" for record in records)
+    if not is_of_rates and (steady := _steadied(known, measuring, searched)) is not None:
+        return steady
     said: tuple[str, ...] = ()
     asked = _Asked(question, measuring, searched)
     if (behind := _filtered(asked, search, records, said)) is not None:
         said, known, again = (behind.said,), behind.found, behind.found.search
+    if is_of_rates and (steady := _steadied(known, measuring, searched)) is not None:
+        return steady
     if (release := earlier(again)) is not None:
         asked.release = release
         tried = asked.of(records, (*said, release.sentence))
@@ -133,6 +135,14 @@ def undisturbed(
         return known
     left = _over_motion(straight.search, straight.search.fits[straight.search.best()])
     return straight if left < _QUIETER * known.noise_beside_drift else known
+
+
+def _steadied(known: Undisturbed, measuring: Measuring, searched: Callable[[Question], Search]) -> Undisturbed | None:
+    """Return the question of records whose zero drifts; None where a set leaves noise already, or none does so."""
+    if _is_exact(known.search) or (steady := drifting_zero(known.question, known.search, measuring)) is None:
+        return None
+    tried = Undisturbed(steady, searched(steady))
+    return tried if _is_exact(tried.search) else None
 
 
 class _Filtered(NamedTuple):

@@ -202,6 +202,8 @@ class Effect:
     mechanism : {"spring", "asymmetry", "clearance", "hysteresis", "drag", "displacement_damping"}, optional
         What the effect does, whatever its law: where records do not tell one law from another, that is named. Effects
         without one count together as another mechanism.
+    mechanism_below : tuple of (str, float, str), optional
+        A parameter, and the mechanism that the effect has where that is below a value.
     variant_of : tuple of str
         Names of the effects of the library that this is a variant of: the search for a missing effect looks for it in
         the place of each of them, where a set that holds that one comes near the records, and not by itself. Named as a
@@ -235,14 +237,14 @@ class Effect:
     signature: Signature | None = None
     needs_rotation: bool = False
     mechanism: Mechanism | None = None
+    mechanism_below: tuple[str, float, Mechanism] | None = None
     variant_of: tuple[str, ...] = ()
     only_if_named: bool = False
 
     def __post_init__(self) -> None:
         if not _NAME.match(self.name):
             raise InputError(f"effect name {self.name!r} must be lower-case letters, digits and underscores.")
-        if self.mechanism is not None:
-            check_choice("mechanism", self.mechanism, get_args(Mechanism))
+        self._check_mechanisms()
         for label in ("force", "gradient", "regime", "state_rate", "state_rate_gradient"):
             function = getattr(self, label)
             if function is not None and not (hasattr(function, "py_func") or numba.config.DISABLE_JIT):
@@ -270,6 +272,14 @@ class Effect:
                 "looks for it: leave out `variant_of` or `only_if_named`."
             )
         self._settle_roles()
+
+    def _check_mechanisms(self) -> None:
+        """Raise `InputError` where a mechanism, or the parameter that it depends on, does not exist."""
+        if self.mechanism is not None:
+            check_choice("mechanism", self.mechanism, get_args(Mechanism))
+        if self.mechanism_below is not None:
+            check_choice("mechanism_below", self.mechanism_below[0], [parameter.name for parameter in self.parameters])
+            check_choice("mechanism_below", self.mechanism_below[2], get_args(Mechanism))
 
     def _settle_roles(self) -> None:
         """Make the first plain parameter the strength where none is declared, and refuse roles that do not fit."""

@@ -83,6 +83,7 @@ EFFECT = Effect(
         "Philosophical Transactions of the Royal Society A 373, 20140402. doi:10.1098/rsta.2014.0402",
     ),
     mechanism="drag",
+    mechanism_below=("power_damping_exponent", 1.0, "hysteresis"),  # damping falls with the speed, as by dry friction
     variant_of=("quadratic_damping", "cubic_damping", "coulomb_friction"),
     signature=Signature(
         frequency="Constant.",

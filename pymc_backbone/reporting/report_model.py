@@ -59,8 +59,9 @@ def candidates(study: Study, figures: Mapping[str, Figure]) -> str:
 
 def mechanisms(study: Study) -> str:
     """List what may be missing by mechanism, and inside each the laws and the sets of effects that it may be."""
-    held = {name: effect.mechanism or "other" for name, effect in LIBRARY.items()}
+    held: dict[str, str] = {name: effect.mechanism or "other" for name, effect in LIBRARY.items()}
     held.update({e.name: e.mechanism or "other" for e in (study.extended or study.base).effects})
+    held.update({law.effect: item.mechanism for item in study.mechanisms for law in item.laws})
     columns = (("mechanism", "head"), ("probability", "n"), ("share of the gap", "n"), ("laws and sets", "text"))
     rows = []
     for item in study.mechanisms:
