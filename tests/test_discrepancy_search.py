@@ -11,7 +11,7 @@ import xarray as xr
 from scipy.signal import lfilter
 from scipy.stats import f, kstest, multivariate_normal
 
-from pymc_backbone.discrepancy import evidence, rivals, starts, verify
+from pymc_backbone.discrepancy import drift_kinds, evidence, rivals, starts, verify
 from pymc_backbone.discrepancy.compensation import compensation
 from pymc_backbone.discrepancy.curves import (
     curve,
@@ -576,7 +576,7 @@ def test_backbones_are_asked_beside_drifts_where_a_drift_explains_half(cubic, mo
     base = search.fits[()]
     drifting = replace(base, chi_square=share * base.chi_square, penalty=share * base.penalty)
     monkeypatch.setattr(rivals, "drift_fit", lambda *_, **__: drifting)
-    monkeypatch.setattr(rivals, "drift_bonus", lambda _: 0.0)
+    monkeypatch.setattr(rivals, "drift_bonus", lambda *_: 0.0)
     monkeypatch.setattr(rivals, "_ask_backbones", lambda _, found: asked.append(list(found)))
     rivals.drifting_sets(search)
     assert bool(asked) == is_asked
@@ -929,7 +929,7 @@ def test_backbones_beside_drifts_have_them_as_errors():
 @pytest.mark.parametrize("common", [0.0, 0.7, 1e4])
 def test_density_of_values_with_a_common_part_is_that_of_scipy(common, rng):
     value, variance = rng.normal(size=5), rng.uniform(0.1, 2.0, 5)
-    density = rivals._log_normal(value, variance, common) - 2.5 * np.log(2.0 * np.pi)
+    density = drift_kinds._log_normal(value, variance, common) - 2.5 * np.log(2.0 * np.pi)
     covariance = np.diag(variance) + common
     expected = multivariate_normal.logpdf(value, np.zeros(5), covariance, allow_singular=False)
     assert density == pytest.approx(expected, rel=1e-9)

@@ -583,7 +583,8 @@ def test_a_drift_that_is_not_certain_is_told_beside_the_sets(chance, verdict):
 @pytest.mark.parametrize(("left", "is_named"), [(0.9, True), (4.9, True), (5.1, False), (np.inf, False)])
 def test_no_name_is_given_against_the_backbones(left, is_named, monkeypatch):
     monkeypatch.setattr(decide, "level_chi_square", lambda batch, found: left)
-    search = SimpleNamespace(batch=SimpleNamespace(has_records=True), fits={("a",): None, ("a", "b"): None})
+    batch = SimpleNamespace(has_records=True, is_behind_filter=False)
+    search = SimpleNamespace(batch=batch, fits={("a",): None, ("a", "b"): None})
     named = decision_of("found", named_level=NamedLevel.LAW, ranked=(("a", "b"), ("a",)), drifts=(("a", "b"),))
     minded = decide._mind_backbones(search, named)
     assert (minded.verdict == "found") == (minded.named_level == "law") == is_named
@@ -762,7 +763,7 @@ def test_what_a_mechanism_explains_is_the_mean_over_the_orders():
 
 
 def test_a_mechanism_is_as_probable_as_all_sets_that_hold_a_law_of_it():
-    search = SimpleNamespace(own={"rubber": SimpleNamespace(mechanism=None)})
+    search = SimpleNamespace(own={"rubber": SimpleNamespace(mechanism=None, mechanism_below=None)})
     search.mechanism_of = partial(Search.mechanism_of, search)
     chances = {(): 0.05, ("iwan",): 0.5, ("jenkins",): 0.3, ("cubic_stiffness", "iwan"): 0.1, ("rubber",): 0.05}
     chi_square = {(): 50.0, ("iwan",): 5.0}
@@ -802,7 +803,8 @@ def test_exact_sets_that_agree_on_the_mechanism_only_name_it(chances, options, l
     monkeypatch.setattr(decide, "level_chi_square", lambda batch, fit: 30.0)
     costs = {(): 250.0, ("iwan",): 180.0, ("jenkins",): 181.0, ("cubic_stiffness",): 181.0}  # the noise is louder
     search = SimpleNamespace(
-        count=100, batch=None, fits={names: SimpleNamespace(cost=cost) for names, cost in costs.items()},
+        count=100, batch=SimpleNamespace(is_behind_filter=False),
+        fits={names: SimpleNamespace(cost=cost) for names, cost in costs.items()},
         mechanism_of=lambda name: LIBRARY[name].mechanism,
     )  # fmt: skip
     sets = tuple(chances)

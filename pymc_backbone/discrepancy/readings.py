@@ -22,6 +22,7 @@ from ..measurement.reading.record import Record
 from . import evidence
 from .batch import Batch
 from .data_term import WaveformTerm
+from .harmonic_lines import beside_harmonics, frequencies_with, is_harmonic
 from .joint_fit import Fit, fit
 from .normal_equations import DRIFTS, State, derivatives
 from .search import Search, Set
@@ -219,7 +220,8 @@ def _beside(
             return None
         found = solved
     if has_line and any(
-        _is_harmonic(item, record.frequency) for item, record in zip(items, batch.records, strict=True)
+        is_harmonic(item.frequency, between, _APART / (item.end - item.begin))
+        for item, between in zip(items, _ranges(batch, found), strict=True)
     ):
         return None
     if not found.cost < limit or evidence.lack_of_fit(without, found).p_value < evidence.UNEXPLAINED:
@@ -227,10 +229,10 @@ def _beside(
     return found.cost, items
 
 
-def _is_harmonic(item: Disturbance, frequency: float) -> bool:
-    """Return whether a line lies where the harmonics of the motion do."""
-    order = item.frequency / frequency
-    return abs(order - round(order)) * frequency * (item.end - item.begin) < _APART
+def _ranges(batch: Batch, found: Fit) -> list[tuple[float, float]]:
+    """Return between which frequencies [Hz] each specimen moves, as a set has it."""
+    together = enumerate(zip(batch.levels, batch.records, strict=True))
+    return [frequencies_with(found, r, term, record.frequency) for r, (term, record) in together]
 
 
 def _without(term: WaveformTerm, item: Disturbance) -> WaveformTerm:
@@ -255,8 +257,8 @@ def _with_lines(batch: Batch, without: Batch, found: Fit, items: list[Disturbanc
     frequencies = np.array([record.frequency for record in batch.records])
     if not any(item.frequency for item in items):
         lines = [
-            _begun_line(term.compared(term.time), values, frequency)
-            for term, values, frequency in zip(without.waveform, left, frequencies, strict=True)
+            _begun_line(term.compared(term.time), values, between)
+            for term, values, between in zip(without.waveform, left, _ranges(batch, found), strict=True)
         ]
         seen = np.array([place / frequency for place, frequency in zip(lines, frequencies, strict=True) if place > 0.0])
         if not seen.size:
@@ -269,7 +271,7 @@ def _with_lines(batch: Batch, without: Batch, found: Fit, items: list[Disturbanc
     return [_refined(term, values, item) for term, values, item in zip(without.waveform, left, items, strict=True)]
 
 
-def _begun_line(time: FloatArray, left: FloatArray, frequency: float) -> float:
+def _begun_line(time: FloatArray, left: FloatArray, between: tuple[float, float]) -> float:
     """Return the frequency [Hz] of the line that stands out most, of any decay, from what a set leaves; 0 for none."""
     n, length = left.size, float(time[-1] - time[0])
     step = length / (n - 1)
@@ -277,8 +279,8 @@ def _begun_line(time: FloatArray, left: FloatArray, frequency: float) -> float:
     best, place = _LINE, 0.0
     for decay in _DECAYS:
         power = np.abs(np.fft.rfft(left * np.exp(-decay * (time - time[0]) / length))) ** 2
-        away = np.abs(grid / frequency - np.round(grid / frequency)) * frequency * length
-        beside = (away > _FAR + decay / np.pi) & (grid * length > 2.0 + decay / np.pi)
+        far = (_FAR + decay / np.pi) / length
+        beside = beside_harmonics(grid, between, far) & (grid * length > 2.0 + decay / np.pi)
         if np.count_nonzero(beside) < 8:
             continue
         peak = int(np.flatnonzero(beside)[np.argmax(power[beside])])

@@ -16,7 +16,7 @@ from .._common.checks import BoolArray, FloatArray
 from .._common.text import per_cent
 from . import evidence
 from .batch import Batch
-from .data_term import LevelTerm
+from .harmonic_lines import beside_harmonics, frequencies_of
 from .joint_fit import Fit
 from .study import Check
 
@@ -24,8 +24,6 @@ _BEATING = 0.02  # of the motion
 _LINE = 25.0  # peak of the residuals' periodogram over its median that a line has at least
 _FAR = 4.0  # bins between a line and a harmonic, where it is looked for beside these
 _OFF = 0.75  # bins from where a harmonic may lie, beyond which a peak close to one is another mode
-_BEYOND = 0.5  # of the range of the measured frequencies, by which those of the motion may go beyond it
-_ERRORS = 1.0  # standard errors of a measured frequency by which the range goes beyond it
 _WIDE = 0.5  # of the frequency, from which the ranges of harmonics run into one another
 _FEWEST = 8  # bins beside the harmonics that tell how high nothing is
 _AROUND = 24  # bins on either side of a peak that tell it where noise has a colour ...
@@ -51,7 +49,7 @@ def second_mode_check(batch: Batch, best: Fit) -> Check:
         plain = replace(term, whiten=lambda columns: columns)
         left = evidence.residuals_of(plain, best, r)
         time, frequency = term.time[: left.size], batch.records[r].frequency
-        between = _range(batch.levels[r], frequency)
+        between = frequencies_of(batch.levels[r], frequency)
         for line in (line_beside(time, left, between), line_near(time, left, between)):
             share = line.height / (np.sqrt(2.0) * term.signal)
             if share > worst[0]:
@@ -69,7 +67,7 @@ def second_mode_check(batch: Batch, best: Fit) -> Check:
 def line_beside(time: FloatArray, residuals: FloatArray, between: tuple[float, float]) -> Line:
     """Return the highest line beside the harmonics of a motion whose frequency was in a range."""
     grid, power = _periodogram(time, residuals)
-    beside = _beside(grid, between)
+    beside = beside_harmonics(grid, between, _FAR * grid[1])
     if np.count_nonzero(beside) < _FEWEST:
         return Line()
     highest = Line()
@@ -83,7 +81,7 @@ def line_near(time: FloatArray, residuals: FloatArray, between: tuple[float, flo
     """Return the highest line close to a harmonic of a motion whose frequency was in a range, and none of them."""
     low, high = between
     grid, power = _periodogram(time, residuals)
-    beside = _beside(grid, between)
+    beside = beside_harmonics(grid, between, _FAR * grid[1])
     if np.count_nonzero(beside) < _FEWEST:
         return Line()
     width, highest = float(grid[1]), Line()
@@ -99,31 +97,10 @@ def line_near(time: FloatArray, residuals: FloatArray, between: tuple[float, flo
     return highest
 
 
-def _range(term: LevelTerm, frequency: float) -> tuple[float, float]:
-    """Return between which frequencies [Hz] a specimen moved, by its level values; the first cycles are beyond them."""
-    rows = term.rows[:, 0] == 0
-    if not rows.any():
-        return frequency, frequency
-    root = np.linalg.inv(term.whitening)
-    error = _ERRORS * np.sqrt((root**2).sum(axis=1))[rows]
-    low, high = float((term.values[rows] - error).min()), float((term.values[rows] + error).max())
-    further = _BEYOND * float(np.ptp(term.values[rows]))
-    return min(low - further, frequency), max(high + further, frequency)
-
-
 def _periodogram(time: FloatArray, residuals: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the frequencies [Hz] and the power of residuals, windowed."""
     power = np.abs(np.fft.rfft(residuals * np.hanning(residuals.size))) ** 2
     return np.fft.rfftfreq(residuals.size, float(np.median(np.diff(time)))), power
-
-
-def _beside(grid: FloatArray, between: tuple[float, float]) -> BoolArray:
-    """Return which frequencies are beside all harmonics of a motion in a range, and not as slow as the record is long.
-
-    A motion that rests at its lowest frequency has lines at multiples of that, far from those of any mean.
-    """
-    (low, high), far = between, _FAR * grid[1]
-    return np.asarray((np.ceil((grid - far) / high) > np.floor((grid + far) / low)) & (grid > 2.0 * grid[1]))
 
 
 def _level(power: FloatArray, beside: BoolArray, peak: int) -> float:

@@ -54,6 +54,7 @@ _NEAR, _LEFT = (
     3.0,
     0.3,
 )  # chi-square over the number of samples, and share of what was left, that a filter leaves at most
+_BY_HARMONICS = 0.3  # of what a high-pass explains, that its past alone leaves at least where harmonics show it
 _LESS = 0.7  # of what is left where records only begin as behind a high-pass, that is left behind it at most
 _ITERATIONS = 12
 
@@ -168,8 +169,13 @@ def _with_past(term: WaveformTerm, chosen: SensorFilter) -> WaveformTerm:
     """Return a term that may hold what a filter still has of the past."""
     modes = term.signal * _transients(chosen, term.time - term.time[0])
     if chosen.kind == "high-pass":  # which is ahead of the motion: its first values lie between samples not all known
-        modes = np.hstack([modes, term.signal * np.eye(term.time.size, min(_GIBBS, term.time.size))])
+        modes = np.hstack([modes, _first_values(term)])
     return replace(term, whiten=with_slow_noise(term.whiten, term.compared(modes)))
+
+
+def _first_values(term: WaveformTerm) -> FloatArray:
+    """Return what leaves the first values of a record free (n, `_GIBBS`)."""
+    return term.signal * np.eye(term.time.size, min(_GIBBS, term.time.size))
 
 
 def _without_end(term: WaveformTerm, lost: int) -> WaveformTerm:
@@ -201,8 +207,8 @@ def sensor_filter(search: Search) -> SensorFilter | None:
 
     Looked for where the most probable set does not leave noise, with the likeliest and what is in these; else with the
     sets that lack one of its effects, which then have to explain the samples better than it does (behind a high-pass
-    those of velocities and accelerations only). None where records
-    are compared through a band-pass, which leaves no harmonics.
+    those of velocities and accelerations only). None where records are compared through a band-pass, which leaves no
+    harmonics.
     """
     batch, best = search.batch, search.best()
     if not batch.has_open_records or batch.is_behind_filter:
@@ -216,7 +222,7 @@ def sensor_filter(search: Search) -> SensorFilter | None:
     frequency = float(np.median([record.frequency for record in batch.records]))
     starts = [start for names in dict.fromkeys(asked) if (start := search.fit_set(names)) is not None]
     found = _low_passes(batch, starts, frequency)
-    if not is_exact or (len(best) > 1 and all(term.order for term in batch.waveform)):
+    if not is_exact or (best and all(term.order for term in batch.waveform)):
         fast = [start for start in starts if not is_heavy(start.layout)]
         found += _high_passes(batch, search.fits[()], fast, frequency)
     # a filter's past is fitted, too: first cycles that it left are explained
@@ -268,7 +274,7 @@ def _high_pass(batch: Batch, start: Fit, filters: Sequence[SensorFilter]) -> tup
     """Return the high-pass that suits a set best, and the set behind it; None where it leaves little less.
 
     A motion without harmonics shows it at the release alone, where records begin with what it has of the past: it then
-    has to leave noise where the set without it does not.
+    has to leave noise where the set without it does not, nor free first values do.
     """
 
     def fitted(chosen: SensorFilter, known: Fit) -> list[tuple[SensorFilter, Fit]]:
@@ -285,8 +291,12 @@ def _high_pass(batch: Batch, start: Fit, filters: Sequence[SensorFilter]) -> tup
     best = min(tried[1:], key=cost, default=None)
     if best is None:
         return None
-    shows_at_release = not best[1].cost < _LESS * _without_filter(batch, best[0], start) - _PRICE
-    if shows_at_release and not (best[1].cost < start.cost - _PRICE and _is_exact(batch, best)):
+    past = _left_by(start, batch, [_with_past(term, best[0]) for term in batch.waveform])
+    is_exact = best[1].cost < start.cost - _PRICE and _is_exact(batch, best)
+    if not is_exact and not best[1].cost < _LESS * past - _PRICE:
+        return None
+    shows_at_release = past - best[1].cost < _BY_HARMONICS * (start.cost - best[1].cost)
+    if shows_at_release and not best[1].cost < _left_by(start, batch, _free_at_first(batch)) - _PRICE:
         return None
     for ratio in _NEARER:
         at, found = best
@@ -303,11 +313,18 @@ def _is_exact(batch: Batch, behind: tuple[SensorFilter, Fit]) -> bool:
     return evidence.leaves_noise(chosen.passed(batch), found)
 
 
-def _without_filter(batch: Batch, chosen: SensorFilter, start: Fit) -> float:
-    """Return the cost of a set where records may begin with what a filter has of the past, and go through none."""
-    terms = tuple(_with_past(term, chosen) for term in batch.waveform)
-    solved = fit(start.layout, terms, start.state, iterations=_ITERATIONS, nuisances=batch.nuisances)
+def _left_by(start: Fit, batch: Batch, terms: Sequence[WaveformTerm]) -> float:
+    """Return the cost of a set with records that may begin otherwise and go through no filter."""
+    solved = fit(start.layout, tuple(terms), start.state, iterations=_ITERATIONS, nuisances=batch.nuisances)
     return np.inf if solved is None else solved.cost
+
+
+def _free_at_first(batch: Batch) -> list[WaveformTerm]:
+    """Return the terms of records whose first values say nothing."""
+    return [
+        replace(term, whiten=with_slow_noise(term.whiten, term.compared(_first_values(term))))
+        for term in batch.waveform
+    ]
 
 
 @dataclass(frozen=True)

@@ -93,7 +93,11 @@ def shares_of_gap(search: Search, best: Set, gaps: Mapping[Set, float]) -> dict[
     }
     if any(names not in gaps for names in subsets.values()):
         return {}
-    base = max(gaps[()], 1e-300)
+    # a set leaves no more than any in it, however its fit ended
+    left = {
+        names: min(gaps[part] for part in subsets.values() if set(part) <= set(names)) for names in subsets.values()
+    }
+    base = max(left[()], 1e-300)
     shares = {}
     for kind in kinds:
         share = 0.0
@@ -102,7 +106,7 @@ def shares_of_gap(search: Search, best: Set, gaps: Mapping[Set, float]) -> dict[
                 continue
             more = subsets[tuple(sorted((*chosen, kind)))]
             orders = factorial(len(chosen)) * factorial(len(kinds) - len(chosen) - 1) / factorial(len(kinds))
-            share += orders * (gaps[names] - gaps[more]) / base
+            share += orders * (left[names] - left[more]) / base
         shares[kind] = float(np.clip(share, 0.0, 1.0))
     return shares
 

@@ -125,9 +125,12 @@ def measured_damping_words(backbones: xr.Dataset) -> str:
     """Say the measured damping, averaged over the specimens, as `damping_ratio_words` does; empty without any."""
     if "damping" not in backbones["observable"].values:
         return ""
-    mean = backbones["value"].sel(observable="damping").mean("specimen")
+    values = backbones["value"].sel(observable="damping").transpose("specimen", "level").values
+    # of levels that few specimens reach, the mean would tell these from the others, and not what the amplitude does
+    reached = np.isfinite(values).sum(axis=0)
+    mean = np.where(2 * reached > values.shape[0], np.nansum(values, axis=0) / np.maximum(reached, 1), np.nan)
     return damping_ratio_words(
-        mean.values.tolist(), backbones["level"].values.tolist(), str(backbones.attrs.get("amplitude_unit", "m"))
+        mean.tolist(), backbones["level"].values.tolist(), str(backbones.attrs.get("amplitude_unit", "m"))
     )
 
 
