@@ -10,6 +10,7 @@ from .data_term import LevelTerm
 from .joint_fit import Fit
 
 _BEYOND = 0.5  # of the range of the measured frequencies, by which those of the motion may go beyond it
+_BEYOND_MODEL = 0.2  # ... and those of a model at the levels
 _ERRORS = 1.0  # standard errors of a measured frequency by which the range goes beyond it
 
 
@@ -31,7 +32,7 @@ def frequencies_with(found: Fit, specimen: int, term: LevelTerm, frequency: floa
     values = values[np.isfinite(values)]
     if not values.size:
         return frequency, frequency
-    further = _BEYOND * float(np.ptp(values))
+    further = _BEYOND_MODEL * float(np.ptp(values))
     return min(float(values.min()) - further, frequency), max(float(values.max()) + further, frequency)
 
 
