@@ -104,16 +104,18 @@ class SensorFilter:
 
     def sentence(self, batch: Batch) -> str:
         """Return what was found, in one sentence."""
+        look = "Look at the filters of sensor, amplifier and logger"
+        if self.shows_at_release:  # which says little of its order and cut-off
+            return (
+                f"warning: the records begin with a slow decay beside the motion, as behind a {self.kind} below the "
+                f"frequency of the mode; the simulation was sent through one. {look}"
+            )
         ratio = self.cut / float(np.median([record.frequency for record in batch.records]))
         done = "turned" if self.kind == "high-pass" else "turned and weakened"
-        what = f"the harmonics of the motion are {done}"
-        where = f"{self.cut:.3g} Hz, {ratio:.2g} times"
-        if self.shows_at_release:  # which says little of the cut-off
-            what = "the records begin with a slow decay beside the motion,"
-            where = f"about {self.cut:.1g} Hz, {ratio:.1g} times"
         return (
-            f"warning: {what} as behind a {self.kind} of order {self.order} at {where} the frequency of the mode; the "
-            "simulation was sent through the same filter. Look at the filters of sensor, amplifier and logger"
+            f"warning: the harmonics of the motion are {done} as behind a {self.kind} of order "
+            f"{self.order} at {self.cut:.3g} Hz, {ratio:.2g} times the frequency of the mode; the simulation was sent "
+            f"through the same filter. {look}"
         )
 
 
