@@ -48,11 +48,14 @@ class Search(FollowedSets):
             self._mind_scatter()
             if self._is_beyond():
                 self._follow_backbones(FEW_FOLLOWED)
+                if self._lacks_mid_line:
+                    self._ask_plain_effects()
                 if min(item.cost for item in self.fits.values()) > _NEAR * self.count:
                     self._look_back()
                     self._vary()
                     return
             self._follow_backbones(_MOST_FOLLOWED)
+            self._ask_plain_effects()
             self._look_wider()
         self._look_back()
         if self._is_answered() or (self.is_cut and self.is_refuted(self.best())):
@@ -77,6 +80,24 @@ class Search(FollowedSets):
             fit_side_by_side(self, simple if is_enough else few)
             if is_enough:
                 break
+
+    def _ask_plain_effects(self) -> None:
+        """Where nothing explains the records, fit all that is soon simulated by itself, whatever its backbones.
+
+        A structure of two sides whose mid-line is not measured has backbones that tell little, and damping that is off:
+        what its samples show at once lies below sets that follow that error.
+        """
+        plain: list[Set] = [(name,) for name in self.candidates if (name,) not in self.fits]
+        for few in batched([names for names in plain if not self._is_costly(names)], ABREAST):
+            if self._is_explained():
+                return
+            self.progress("single effects", 0.5)
+            fit_side_by_side(self, few)
+
+    @property
+    def _lacks_mid_line(self) -> bool:
+        """Whether the mid-line of a record is not measured, and so the damping of its backbones may be off."""
+        return self.batch.has_open_records and not all(record.offset_is_measured for record in self.batch.records)
 
     def _enlarge(self) -> None:
         """Fit larger sets around the best, others in the place of its effects, and at last what costs much."""
