@@ -19,7 +19,7 @@ def test_a_drift_is_asked_before_cycles_are_left_out_and_noise_is_weighed(is_dri
     def says(name):
         return lambda *_: asked.append(name)
 
-    for name in ("drifting_zero", "sensor_filter", "earlier", "begun", "motion_noise", "disturbed"):
+    for name in ("drifting_zero", "drop_outs", "sensor_filter", "earlier", "begun", "motion_noise", "disturbed"):
         monkeypatch.setattr(module, name, says(name))
     monkeypatch.setattr(module.evidence, "leaves_noise", lambda _, found: left[found])
     monkeypatch.setattr(module, "_over_motion", lambda *_: 1e-3)
@@ -32,24 +32,24 @@ def test_a_drift_is_asked_before_cycles_are_left_out_and_noise_is_weighed(is_dri
     known = module.undisturbed(SimpleNamespace(), search, [], None, says("searched"), drifting)
     assert known.search is search and known.is_drifting == is_drifting
     between = [] if is_drifting else ["begun", "motion_noise"]
-    assert asked == ["drifting_zero", "sensor_filter", "earlier", "drift", *between, "disturbed"]
+    assert asked == ["drifting_zero", "drop_outs", "sensor_filter", "earlier", "drift", *between, "disturbed"]
 
 
 def test_of_velocities_and_accelerations_a_filter_is_asked_before_the_zero(monkeypatch):
     asked = []
-    for name in ("drifting_zero", "sensor_filter", "earlier", "begun", "motion_noise", "disturbed"):
+    for name in ("drifting_zero", "drop_outs", "sensor_filter", "earlier", "begun", "motion_noise", "disturbed"):
         monkeypatch.setattr(module, name, lambda *_, name=name: asked.append(name))
     monkeypatch.setattr(module.evidence, "leaves_noise", lambda *_: False)
     search = SimpleNamespace(batch=None, fits={(): "base"}, best=tuple)
     records = [SimpleNamespace(quantity="acceleration"), SimpleNamespace(quantity="velocity")]
     module.undisturbed(SimpleNamespace(), search, records, None, lambda _: search, lambda _: {})
-    assert asked[:3] == ["sensor_filter", "drifting_zero", "earlier"]
+    assert asked[:4] == ["drop_outs", "sensor_filter", "drifting_zero", "earlier"]
 
 
 @pytest.mark.parametrize(("quieter", "is_straightened"), [(0.95, False), (0.5, True)])
 def test_sensors_are_straightened_beside_a_drift_where_less_noise_is_left(quieter, is_straightened, monkeypatch):
     """A noise that was estimated with the disturbance in it hides that, and a drift takes the rest."""
-    for name in ("drifting_zero", "sensor_filter", "earlier", "begun", "motion_noise"):
+    for name in ("drifting_zero", "drop_outs", "sensor_filter", "earlier", "begun", "motion_noise"):
         monkeypatch.setattr(module, name, lambda *_: None)
     bent = SimpleNamespace(is_bent=True, undisturbed=lambda records: records)
     monkeypatch.setattr(module, "disturbed", lambda _: bent)
@@ -71,7 +71,8 @@ def test_a_low_pass_is_kept_where_more_is_explained_behind_it(helps, monkeypatch
     seen = []
     for name in ("earlier", "begun", "motion_noise", "disturbed"):
         monkeypatch.setattr(module, name, lambda search, name=name: seen.append((name, search)))
-    monkeypatch.setattr(module, "drifting_zero", lambda *_: None)
+    for name in ("drifting_zero", "drop_outs"):
+        monkeypatch.setattr(module, name, lambda *_: None)
     monkeypatch.setattr(module, "sensor_filter", lambda _: behind)
     monkeypatch.setattr(module.evidence, "leaves_noise", lambda _, found: found == "explained")
     monkeypatch.setattr(module.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01))
@@ -102,7 +103,7 @@ def test_a_zero_that_drifts_is_the_answer_where_nothing_is_left_without_the_mid_
     """Then nothing else is asked; else the records are as they were."""
     monkeypatch.setattr(module, "drifting_zero", lambda *_: "steady")
     asked = []
-    for name in ("sensor_filter", "earlier", "begun", "motion_noise", "disturbed"):
+    for name in ("drop_outs", "sensor_filter", "earlier", "begun", "motion_noise", "disturbed"):
         monkeypatch.setattr(module, name, lambda *_, name=name: asked.append(name))
     monkeypatch.setattr(module.evidence, "leaves_noise", lambda _, found: found == "explained")
     before = SimpleNamespace(batch=None, fits={(): "base"}, best=tuple)

@@ -12,6 +12,7 @@ from ..measurement.options import Measuring
 from ..measurement.reading.record import Record
 from . import evidence
 from .drifting_zero import drifting_zero
+from .drop_outs import drop_outs
 from .earlier_release import Earlier, earlier
 from .evidence import Drifting
 from .first_cycles import begun
@@ -85,7 +86,8 @@ def undisturbed(
 ) -> Undisturbed:
     """Return the question and search of records without what disturbs them; as they were where nothing does.
 
-    A zero that drifts is looked for where no set leaves noise: what does without the mid-line is the answer. A filter
+    A zero that drifts is looked for where no set leaves noise: what does without the mid-line is the answer. Samples
+    that are off all motion are put where the best set has them, where it explains the others. A filter
     in front of the records, through which the simulation is sent, is looked for then (of velocities and accelerations
     before, as what couples these to alternating current moves the mid-line, too), and once more without first cycles.
     Specimens are released earlier, or else first cycles left out, where a set of effects leaves noise then, or half of
@@ -95,14 +97,15 @@ def undisturbed(
     likelier, no cycle is left out, and sensors are straightened only where clearly less noise is left then: an estimate
     of the noise that holds the disturbance hides it.
     """
-    known, again = Undisturbed(question, search), search
+    known = Undisturbed(question, search)
     is_of_rates = bool(records) and all(record.quantity != "displacement" for record in records)
     if not is_of_rates and (steady := _steadied(known, measuring, searched)) is not None:
         return steady
-    said: tuple[str, ...] = ()
     asked = _Asked(question, measuring, searched)
+    known, records, said = _without_drop_outs(asked, known, records)
+    again = known.search
     if (behind := _filtered(asked, search, records, said)) is not None:
-        said, known, again = (behind.said,), behind.found, behind.found.search
+        said, known, again = (*said, behind.said), behind.found, behind.found.search
     if is_of_rates and (steady := _steadied(known, measuring, searched)) is not None:
         return steady
     if (release := earlier(again)) is not None:
@@ -135,6 +138,16 @@ def undisturbed(
         return known
     left = _over_motion(straight.search, straight.search.fits[straight.search.best()])
     return straight if left < _QUIETER * known.noise_beside_drift else known
+
+
+def _without_drop_outs(
+    asked: _Asked, known: Undisturbed, records: Sequence[Record]
+) -> tuple[Undisturbed, Sequence[Record], tuple[str, ...]]:
+    """Return question, records and what is said of these, without samples off all motion where no set leaves noise."""
+    if _is_exact(known.search) or (wild := drop_outs(known.search)) is None:
+        return known, records, ()
+    records, said = wild.undisturbed(records), (wild.sentence,)
+    return asked.of(records, said), records, said
 
 
 def _steadied(known: Undisturbed, measuring: Measuring, searched: Callable[[Question], Search]) -> Undisturbed | None:

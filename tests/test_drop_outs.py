@@ -1,0 +1,84 @@
+"""Samples off all motion: found beside a set that explains the others, and not where something else is the matter."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import pymc_backbone as pb
+from pymc_backbone.discrepancy import evidence
+from pymc_backbone.discrepancy.drop_outs import drop_outs
+from pymc_backbone.discrepancy.search import Search
+
+from .discrepancy_cases import AMPLITUDE, FREQUENCY, MASS, TIME, batch_of, make_records, truth_of
+
+NOISE = AMPLITUDE / np.sqrt(2.0) * 10.0 ** (-50.0 / 20.0)
+SHAPE = np.array([0.5, 1.0, 0.7, 0.2])  # of an event; single wild samples were bridged before
+WILD = ((140, 20.0), (310, -16.0), (425, 11.0))  # first sample, in standard deviations of the noise
+
+
+def with_drop_outs(rng, is_often=False):
+    records = make_records(rng, ("cubic_stiffness",), specimens=2, decibels=50.0, share=2.0)
+    values = records[0].values.copy()
+    for at, height in WILD:
+        values[at : at + 4] += height * NOISE * SHAPE
+    for at in range(60, 500, round(3.0 / FREQUENCY / (TIME[1] - TIME[0]))) if is_often else ():
+        values[at : at + 4] += 40.0 * NOISE * SHAPE
+    return [replace(records[0], values=values), records[1]], records
+
+
+def searched(records):
+    search = Search(batch_of(records), pb.Oscillator(MASS), ("cubic_stiffness",), 1)
+    search.run()
+    return search
+
+
+def largest_residual(search):
+    return np.abs(evidence.residuals_of(search.batch.waveform[0], search.fits[("cubic_stiffness",)], 0)).max()
+
+
+def test_a_few_wild_samples_are_found_and_the_records_mended(rng):
+    records, clean = with_drop_outs(rng)
+    search = searched(records)
+    assert largest_residual(search) > 6.0
+    found = drop_outs(search)
+    assert list(found.by_specimen) == ["specimen 1"] and found.events == 3
+    assert "one record (specimen 1) jumps 3 times off all motion" in found.sentence
+    mended = found.undisturbed(records)
+    assert mended[1] is records[1]
+    off = np.abs(mended[0].values - clean[0].values)
+    changed = {at + side for at, _ in WILD for side in range(-2, 6)}
+    assert not off[[k for k in range(TIME.size) if k not in changed]].any()
+    assert off.max() < 5.0 * NOISE  # what the noise was there
+    again = searched(mended)
+    assert evidence.leaves_noise(again.batch, again.fits[("cubic_stiffness",)]) and drop_outs(again) is None
+    assert largest_residual(again) < 5.0
+
+
+@pytest.mark.parametrize("what", ["noise", "often", "no set"])
+def test_nothing_is_mended_where_nothing_is_wild_or_something_comes_again(what, rng):
+    records, clean = with_drop_outs(rng, is_often=what == "often")
+    if what == "no set":  # what the others need is missing
+        search = Search(batch_of(records), pb.Oscillator(MASS), (), 1)
+        search.fit_set(())
+        assert drop_outs(search) is None
+    else:
+        assert drop_outs(searched(clean if what == "noise" else records)) is None
+
+
+def test_samples_of_an_acceleration_are_mended_where_they_are(rng):
+    time = np.arange(2400) / (60.0 * FREQUENCY)  # two samples a value
+    oscillator = pb.Oscillator(MASS)
+    exact = pb.simulate_waveform(oscillator, truth_of(()), time, AMPLITUDE, quantity="acceleration").values
+    noise = 3e-3 * np.abs(exact).max()
+    values = exact + noise * rng.standard_normal(time.size)
+    for at, height in ((700, 15.0), (1406, -20.0)):
+        values[at : at + 4] += height * noise * SHAPE
+    record = pb.Record("one", time, values, "acceleration", "m/s^2")
+    found = drop_outs(searched([record]))
+    assert found.events == 2
+    mended = found.undisturbed([record])[0].values
+    assert np.abs(mended[[700, 701, 1406, 1407]] - exact[[700, 701, 1406, 1407]]).max() < 1.5 * noise
+    assert np.count_nonzero(mended != values) <= 20
