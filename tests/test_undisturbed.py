@@ -21,6 +21,7 @@ def test_a_drift_is_asked_before_cycles_are_left_out_and_noise_is_weighed(is_dri
 
     for name in ("drifting_zero", "drop_outs", "sensor_filter", "earlier", "begun", "motion_noise", "disturbed"):
         monkeypatch.setattr(module, name, says(name))
+    monkeypatch.setattr(module.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
     monkeypatch.setattr(module.evidence, "leaves_noise", lambda _, found: left[found])
     monkeypatch.setattr(module, "_over_motion", lambda *_: 1e-3)
     search = SimpleNamespace(batch=None, fits={(): "base"}, best=tuple)
@@ -39,6 +40,7 @@ def test_of_velocities_and_accelerations_a_filter_is_asked_before_the_zero(monke
     asked = []
     for name in ("drifting_zero", "drop_outs", "sensor_filter", "earlier", "begun", "motion_noise", "disturbed"):
         monkeypatch.setattr(module, name, lambda *_, name=name: asked.append(name))
+    monkeypatch.setattr(module.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
     monkeypatch.setattr(module.evidence, "leaves_noise", lambda *_: False)
     search = SimpleNamespace(batch=None, fits={(): "base"}, best=tuple)
     records = [SimpleNamespace(quantity="acceleration"), SimpleNamespace(quantity="velocity")]
@@ -55,6 +57,7 @@ def test_sensors_are_straightened_beside_a_drift_where_less_noise_is_left(quiete
     monkeypatch.setattr(module, "disturbed", lambda _: bent)
     monkeypatch.setattr(module, "sentences", lambda found: [])
     left = {"base": 1.0, "drift": 1e-3, "straight": quieter * 1e-3}
+    monkeypatch.setattr(module.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
     monkeypatch.setattr(module.evidence, "leaves_noise", lambda _, found: found != "base")
     monkeypatch.setattr(module, "_over_motion", lambda _, found: left[found])
     search, straight = (SimpleNamespace(batch=None, fits={(): name}, best=tuple) for name in ("base", "straight"))
@@ -74,8 +77,8 @@ def test_a_low_pass_is_kept_where_more_is_explained_behind_it(helps, monkeypatch
     for name in ("drifting_zero", "drop_outs"):
         monkeypatch.setattr(module, name, lambda *_: None)
     monkeypatch.setattr(module, "sensor_filter", lambda _: behind)
+    monkeypatch.setattr(module.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
     monkeypatch.setattr(module.evidence, "leaves_noise", lambda _, found: found == "explained")
-    monkeypatch.setattr(module.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01))
     before = SimpleNamespace(batch=None, fits={(): "base"}, best=tuple)
     after = SimpleNamespace(batch=None, fits={(): "explained" if helps else "base"}, best=tuple)
     asked = []
@@ -105,6 +108,7 @@ def test_a_zero_that_drifts_is_the_answer_where_nothing_is_left_without_the_mid_
     asked = []
     for name in ("drop_outs", "sensor_filter", "earlier", "begun", "motion_noise", "disturbed"):
         monkeypatch.setattr(module, name, lambda *_, name=name: asked.append(name))
+    monkeypatch.setattr(module.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
     monkeypatch.setattr(module.evidence, "leaves_noise", lambda _, found: found == "explained")
     before = SimpleNamespace(batch=None, fits={(): "base"}, best=tuple)
     after = SimpleNamespace(batch=None, fits={(): "explained" if helps else "base"}, best=tuple)

@@ -23,6 +23,7 @@ from .readings import Disturbed, disturbed, sentences
 from .search import Search, Set
 from .sensor_filter import SensorFilter, sensor_filter
 
+_RARE = 0.05  # p-value of noise up to which a few samples are looked at
 _PASSES = 2  # times that bent sensors and lines are looked for
 _QUIETER = 0.8  # of the noise that a drift leaves over the motion, up to which straightened records explain more
 _LESS = 0.5  # of what the best set left, where first cycles are left out or the release is another
@@ -87,7 +88,7 @@ def undisturbed(
     """Return the question and search of records without what disturbs them; as they were where nothing does.
 
     A zero that drifts is looked for where no set leaves noise: what does without the mid-line is the answer. Samples
-    that are off all motion are put where the best set has them, where it explains the others. A filter
+    that are off all motion are put where the best set has them, where it explains the others and not all. A filter
     in front of the records, through which the simulation is sent, is looked for then (of velocities and accelerations
     before, as what couples these to alternating current moves the mid-line, too), and once more without first cycles.
     Specimens are released earlier, or else first cycles left out, where a set of effects leaves noise then, or half of
@@ -143,8 +144,8 @@ def undisturbed(
 def _without_drop_outs(
     asked: _Asked, known: Undisturbed, records: Sequence[Record]
 ) -> tuple[Undisturbed, Sequence[Record], tuple[str, ...]]:
-    """Return question, records and what is said of these, without samples off all motion where no set leaves noise."""
-    if _is_exact(known.search) or (wild := drop_outs(known.search)) is None:
+    """Return question, records and what is said: without samples off all motion, where what is left is no usual noise."""
+    if _left(known.search).p_value > _RARE or (wild := drop_outs(known.search)) is None:
         return known, records, ()
     records, said = wild.undisturbed(records), (wild.sentence,)
     return asked.of(records, said), records, said
