@@ -144,7 +144,7 @@ def undisturbed(
 def _without_drop_outs(
     asked: _Asked, known: Undisturbed, records: Sequence[Record]
 ) -> tuple[Undisturbed, Sequence[Record], tuple[str, ...]]:
-    """Return question, records and what is said: without samples off all motion, where what is left is no usual noise."""
+    """Return question, records and what is said: without samples off all motion, where what is left is no noise."""
     if _left(known.search).p_value > _RARE or (wild := drop_outs(known.search)) is None:
         return known, records, ()
     records, said = wild.undisturbed(records), (wild.sentence,)
