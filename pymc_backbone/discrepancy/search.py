@@ -27,6 +27,8 @@ _CLEARLY = 5.0  # logarithm of evidence by which wider scatter must be likelier
 _MOST_EXTENDED = 4
 _COSTLY_SETTLED, _COSTLY_REACH = 4, 3.0  # costly sets that are asked although what is simple leaves noise, their reach
 _SURELY = 0.5  # share of the tolerance within which further effects would not change the answer
+_OF_TWO_SIDES = "asymmetry"  # mechanism
+_WITH_SIDES = 3  # single effects that are asked beside one of these where no mid-line is measured
 _NEAR = 1.5  # reduced chi-square of a fit to the samples from which its backbones were judged wrongly
 
 
@@ -92,6 +94,14 @@ class Search(FollowedSets):
             if self._is_explained():
                 return
             self.progress("single effects", 0.5)
+            fit_side_by_side(self, few)
+        if not self._lacks_mid_line or self.max_effects < 2:
+            return
+        # what differs between the two sides is in the samples, whatever else is missing
+        sides = [name for name in self.candidates if self.mechanism_of(name) == _OF_TWO_SIDES]
+        with_side = {tuple(sorted({*names, side})) for names in self.ranked(1)[:_WITH_SIDES] for side in sides}
+        pairs = sorted(names for names in with_side if len(names) == 2 and not self._is_costly(names))
+        for few in batched(pairs, ABREAST):
             fit_side_by_side(self, few)
 
     @property

@@ -92,11 +92,11 @@ def undisturbed(
     in front of the records, through which the simulation is sent, is looked for then (of velocities and accelerations
     before, as what couples these to alternating current moves the mid-line, too), and once more without first cycles.
     Specimens are released earlier, or else first cycles left out, where a set of effects leaves noise then, or half of
-    what was left at most. Where the noise grows with the motion, samples count by the noise that they have. A bent
-    sensor and another mode's line are taken out where a set leaves noise then; what was found with the noise of
-    disturbed records is found again without it. Where a set leaves noise with a drift in time beside it, which is
-    likelier, no cycle is left out, and sensors are straightened only where clearly less noise is left then: an estimate
-    of the noise that holds the disturbance hides it.
+    what was left at most. Where the noise grows with the motion, samples count by the noise that they have, if a set
+    leaves nothing else then. A bent sensor and another mode's line are taken out where a set leaves noise then; what
+    was found with the noise of disturbed records is found again without it. Where a set leaves noise with a drift in
+    time beside it, which is likelier, no cycle is left out, and sensors are straightened only where clearly less noise
+    is left then: an estimate of the noise that holds the disturbance hides it.
     """
     known = Undisturbed(question, search)
     is_of_rates = bool(records) and all(record.quantity != "displacement" for record in records)
@@ -126,11 +126,8 @@ def undisturbed(
             known = tried
         if (behind := _filtered(asked, again, records, said)) is not None:
             said, known, again = (*said, behind.said), behind.found, behind.found.search
-    asked.noise = None if known.is_drifting else motion_noise(again)
-    if asked.noise is not None:
-        said = (*said, asked.noise.sentence)
-        known = asked.of(records, said)
-        again = known.search
+    if not known.is_drifting and (weighed := _weighed(asked, again, records, said)) is not None:
+        said, known, again = (*said, weighed.said), weighed.found, weighed.found.search
     if (first is not None or asked.release is not None) and _is_exact(again):
         return known
     known = _with_drifts(known, drifting)
@@ -159,14 +156,14 @@ def _steadied(known: Undisturbed, measuring: Measuring, searched: Callable[[Ques
     return tried if _is_exact(tried.search) else None
 
 
-class _Filtered(NamedTuple):
-    """What is said of a filter, and the question behind it."""
+class _Found(NamedTuple):
+    """What is said of a disturbance, and the question without it."""
 
     said: str
     found: Undisturbed
 
 
-def _filtered(asked: _Asked, again: Search, records: Sequence[Record], said: Sequence[str]) -> _Filtered | None:
+def _filtered(asked: _Asked, again: Search, records: Sequence[Record], said: Sequence[str]) -> _Found | None:
     """Return the question with a filter in front of the records, where it is clearly better then."""
     if asked.sensor_filter is not None or (found := sensor_filter(again)) is None:
         return None
@@ -174,8 +171,23 @@ def _filtered(asked: _Asked, again: Search, records: Sequence[Record], said: Seq
     sentence = found.sentence(again.batch)
     tried = asked.of(records, (*said, sentence))
     if _is_better(tried.search, again):
-        return _Filtered(sentence, tried)
+        return _Found(sentence, tried)
     asked.sensor_filter = None
+    return None
+
+
+def _weighed(asked: _Asked, again: Search, records: Sequence[Record], said: Sequence[str]) -> _Found | None:
+    """Return the question of samples that count by the noise that they have, where a set leaves nothing else then.
+
+    What a law lacks grows with the motion, too, and beyond the harmonics that are looked at it passes for noise.
+    """
+    if (found := motion_noise(again)) is None:
+        return None
+    asked.noise = found
+    tried = asked.of(records, (*said, found.sentence))
+    if _is_exact(tried.search):
+        return _Found(found.sentence, tried)
+    asked.noise = None
     return None
 
 
