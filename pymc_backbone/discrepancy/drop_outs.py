@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .._common.checks import BoolArray, FloatArray
+from .._common.checks import BoolArray, FloatArray, IntArray
 from ..measurement.reading.record import Record
 from . import evidence
 from .search import Search
@@ -48,7 +48,7 @@ class DropOuts:
 
     def _mended(self, record: Record) -> Record:
         time, off = self.by_specimen[record.specimen]
-        nearest = np.abs(record.time[:, None] - time[None, :]).argmin(axis=1)
+        nearest = _nearest(record.time, time)
         is_wild = np.abs(record.time - time[nearest]) <= 0.5 * self.step[record.specimen] * (1.0 + 1e-6)
         return replace(record, values=np.where(is_wild, record.values - off[nearest], record.values))
 
@@ -82,12 +82,19 @@ def drop_outs(search: Search) -> DropOuts | None:
         if not count:
             continue
         plain = evidence.residuals_of(replace(term, whiten=lambda columns: columns, shown=None), best, r)
-        instants, time = term.standardised(term.time), term.compared(term.time)
+        instants, time = term.standardised(term.time)[wild], term.compared(term.time)
         step = float(np.median(np.diff(time)))
-        near = np.abs(time[:, None] - instants[wild][None, :]).min(axis=1) <= (0.5 * term.averaged + 1e-6) * step
+        near = np.abs(time - instants[_nearest(time, instants)]) <= (0.5 * term.averaged + 1e-6) * step
         found[name], steps[name] = (time[near], plain[near]), step
         events += count
     return DropOuts(found, steps, events) if events else None
+
+
+def _nearest(time: FloatArray, places: FloatArray) -> IntArray:
+    """Return which of ascending places (k,) is nearest to each instant (n,)."""
+    after = np.clip(np.searchsorted(places, time), 1, places.size - 1) if places.size > 1 else np.zeros_like(time, int)
+    before = np.maximum(after - 1, 0)
+    return np.where(np.abs(time - places[before]) <= np.abs(time - places[after]), before, after)
 
 
 def _wild(left: FloatArray) -> tuple[BoolArray, int]:

@@ -23,10 +23,8 @@ from .search import Search
 
 _GAIN = 20.0  # of the log-likelihood of all records, from which the noise is said to grow
 _ALIKE = 0.1  # correlation of neighbouring samples up to which what is beside the harmonics is noise
-_HIGHEST, _IN_LINES = (
-    0.1,
-    0.5,
-)  # share of the bins, and of the power in them from which it stands in lines: noise has 0.33
+_HIGHEST = 0.1  # share of the bins that are highest
+_IN_LINES = 0.5  # of the power in these, from which it stands in lines: noise has 0.33
 _DECADES = (-2.0, 3.0)  # of the noise that moves with the motion, over that at rest
 
 

@@ -168,10 +168,8 @@ def beside_jumps(term: WaveformTerm, later: float = 0.0) -> WaveformTerm:
         return term
     turning = jumps.turning + later
     after = np.searchsorted(turning, jumps.instants)
-    nearest = np.min(
-        [np.abs(jumps.instants - turning[np.clip(after + k, 0, turning.size - 1)]) for k in (-1, 0)], axis=0
-    )
-    kept = np.flatnonzero(nearest > jumps.reach)
+    before, next_one = (np.abs(jumps.instants - turning[np.clip(after + k, 0, turning.size - 1)]) for k in (-1, 0))
+    kept = np.flatnonzero(np.minimum(before, next_one) > jumps.reach)
 
     def whiten(columns: FloatArray) -> FloatArray:
         return jumps.whiten(columns)[kept]
