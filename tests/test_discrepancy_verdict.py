@@ -160,6 +160,24 @@ def test_what_falls_by_little_and_then_rises_by_much_is_said_to_rise(rng):
     assert "damping rises by" in study.reasons[0] and "lower" not in study.reasons[0]
 
 
+@pytest.mark.parametrize("quantity", ["displacement", "acceleration"])
+def test_of_a_mid_line_that_is_not_measured_no_damping_is_told(quantity, rng):
+    """A spring of two sides changes the decrement by its mid-line, which an acceleration does not show."""
+    oscillator = pb.Oscillator(MASS) + "quadratic_stiffness"
+    truth = {
+        "linear_stiffness": STIFFNESS,
+        "viscous_damping": DAMPING,
+        "quadratic_stiffness": 0.3 * STIFFNESS / AMPLITUDE,
+    }
+    exact = pb.simulate_waveform(oscillator, truth, TIME, AMPLITUDE, quantity=quantity).values
+    noise = 1e-3 * np.abs(exact).max() * rng.standard_normal(TIME.size)
+    batch = batch_of([pb.Record("one", TIME, exact + noise, quantity, "m" if quantity == "displacement" else "m/s^2")])
+    search = Search(batch, LINEAR, ("quadratic_stiffness",), 1)
+    found = search.fit_set(("quadratic_stiffness",))
+    (reason,) = words.reasons(batch, found, ("quadratic_stiffness",))
+    assert "frequency falls" in reason and ("damping" in reason) == (quantity == "displacement")
+
+
 def test_laws_that_are_needed_together_are_no_alternatives():
     laws = tuple(
         LawProbability(name, chance) for name, chance in (("bouc_wen", 0.999), ("iwan", 0.97), ("jenkins", 0.1))

@@ -27,12 +27,17 @@ def reasons(batch: Batch, found: Fit, names: Set, scatter: ScatterOfEffects | No
 
     What the library says an effect does is told where nothing stands out at single levels. Elsewhere it could
     contradict what was measured (a second effect in the set, or another amplitude), so only what the effect is is told.
+    What differs between the two sides changes the damping by the mid-line alone: nothing is told of that where the
+    mid-line is not measured.
     """
     sentences = []
     brought = on_levels(batch, found)
     summaries = {effect.name: effect.summary for effect in found.layout.oscillator.effects}
+    sides = {effect.name for effect in found.layout.oscillator.effects if effect.mechanism == "asymmetry"}
+    has_mid_line = all(record.offset_is_measured for record in batch.records)
     for name in names:
-        parts = [sentence for sentence in (_power_law(batch, brought, name, row) for row in (0, 1, 2)) if sentence]
+        rows = (0, 2) if name in sides and not has_mid_line else (0, 1, 2)
+        parts = [sentence for sentence in (_power_law(batch, brought, name, row) for row in rows) if sentence]
         unseen = "the waveforms show it" if batch.has_records else "all levels together show it"
         text = "; ".join(parts) if parts else f"too small to be seen at single levels; {unseen}"
         sentences.append(f"{capitalised(in_words(name))}: {text}.{_said_by_the_library(summaries[name], bool(parts))}")
