@@ -21,7 +21,7 @@ from pymc_backbone.discrepancy.decision import Decision
 from pymc_backbone.discrepancy.evidence import Evidence
 from pymc_backbone.discrepancy.question import TOLERANCE
 from pymc_backbone.discrepancy.search import Search
-from pymc_backbone.discrepancy.study import LawProbability, MissingMechanism
+from pymc_backbone.discrepancy.study import LawProbability, MissingMechanism, ScatterOfEffects
 from pymc_backbone.discrepancy.verdict import AdequateBy, NamedLevel, Status, Verdict
 from pymc_backbone.effects import BASE_EFFECTS, LIBRARY
 from pymc_backbone.simulation.backbones import simulate_population
@@ -176,6 +176,14 @@ def test_of_a_mid_line_that_is_not_measured_no_damping_is_told(quantity, rng):
     found = search.fit_set(("quadratic_stiffness",))
     (reason,) = words.reasons(batch, found, ("quadratic_stiffness",))
     assert "frequency falls" in reason and ("damping" in reason) == (quantity == "displacement")
+
+
+def test_a_scatter_that_is_not_seen_is_told_by_its_bound():
+    seen, unseen = ScatterOfEffects(0.06, 0.04, 0.1), ScatterOfEffects(0.013, 0.0105, 0.027)
+    assert words.scatter_sentence(seen, 1).endswith("by 6 % of their value (standard deviation; 4 to 10 % with 90 %).")
+    assert words.scatter_sentence(unseen, 2) == (
+        "Their parameters differ between specimens by 2.7 % of their value at most (standard deviation, with 95 %)."
+    )
 
 
 def test_laws_that_are_needed_together_are_no_alternatives():

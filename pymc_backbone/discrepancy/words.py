@@ -14,11 +14,13 @@ from .estimates import without
 from .evidence import DETECTED
 from .joint_fit import Fit, parameters_of
 from .normal_equations import State
+from .scatter import NARROWEST
 from .search import Search, Set
 from .study import Detectable, ScatterOfEffects
 from .verdict_words import is_drift_possible, named
 
 _VANISHING = 0.3  # power of the amplitude below which a departure does not vanish with it
+_AT_BOUND = 1.2  # times the narrowest scatter, up to which it is none that is seen
 _SEPARATED = 5.0  # logarithm of the odds that decides
 
 
@@ -57,6 +59,8 @@ def scatter_sentence(scatter: ScatterOfEffects, effects: int) -> str:
     """Say how much effects differ between specimens; where records say little, what the prior allows is the answer."""
     whose = "Its parameters differ" if effects == 1 else "Their parameters differ"
     low, middle, high = (f"{100.0 * share:.2g}" for share in (scatter.low, scatter.median, scatter.high))
+    if scatter.low < _AT_BOUND * NARROWEST:  # what is smaller was not looked for
+        return f"{whose} between specimens by {high} % of their value at most (standard deviation, with 95 %)."
     return f"{whose} between specimens by {middle} % of their value (standard deviation; {low} to {high} % with 90 %)."
 
 
