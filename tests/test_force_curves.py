@@ -432,7 +432,7 @@ SPRING_TOO = MissingMechanism("spring", 0.6, 0.3, (), ())
 def test_curves_stand_beside_what_is_certain(monkeypatch, verdict, level, is_approximate, best, mechanisms, beside):
     kinds = {"quadratic_damping": "drag", "cubic_stiffness": "spring"}
     decision = SimpleNamespace(
-        verdict=verdict, named_level=level, is_approximate=is_approximate, best=best, mechanisms=mechanisms,
+        verdict=verdict, named_level=level, is_approximate=is_approximate, model=best, mechanisms=mechanisms,
         on_backbones=None,
     )  # fmt: skip
     outcome = SimpleNamespace(

@@ -28,6 +28,17 @@ def test_hum_is_taken_out_and_told(mains, rng):
     assert np.std(left - DECAY - noise) < 3.0 * 2e-3 * np.sqrt(4.0 / (0.25 * TIME.size))
 
 
+def test_hum_is_taken_out_of_a_record_with_many_samples(rng):
+    rate = 20000.0
+    time = np.arange(160000) / rate
+    motion = np.exp(-0.5 * time) * np.cos(2.0 * np.pi * FREQUENCY * time)
+    lines = 0.01 * np.cos(2.0 * np.pi * 50.02 * time + 0.4) + 0.004 * np.cos(2.0 * np.pi * 350.14 * time)
+    left, found = without_hum(motion + lines + 1e-3 * rng.standard_normal(time.size), rate, FREQUENCY)
+    assert found.frequencies == pytest.approx([50.02, 350.14], abs=0.01)
+    smooth = (left - motion).reshape(-1, 20).mean(axis=1)
+    assert np.std(smooth) == pytest.approx(1e-3 / np.sqrt(20.0), rel=0.1)
+
+
 def test_a_record_says_that_hum_was_taken_out(rng):
     values = 1e-3 * (DECAY + hum(50.0)) + 1e-6 * rng.standard_normal(TIME.size)
     conditioned = pb.condition(pb.Record("beam", TIME, values, "displacement", "m"))

@@ -17,6 +17,7 @@ _OFF = 4e-3  # of its frequency, by which the mains may be off
 _MOST = 8  # multiples that are looked at
 _FIRST = 3  # one of so many multiples has to be there
 _HIGHEST = 0.4  # of the sampling rate
+_ENOUGH = 2400.0  # samples per second [Hz] that show all of these
 _APART = 5.0  # bins between a line and a harmonic of the motion
 _SWEPT = 0.01  # of the frequency of a harmonic, by which the motion may be off it
 _HARMONICS = 6
@@ -69,22 +70,29 @@ def without_hum(values: FloatArray, rate: float, frequency: float) -> tuple[Floa
     """
     if rate * _HIGHEST < min(MAINS):
         return values, None
-    size = next_fast_len(_FINER * values.size, real=True)
-    power = np.abs(rfft(np.hanning(values.size) * values, size)) ** 2
+    together = max(int(rate / _ENOUGH), 1)  # samples that are averaged: the lines are low, records may be long
+    coarse = values[: values.size // together * together].reshape(-1, together).mean(axis=1)
+    coarse_rate = rate / together
+    size = next_fast_len(_FINER * coarse.size, real=True)
+    power = np.abs(rfft(np.hanning(coarse.size) * coarse, size)) ** 2
     found: list[tuple[float, complex]] = []
     for mains in MAINS:
-        places = [k * mains for k in range(1, _MOST + 1) if k * mains < _HIGHEST * rate]
-        lines = [(k, _line(values, rate, power, place, frequency)) for k, place in enumerate(places, start=1)]
+        places = [k * mains for k in range(1, _MOST + 1) if k * mains < _HIGHEST * coarse_rate]
+        lines = [(k, _line(coarse, coarse_rate, power, place, frequency)) for k, place in enumerate(places, start=1)]
         seen = [(k, line) for k, line in lines if line is not None]
         if seen and seen[0][0] <= _FIRST and len(seen) > len(found):
             found = [line for _, line in seen]
     if not found:
         return values, None
-    time = np.arange(values.size) / rate
-    hum = np.sum([np.real(height * np.exp(2j * np.pi * place * time)) for place, height in found], axis=0)
+    left, time, total = values.copy(), np.arange(values.size) / rate, 0.0
+    for place, height in found:
+        angle = np.pi * place / rate
+        amplitude = abs(height) * together * np.sin(angle) / np.sin(together * angle)  # the mean takes from it
+        phase = float(np.angle(height)) - (together - 1) * angle  # whose first value lies between samples
+        left -= amplitude * np.cos(2.0 * np.pi * place * time + phase)
+        total += amplitude**2
     largest = float(np.abs(values - np.median(values)).max())
-    share = float(np.sqrt(sum(abs(height) ** 2 for _, height in found))) / largest
-    return values - hum, Hum(tuple(place for place, _ in found), share)
+    return left, Hum(tuple(place for place, _ in found), float(np.sqrt(total)) / largest)
 
 
 def _line(
