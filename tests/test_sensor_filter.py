@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.signal import butter, freqs, sosfilt
 
 import pymc_backbone as pb
-from pymc_backbone.discrepancy import evidence, rivals
+from pymc_backbone.discrepancy import evidence, rivals, workflow
 from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.discrepancy.sensor_filter import SensorFilter, _Chain, sensor_filter
 
@@ -132,3 +134,17 @@ def test_a_filter_is_found_and_the_law_behind_it(rng):
 def test_no_filter_is_made_up(rng, line):
     """Neither for records that a law explains nor for the line of another mode beside the harmonics."""
     assert sensor_filter(searched(measured(rng, line=line))) is None
+
+
+@pytest.mark.parametrize(
+    ("is_cut", "explains", "behind", "quick"), [(True, True, True, False), (True, False, False, True)]
+)
+def test_what_a_search_notes(is_cut, explains, behind, quick):
+    """Backbones of filtered records are not sampled; a search that was cut says so where nothing explains the end."""
+    search = SimpleNamespace(
+        is_cut=is_cut, fits={(): "base"}, best=tuple, explains=lambda _: explains,
+        batch=SimpleNamespace(is_behind_filter=behind),
+    )  # fmt: skip
+    said = " ".join(workflow._search_notes(search, quick=quick))
+    assert ("nothing came near the noise" in said) == (is_cut and not explains)
+    assert ("nothing was sampled" in said) == (behind and not quick)

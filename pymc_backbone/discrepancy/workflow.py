@@ -194,7 +194,9 @@ def find_missing_effect(
         most = MOST_HELD_OUT if held_out is None else int(held_out)
         verification = verify(outcome.judged, outcome.base, outcome.extended, most, seed, say)
         curves = _curves(question, outcome, verification, most, seed, quick, say)
-        sampling = None if quick else Sampling(draws, tune, chains, step, seed)
+        # what is sampled are backbones: of filtered records they are not those of the motion
+        is_sampled = not (quick or question.batch.is_behind_filter)
+        sampling = Sampling(draws, tune, chains, step, seed) if is_sampled else None
         if sampling is not None:
             say("sampling", 0.0)
         inference = infer(outcome.judged, outcome.model, sampling, progress)
@@ -330,7 +332,7 @@ def _study(
         findings=inference.findings,
         convergence=inference.convergence,
         settings={**asked, "likelihood": "pooled", "fixed": inference.held, "sampling_seed": seed, **drawn},
-        notes=(*question.notes, *_search_notes(search)),
+        notes=(*question.notes, *_search_notes(search, quick=bool(asked["quick"]))),
         seconds=time.perf_counter() - started,
         seed=seed,
         present=present_design(batch),
@@ -383,9 +385,15 @@ def _advice(question: Question, outcome: Outcome, plan: Plan | None) -> tuple[st
     return (*drift, *plan_words.sentences(plan, present, unit))
 
 
-def _search_notes(search: Search) -> list[str]:
-    said = "the search ended before all sets that the backbones propose were tried: nothing came near the noise"
-    return [said] if search.is_cut else []
+def _search_notes(search: Search, *, quick: bool) -> list[str]:
+    said = []
+    if search.is_cut and not search.explains(search.fits[search.best()]):
+        said.append(
+            "the search ended before all sets that the backbones propose were tried: nothing came near the noise"
+        )
+    if search.batch.is_behind_filter and not quick:
+        said.append("nothing was sampled: backbones of filtered records are off, parameters are those of the samples")
+    return said
 
 
 __all__ = ["find_missing_effect"]
