@@ -202,7 +202,7 @@ def test_a_named_effect_comes_with_its_scatter_and_what_the_evidence_rests_on(cu
     # two specimens with the same spring: little is known of a scatter but that it is not large
     assert 0.01 <= scatter.low < scatter.median < scatter.high <= 0.5 and scatter.median < 0.1
     assert cubic_study.reasons[-1].startswith("Its parameters differ between specimens by")
-    assert f"to {100.0 * scatter.high:.2g} % with 90 %" in cubic_study.reasons[-1]
+    assert f"by {100.0 * scatter.high:.2g} % of their value at most" in cubic_study.reasons[-1]
     assert cubic_study.reasons[-1] in describe_study(cubic_study)
     basis = cubic_study.evidence_basis
     asked = [item for item in cubic_study.candidates if np.isfinite(item.evidence_shift)]
