@@ -186,6 +186,16 @@ def test_a_scatter_that_is_not_seen_is_told_by_its_bound():
     )
 
 
+@pytest.mark.parametrize(("exponent", "mechanism"), [(0.2, "hysteresis"), (1.8, "drag")])
+def test_a_power_of_the_speed_below_one_is_friction(exponent, mechanism):
+    search = Search(batch_of(make_records(np.random.default_rng(5), ())), LINEAR, ("power_damping",), 1)
+    assert search.mechanism_of("power_damping") == "drag"  # as long as nothing is known
+    held = {"power_damping_exponent": exponent}
+    search.fits[("power_damping",)] = SimpleNamespace(cost=1.0, value_of=held.get)
+    assert search.mechanism_of("power_damping") == mechanism
+    assert search.mechanism_of("quadratic_damping") == "drag"
+
+
 def test_laws_that_are_needed_together_are_no_alternatives():
     laws = tuple(
         LawProbability(name, chance) for name, chance in (("bouc_wen", 0.999), ("iwan", 0.97), ("jenkins", 0.1))

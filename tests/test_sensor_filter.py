@@ -10,8 +10,9 @@ from scipy.signal import butter, freqs, sosfilt
 
 import pymc_backbone as pb
 from pymc_backbone.discrepancy import evidence, rivals, workflow
+from pymc_backbone.discrepancy.filter_search import sensor_filter
 from pymc_backbone.discrepancy.search import Search
-from pymc_backbone.discrepancy.sensor_filter import SensorFilter, _Chain, sensor_filter
+from pymc_backbone.discrepancy.sensor_filter import Chain, SensorFilter
 
 from .discrepancy_cases import AMPLITUDE, FREQUENCY, MASS, TIME, batch_of, decaying_sinusoid, make_records, noisy
 
@@ -106,7 +107,7 @@ def test_where_nothing_has_harmonics_the_release_shows_a_high_pass(rng):
 def test_the_fundamental_passes_and_a_harmonic_is_turned(order):
     filtered = SensorFilter(order, 3.5 * FREQUENCY)
     time = np.arange(4000) / (40.0 * FREQUENCY)
-    chain = _Chain(filtered, FREQUENCY, float(time[1]), time.size)
+    chain = Chain(filtered, FREQUENCY, float(time[1]), time.size)
     waves = np.exp(2j * np.pi * FREQUENCY * np.array([1.0, 3.0]) * time[:, None])
     passed = chain(waves.real) + 1j * chain(waves.imag)
     inner = slice(chain.before + 200, -chain.ahead - 200)

@@ -15,13 +15,14 @@ from .drifting_zero import drifting_zero
 from .drop_outs import drop_outs
 from .earlier_release import Earlier, earlier
 from .evidence import Drifting
+from .filter_search import sensor_filter
 from .first_cycles import begun
 from .joint_fit import Fit
 from .motion_noise import MotionNoise, motion_noise
 from .question import Question
 from .readings import Disturbed, disturbed, sentences
 from .search import Search, Set
-from .sensor_filter import SensorFilter, sensor_filter
+from .sensor_filter import SensorFilter
 
 _RARE = 0.05  # p-value of noise up to which a few samples are looked at
 _PASSES = 2  # times that bent sensors and lines are looked for

@@ -1,0 +1,261 @@
+"""Which filter stands in front of the records: behind which a set explains what none does without, or a smaller one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from .._common.checks import FloatArray
+from . import evidence
+from .batch import Batch
+from .data_term import WaveformTerm
+from .descent import is_heavy
+from .joint_fit import Fit, fit
+from .normal_equations import derivatives
+from .search import Search
+from .sensor_filter import GIBBS, Chain, SensorFilter, first_values, with_past
+from .whitening import with_slow_noise
+
+_ORDERS = (1, 2, 3, 4, 6, 8)
+_CUTS = (1.6, 9.0)  # cut-offs of low-passes that are looked at, over the frequency of the mode
+_COUPLED = (0.02, 0.045, 0.1, 0.2, 0.4)  # those of high-passes behind which sets are fitted at first ...
+_NEARER = (1.4, 1.18, 1.08, 1.03)  # ... and ratios to the best of them of those that are tried then
+_LOOKS = 20
+_FINER = (
+    (1.25, 9),
+    (1.06, 7),
+    (1.015, 5),
+)  # ratio and number of cut-offs around the best, once the set is fitted with it
+_FEWEST_CYCLES = 8  # of a record, that a look needs
+_MASKED = (3.0, 0.5)  # cycles at the beginning and the end that a look leaves out
+_PRICE = 16.0  # chi-square that order and cut-off must be worth
+_ASKED = 3  # likeliest sets that are asked where none leaves noise, and what is in them
+_EACH = 4.0  # chi-square that each parameter of a set must be worth
+_FITTED = 2  # sets that are fitted behind a filter, those of which a look promises most
+_NEAR, _LEFT = (
+    3.0,
+    0.3,
+)  # chi-square over the number of samples, and share of what was left, that a filter leaves at most
+_BY_HARMONICS = 0.3  # of what a high-pass explains, that its past alone leaves at least where harmonics show it
+_LESS = 0.7  # of what is left where records only begin as behind a high-pass, that is left behind it at most
+_ITERATIONS = 12
+
+
+def sensor_filter(search: Search) -> SensorFilter | None:
+    """Return the filter behind which a set of effects explains the records; None where there is none.
+
+    Looked for where the most probable set does not leave noise, with the likeliest and what is in these; else with the
+    sets that lack one of its effects, which then have to explain the samples better than it does (behind a high-pass
+    those of velocities and accelerations only). None where records are compared through a band-pass, which leaves no
+    harmonics.
+    """
+    batch, best = search.batch, search.best()
+    if not batch.has_open_records or batch.is_behind_filter:
+        return None
+    if min(term.cycles for term in batch.waveform) < _FEWEST_CYCLES:
+        return None
+    best_cost, is_exact = search.fits[best].cost, evidence.leaves_noise(batch, search.fits[best])
+    likeliest = [best] if is_exact else search.ranked()[:_ASKED]
+    asked = [] if is_exact else [names for names in likeliest if names]
+    asked += [part for names in likeliest if len(names) > 1 for part in combinations(names, len(names) - 1)]
+    frequency = float(np.median([record.frequency for record in batch.records]))
+    starts = [start for names in dict.fromkeys(asked) if (start := search.fit_set(names)) is not None]
+    found = _low_passes(batch, starts, frequency)
+    if not is_exact or (best and all(term.order for term in batch.waveform)):
+        fast = [start for start in starts if not is_heavy(start.layout)]
+        found += _high_passes(batch, search.fits[()], fast, frequency)
+    # a filter's past is fitted, too: first cycles that it left are explained
+    kept = [item for item in found if item.cost < best_cost - _PRICE]
+    noise = float(search.count)
+    nearly = min(_NEAR * noise, noise + _LEFT * (best_cost - noise))
+    kept = [item for item in kept if item.is_exact or (not is_exact and item.cost < nearly)]
+    return min(kept, key=lambda item: item.cost + item.price).filter if kept else None
+
+
+def _low_passes(batch: Batch, starts: Sequence[Fit], frequency: float) -> list[_Behind]:
+    """Return sets behind the low-passes that suit them, those of which a look promises most."""
+    filters = [SensorFilter(order, float(cut)) for order in _ORDERS for cut in np.geomspace(*_CUTS, _LOOKS) * frequency]
+    promised = []
+    for start in starts:
+        looked = _look(batch, batch, start, filters)
+        if looked is not None and looked.gain > _PRICE:
+            promised.append((looked.cost + _EACH * start.layout.free.size, start, looked.best))
+    promised.sort(key=lambda item: item[0])
+    found = [_behind(batch, start, first) for _, start, first in promised[:_FITTED]]
+    return [item for item in found if item is not None]
+
+
+def _high_passes(batch: Batch, base: Fit, starts: Sequence[Fit], frequency: float) -> list[_Behind]:
+    """Return sets behind the high-passes that suit them, of one pole where that leaves noise, else of two.
+
+    What tells one is mostly the slow decay after the jump at the release, and no look from fits without it: so the base
+    and the sets that leave least are fitted behind some, each begun where the one before ended, and further where less
+    is left. Decays of one pole and of two are much alike: where the release alone shows a filter, both are tried.
+    """
+    begun = [base, *sorted(starts, key=lambda start: start.cost)[:_FITTED]]
+    found: list[_Behind] = []
+    for order in (1, 2):
+        for start in list(begun):
+            best = _high_pass(batch, start, [SensorFilter(order, cut * frequency, "high-pass") for cut in _COUPLED])
+            if best is None:
+                begun.remove(start)
+                continue
+            found.append(_behind_it(batch, *best))
+            if found[-1].is_exact and start is base:
+                begun = [base]  # nothing else is needed
+                break
+        if any(item.is_exact and not item.filter.shows_at_release for item in found):
+            break
+    return found
+
+
+def _high_pass(batch: Batch, start: Fit, filters: Sequence[SensorFilter]) -> tuple[SensorFilter, Fit] | None:
+    """Return the high-pass that suits a set best, and the set behind it; None where it leaves little less.
+
+    A motion without harmonics shows it at the release alone, where records begin with what it has of the past: it then
+    has to leave noise where the set without it does not, nor free first values do.
+    """
+
+    def fitted(chosen: SensorFilter, known: Fit) -> list[tuple[SensorFilter, Fit]]:
+        terms = chosen.passed(batch).waveform
+        solved = fit(known.layout, terms, known.state, iterations=_ITERATIONS, nuisances=batch.nuisances)
+        return [] if solved is None else [(chosen, solved)]
+
+    def cost(item: tuple[SensorFilter, Fit]) -> float:
+        return item[1].cost
+
+    tried = [(filters[0], start)]
+    for chosen in filters:
+        tried += fitted(chosen, tried[-1][1])
+    best = min(tried[1:], key=cost, default=None)
+    if best is None:
+        return None
+    past = _left_by(start, batch, [with_past(term, best[0]) for term in batch.waveform])
+    is_exact = best[1].cost < start.cost - _PRICE and _is_exact(batch, best)
+    if not is_exact and not best[1].cost < _LESS * past - _PRICE:
+        return None
+    shows_at_release = past - best[1].cost < _BY_HARMONICS * (start.cost - best[1].cost)
+    if shows_at_release and not best[1].cost < _left_by(start, batch, _free_at_first(batch)) - _PRICE:
+        return None
+    for ratio in _NEARER:
+        at, found = best
+        best = min(
+            [best, *(item for by in (ratio, 1.0 / ratio) for item in fitted(replace(at, cut=by * at.cut), found))],
+            key=cost,
+        )
+    return replace(best[0], shows_at_release=shows_at_release), best[1]
+
+
+def _is_exact(batch: Batch, behind: tuple[SensorFilter, Fit]) -> bool:
+    """Return whether a set leaves noise behind a filter."""
+    chosen, found = behind
+    return evidence.leaves_noise(chosen.passed(batch), found)
+
+
+def _left_by(start: Fit, batch: Batch, terms: Sequence[WaveformTerm]) -> float:
+    """Return the cost of a set with records that may begin otherwise and go through no filter."""
+    solved = fit(start.layout, tuple(terms), start.state, iterations=_ITERATIONS, nuisances=batch.nuisances)
+    return np.inf if solved is None else solved.cost
+
+
+def _free_at_first(batch: Batch) -> list[WaveformTerm]:
+    """Return the terms of records whose first values say nothing."""
+    return [
+        replace(term, whiten=with_slow_noise(term.whiten, term.compared(first_values(term)))) for term in batch.waveform
+    ]
+
+
+@dataclass(frozen=True)
+class _Behind:
+    """A set behind the filter that suits it best: its cost, what its parameters must be worth, if it leaves noise."""
+
+    cost: float
+    price: float
+    is_exact: bool
+    filter: SensorFilter
+
+
+def _behind(batch: Batch, start: Fit, first: SensorFilter) -> _Behind | None:
+    """Return a set behind the filter that suits it best, looked for from the first on; None where it does not fit."""
+    best, behind, found = first, batch, start
+    for ratio, count in ((1.0, 1), *_FINER):
+        if count > 1:
+            cuts = np.geomspace(best.cut / ratio, best.cut * ratio, count)
+            looked = _look(batch, behind, found, [replace(best, cut=float(cut)) for cut in cuts])
+            if looked is None:
+                return None
+            best = looked.best
+        behind = best.passed(batch)
+        solved = fit(found.layout, behind.waveform, found.state, iterations=_ITERATIONS, nuisances=batch.nuisances)
+        if solved is None:
+            return None
+        found = solved
+    lowest, highest = (bound * float(np.median([record.frequency for record in batch.records])) for bound in _CUTS)
+    return _behind_it(batch, best, found) if lowest < best.cut < highest else None
+
+
+def _behind_it(batch: Batch, best: SensorFilter, found: Fit) -> _Behind:
+    """Return what a fit behind a filter says of both."""
+    behind = best.passed(batch)
+    lost = sum(term.size for term in batch.waveform) - sum(term.size for term in behind.waveform)
+    each = 2.0 * best.order + GIBBS * (best.kind == "high-pass")  # amounts of what a filter held before, all fitted
+    past = each * len(batch.specimens)
+    price = _EACH * found.layout.free.size
+    return _Behind(found.cost + lost + past, price, evidence.leaves_noise(behind, found), best)
+
+
+@dataclass(frozen=True)
+class _Looked:
+    """What the best of some filters promises where it does not begin: the cost, by how much less that is, and which."""
+
+    cost: float
+    gain: float
+    best: SensorFilter
+
+
+def _look(batch: Batch, behind: Batch, found: Fit, filters: list[SensorFilter]) -> _Looked | None:
+    """Return what the best of some filters and one step of the set's values promise; None where that fails.
+
+    ``behind`` is the batch whose terms the set was fitted to, ``batch`` the same without a filter.
+    """
+    kept = np.flatnonzero(found.active)
+    scatter = found.layout.scatter if found.active[-1] and len(batch.specimens) > 1 else 0.0
+    shared: list[FloatArray] = []
+    left: list[FloatArray] = []
+    for r, (term, known, record) in enumerate(zip(batch.waveform, behind.waveform, batch.records, strict=True)):
+        slopes = derivatives(found.layout, known, found.state.eta, found.state.own[r], scatter, found.active)
+        if slopes is None:
+            return None
+        rows = _rows(term, known)
+        own = np.linalg.qr(slopes.own[rows][:, kept])[0]
+        bare = replace(term, whiten=lambda columns: columns)
+        seen = bare.compared(term.values)
+        simulated = seen - evidence.residuals_of(bare, found, r)
+        step = float(np.median(np.diff(term.time)))
+        columns = [simulated]
+        columns += [Chain(item, record.frequency, step, seen.size)(simulated[:, None])[:, 0] for item in filters]
+        residuals = term.whiten(seen[:, None] - np.column_stack(columns))[rows]
+        for items, wanted in ((shared, slopes.shared[rows]), (left, residuals)):
+            items.append(wanted - own @ (own.T @ wanted))
+    effects, residuals = np.vstack(shared), np.vstack(left)
+    if effects.shape[1]:
+        basis = np.linalg.qr(effects)[0]
+        residuals = residuals - basis @ (basis.T @ residuals)
+    costs = (residuals**2).sum(axis=0)
+    best = int(np.argmin(costs[1:]))
+    return _Looked(float(costs[1 + best]), float(costs[0] - costs[1 + best]), filters[best])
+
+
+def _rows(term: WaveformTerm, known: WaveformTerm) -> slice:
+    """Return the standardised values that a look compares: those that the past of the filter does not reach.
+
+    ``known`` is the term behind a filter, which ends earlier.
+    """
+    each = term.size / term.cycles
+    return slice(round(_MASKED[0] * each), min(term.size - round(_MASKED[1] * each), known.size))
+
+
+__all__ = ["sensor_filter"]
