@@ -25,6 +25,14 @@ def regime(x: float, v: float, direction: float, z: FloatArray, p: FloatArray) -
 
 
 @numba.njit
+def _power(size: float, exponent: float) -> float:
+    """Return the power of a size: most exponents are 1, and a logarithm is cheaper than a power of any kind."""
+    if exponent == 1.0:
+        return size
+    return math.exp(exponent * math.log(size)) if size > 0.0 else 0.0
+
+
+@numba.njit
 def force(x: float, v: float, direction: float, z: FloatArray, p: FloatArray) -> float:
     """Return the force [N]."""
     return (1.0 - p[2]) * p[0] * z[0]
@@ -43,7 +51,7 @@ def gradient(x: float, v: float, direction: float, z: FloatArray, p: FloatArray,
 def state_rate(x: float, v: float, direction: float, z: FloatArray, p: FloatArray, out: FloatArray) -> None:
     """Write dz/dt [m/s]."""
     pull = p[3] * direction * v * regime(x, v, direction, z, p) + p[4] * v
-    out[0] = p[1] * v - abs(z[0]) ** p[5] * pull
+    out[0] = p[1] * v - _power(abs(z[0]), p[5]) * pull
 
 
 @numba.njit
@@ -51,7 +59,7 @@ def state_rate_gradient(x: float, v: float, direction: float, z: FloatArray, p: 
     """Write the derivatives of dz/dt to x, v, the parameters and z; finite at z = 0 for exponents from 1."""
     sign = regime(x, v, direction, z, p)
     size = abs(z[0])
-    power = size ** p[5]
+    power = _power(size, p[5])
     speed = direction * v
     pull = p[3] * speed * sign + p[4] * v
     out[0, 0] = 0.0
