@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import binomtest
 
-from pymc_backbone.measurement.cycles import Cycles
+from pymc_backbone.measurement.cycle_data import Cycles
 from pymc_backbone.measurement.outliers import find_outliers
 from pymc_backbone.oscillator import Oscillator
 from pymc_backbone.simulation.decay import simulate_decay

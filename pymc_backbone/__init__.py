@@ -33,7 +33,8 @@ if TYPE_CHECKING:
     from .likelihood.density_fit import fit_density
     from .likelihood.op import BackboneLogLikelihood, BackboneOp
     from .measurement.conditioning.condition import ConditionedRecord, condition
-    from .measurement.cycles import Cycles, extract_cycles
+    from .measurement.cycle_data import Cycles
+    from .measurement.cycles import extract_cycles
     from .measurement.envelope import envelope_cycles
     from .measurement.levels import backbones_at_levels
     from .measurement.reading.measured_backbones import read_backbones
@@ -72,7 +73,8 @@ _WHERE = {
     "measurement.levels": ("backbones_at_levels",),
     "simulation.backbones": ("simulate_population",),
     "measurement.conditioning.condition": ("ConditionedRecord", "condition"),
-    "measurement.cycles": ("Cycles", "extract_cycles"),
+    "measurement.cycle_data": ("Cycles",),
+    "measurement.cycles": ("extract_cycles",),
     "measurement.envelope": ("envelope_cycles",),
     "likelihood.data_consistent": ("fit_data_consistent",),
     "simulation.decay": (

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from pymc_backbone._common.checks import InputError
-from pymc_backbone.measurement.cycles import Cycles, extract_cycles_from_arrays
+from pymc_backbone.measurement.cycle_data import Cycles
+from pymc_backbone.measurement.cycles import extract_cycles_from_arrays
 from pymc_backbone.measurement.levels import backbones_at_levels, default_levels
 from pymc_backbone.oscillator import Oscillator
 from pymc_backbone.simulation.backbones import simulate_population

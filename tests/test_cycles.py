@@ -11,7 +11,8 @@ import pytest
 
 from pymc_backbone._common.checks import InputError
 from pymc_backbone.measurement.conditioning.condition import condition
-from pymc_backbone.measurement.cycles import QUANTITIES, extract_cycles, extract_cycles_from_arrays
+from pymc_backbone.measurement.cycle_data import QUANTITIES
+from pymc_backbone.measurement.cycles import extract_cycles, extract_cycles_from_arrays
 from pymc_backbone.measurement.levels import backbones_at_levels
 from pymc_backbone.measurement.reading.record import Record
 

@@ -177,6 +177,28 @@ def test_what_adds_to_a_set_that_leaves_more_than_another_is_asked(batch):
         assert (("coulomb_friction", "cubic_stiffness", "quadratic_damping") in asked) == is_asked
 
 
+def test_a_search_ends_early_where_what_is_in_front_of_the_records_is_known_and_can_be_resumed(batch):
+    asked_with = []
+
+    def is_disturbed(search):
+        asked_with.append(len(search.fits))
+        return "a filter"
+
+    sets = ["cubic_stiffness", "coulomb_friction", "quadratic_damping"]
+    evidences: dict[tuple[str, ...], float] = {(name,): 100.0 - 2.0 * k for k, name in enumerate(sets)}
+    evidences |= {("coulomb_friction", "cubic_stiffness"): 95.0, ("cubic_stiffness", "quadratic_damping"): 94.0}
+    search, asked = search_with(batch, evidences, {}, is_disturbed=is_disturbed)
+    search._follow_backbones(24)
+    assert search.halted == "a filter" and asked_with == [4] and len(asked) == 3  # the base beside three sets
+    search.halted = None
+    search._follow_backbones(24)
+    assert search.halted is None and asked_with == [4]  # asked once
+    assert set(asked) == set(evidences)
+    explained, asked = search_with(batch, evidences, {("cubic_stiffness",): 1.0}, is_disturbed=is_disturbed)
+    explained._follow_backbones(24)
+    assert explained.halted is None and asked_with == [4]
+
+
 def batch_size(batch) -> int:
     return sum(term.size for term in batch.deciding)
 

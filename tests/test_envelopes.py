@@ -13,7 +13,7 @@ import pymc_backbone as pb
 from pymc_backbone._common.checks import InputError
 from pymc_backbone.discrepancy.question import is_spring
 from pymc_backbone.effects import LIBRARY
-from pymc_backbone.measurement.cycles import Cycles
+from pymc_backbone.measurement.cycle_data import Cycles
 from pymc_backbone.measurement.envelope import envelope_cycles
 from pymc_backbone.measurement.extraction import measure_batch
 from pymc_backbone.measurement.levels import backbones_at_levels

@@ -15,7 +15,8 @@ from scipy.integrate import solve_ivp
 from pymc_backbone._common.checks import FloatArray, InputError
 from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.measurement.conditioning.spikes import without_spikes
-from pymc_backbone.measurement.cycles import Cycles, extract_cycles
+from pymc_backbone.measurement.cycle_data import Cycles
+from pymc_backbone.measurement.cycles import extract_cycles
 from pymc_backbone.measurement.outliers import find_outliers
 from pymc_backbone.measurement.reading.record import Record
 from pymc_backbone.measurement.reading.writing import write_records

@@ -8,7 +8,8 @@ from scipy.interpolate import CubicSpline
 
 from pymc_backbone._common.checks import FloatArray
 from pymc_backbone.measurement import cycles as cycles_module
-from pymc_backbone.measurement.cycles import Cycles, extract_cycles_from_arrays
+from pymc_backbone.measurement.cycle_data import Cycles
+from pymc_backbone.measurement.cycles import extract_cycles_from_arrays
 from pymc_backbone.measurement.levels import backbones_at_levels, default_levels
 
 PER_CYCLE, CYCLES, WHITE = 40, 60, 2e-3

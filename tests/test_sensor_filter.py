@@ -10,7 +10,7 @@ from scipy.signal import butter, freqs, sosfilt
 
 import pymc_backbone as pb
 from pymc_backbone.discrepancy import evidence, rivals, workflow
-from pymc_backbone.discrepancy.filter_search import sensor_filter
+from pymc_backbone.discrepancy.filter_search import early_high_pass, sensor_filter
 from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.discrepancy.sensor_filter import Chain, SensorFilter
 
@@ -96,6 +96,9 @@ def test_where_nothing_has_harmonics_the_release_shows_a_high_pass(rng):
     found = sensor_filter(without)
     assert (found.kind, found.shows_at_release) == ("high-pass", True) and found.cut < FREQUENCY
     assert "begin with a slow decay" in found.sentence(without.batch)
+    early = SimpleNamespace(batch=without.batch, fits={(): without.fits[()]})  # nothing but the base was fitted so far
+    assert early_high_pass(early).kind == "high-pass"
+    assert early_high_pass(SimpleNamespace(batch=batch_of(measured(rng)), fits={})) is None  # displacements
     behind = Search(found.passed(without.batch), pb.Oscillator(MASS), CANDIDATES, 2)
     behind.run()
     assert behind.best() == () and evidence.leaves_noise(behind.batch, behind.fits[()])

@@ -9,6 +9,7 @@ import pytest
 
 from pymc_backbone.discrepancy import undisturbed as module
 from pymc_backbone.discrepancy.evidence import Drifting
+from pymc_backbone.discrepancy.sensor_filter import SensorFilter
 
 
 @pytest.mark.parametrize("is_drifting", [True, False])
@@ -24,7 +25,7 @@ def test_a_drift_is_asked_before_cycles_are_left_out_and_noise_is_weighed(is_dri
     monkeypatch.setattr(module.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
     monkeypatch.setattr(module.evidence, "leaves_noise", lambda _, found: left[found])
     monkeypatch.setattr(module, "_over_motion", lambda *_: 1e-3)
-    search = SimpleNamespace(batch=None, fits={(): "base"}, best=tuple)
+    search = SimpleNamespace(halted=None, batch=None, fits={(): "base"}, best=tuple)
 
     def drifting(_):
         asked.append("drift")
@@ -42,7 +43,7 @@ def test_of_velocities_and_accelerations_a_filter_is_asked_before_the_zero(monke
         monkeypatch.setattr(module, name, lambda *_, name=name: asked.append(name))
     monkeypatch.setattr(module.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
     monkeypatch.setattr(module.evidence, "leaves_noise", lambda *_: False)
-    search = SimpleNamespace(batch=None, fits={(): "base"}, best=tuple)
+    search = SimpleNamespace(halted=None, batch=None, fits={(): "base"}, best=tuple)
     records = [SimpleNamespace(quantity="acceleration"), SimpleNamespace(quantity="velocity")]
     module.undisturbed(SimpleNamespace(), search, records, None, lambda _: search, lambda _: {})
     assert asked[:4] == ["drop_outs", "sensor_filter", "drifting_zero", "earlier"]
@@ -60,7 +61,9 @@ def test_sensors_are_straightened_beside_a_drift_where_less_noise_is_left(quiete
     monkeypatch.setattr(module.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
     monkeypatch.setattr(module.evidence, "leaves_noise", lambda _, found: found != "base")
     monkeypatch.setattr(module, "_over_motion", lambda _, found: left[found])
-    search, straight = (SimpleNamespace(batch=None, fits={(): name}, best=tuple) for name in ("base", "straight"))
+    search, straight = (
+        SimpleNamespace(halted=None, batch=None, fits={(): name}, best=tuple) for name in ("base", "straight")
+    )
     question = SimpleNamespace(of_records=lambda *_: SimpleNamespace())
     drifting = {(): Drifting("drift", 0.0)}
     known = module.undisturbed(question, search, [], None, lambda _: straight, lambda _: drifting)
@@ -79,8 +82,8 @@ def test_a_low_pass_is_kept_where_more_is_explained_behind_it(helps, monkeypatch
     monkeypatch.setattr(module, "sensor_filter", lambda _: behind)
     monkeypatch.setattr(module.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
     monkeypatch.setattr(module.evidence, "leaves_noise", lambda _, found: found == "explained")
-    before = SimpleNamespace(batch=None, fits={(): "base"}, best=tuple)
-    after = SimpleNamespace(batch=None, fits={(): "explained" if helps else "base"}, best=tuple)
+    before = SimpleNamespace(halted=None, batch=None, fits={(): "base"}, best=tuple)
+    after = SimpleNamespace(halted=None, batch=None, fits={(): "explained" if helps else "base"}, best=tuple)
     asked = []
 
     @dataclass
@@ -102,6 +105,33 @@ def test_a_low_pass_is_kept_where_more_is_explained_behind_it(helps, monkeypatch
 
 
 @pytest.mark.parametrize("helps", [True, False])
+def test_a_search_that_a_filter_halted_goes_on_where_nothing_is_explained_behind_it(helps, monkeypatch):
+    """Where a set leaves noise behind the filter, nothing else is asked."""
+    seen = []
+    for name in ("drop_outs", "drifting_zero", "sensor_filter", "earlier", "begun", "motion_noise", "disturbed"):
+        monkeypatch.setattr(module, name, lambda *_, name=name: seen.append(name))
+    monkeypatch.setattr(module.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
+    monkeypatch.setattr(module.evidence, "leaves_noise", lambda _, found: found == "explained")
+    before = SimpleNamespace(halted=SensorFilter(1, 0.5, "high-pass"), fits={(): "base"}, best=tuple)
+    before.batch = SimpleNamespace(records=[SimpleNamespace(frequency=5.0)], waveform=())
+    before.resume = lambda: seen.append("resumed")
+    after = SimpleNamespace(halted=None, batch=None, fits={(): "explained" if helps else "base"}, best=tuple)
+
+    @dataclass
+    class Question:
+        batch: object = None
+
+        def of_records(self, *_):
+            return Question(SimpleNamespace(records=(), waveform=()))
+
+    monkeypatch.setattr(SensorFilter, "passed", lambda _self, batch: batch)
+    question = Question()
+    known = module.undisturbed(question, before, [], None, lambda _: after, lambda _: {})
+    assert known.search is (after if helps else before) and (known.question is question) == (not helps)
+    assert seen[:1] == ([] if helps else ["resumed"]) and ("sensor_filter" in seen) == (not helps)
+
+
+@pytest.mark.parametrize("helps", [True, False])
 def test_a_zero_that_drifts_is_the_answer_where_nothing_is_left_without_the_mid_line(helps, monkeypatch):
     """Then nothing else is asked; else the records are as they were."""
     monkeypatch.setattr(module, "drifting_zero", lambda *_: "steady")
@@ -110,8 +140,8 @@ def test_a_zero_that_drifts_is_the_answer_where_nothing_is_left_without_the_mid_
         monkeypatch.setattr(module, name, lambda *_, name=name: asked.append(name))
     monkeypatch.setattr(module.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
     monkeypatch.setattr(module.evidence, "leaves_noise", lambda _, found: found == "explained")
-    before = SimpleNamespace(batch=None, fits={(): "base"}, best=tuple)
-    after = SimpleNamespace(batch=None, fits={(): "explained" if helps else "base"}, best=tuple)
+    before = SimpleNamespace(halted=None, batch=None, fits={(): "base"}, best=tuple)
+    after = SimpleNamespace(halted=None, batch=None, fits={(): "explained" if helps else "base"}, best=tuple)
     question = SimpleNamespace()
     known = module.undisturbed(question, before, [], None, lambda _: after, lambda _: {})
     assert (known.search, known.question) == ((after, "steady") if helps else (before, question))

@@ -21,6 +21,8 @@ from pymc_backbone.discrepancy.whitening import whitener, with_slow_noise
 from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.measurement.conditioning.one_sensor import mid_lines_differ, records_of_one_sensor
 from pymc_backbone.measurement.conditioning.wander import MidLine, Wander, of_one_sensor
+from pymc_backbone.measurement.cycles import extract_cycles
+from pymc_backbone.measurement.levels import backbones_at_levels
 from pymc_backbone.measurement.options import Measuring
 from pymc_backbone.measurement.reading.record import Record
 from pymc_backbone.oscillator import Oscillator
@@ -144,6 +146,24 @@ def drifting(seed: int, sizes: tuple[float, ...]) -> list[Record]:
     records = [record(np.random.default_rng(seed + r), 0.0, 1.0 - 0.1 * r, f"s{r}") for r in range(len(sizes))]
     creep = 1.0 - np.exp(-2.0 * TIME / TIME[-1])
     return [replace(one, values=one.values + size * creep) for one, size in zip(records, sizes, strict=True)]
+
+
+def test_damping_is_not_that_of_a_zero_that_creeps():
+    """Its slope takes as much from each decrement as it adds to a cycle, over the amplitude: 50 of its errors here."""
+    together = records_of_one_sensor([condition(one) for one in drifting(300, (0.03, -0.02, 0.01))])
+    truth = 2.0 * np.pi * RATIO / np.sqrt(1.0 - RATIO**2)
+    levels = np.geomspace(0.15, 0.75, 5)
+    for one in together:
+        cycles = extract_cycles(one)
+        off = (cycles.damping - truth) / cycles.damping_error
+        assert 0.4 < float(np.mean(off**2)) < 1.6
+        values = backbones_at_levels([cycles], levels, ("damping", "offset"), amplitude_unit="m")
+        far = (values["value"].values[0] - np.array([[truth], [0.0]])) / values["standard_error"].values[0]
+        assert np.abs(far).max() < 3.5
+    blind = extract_cycles(replace(together[0], measured=replace(together[0].measured, wander=None)))
+    values = backbones_at_levels([blind], levels, ("damping",), amplitude_unit="m")
+    far = (values["value"].values - truth) / values["standard_error"].values
+    assert np.abs(far).max() > 20.0
 
 
 def test_a_zero_that_drifts_alike_in_all_records_is_no_missing_effect():

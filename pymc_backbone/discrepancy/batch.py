@@ -11,7 +11,7 @@ import xarray as xr
 from .._common.backbone_dataset import FREQUENCY, typical_frequency
 from .._common.checks import FloatArray, InputError
 from ..measurement.conditioning.conditioned import ConditionedRecord
-from ..measurement.cycles import Cycles
+from ..measurement.cycle_data import Cycles
 from .data_term import DataTerm, LevelTerm, TurningTerm, WaveformTerm, level_term, with_frequency
 from .record_term import release_of, turning_term, waveform_term
 

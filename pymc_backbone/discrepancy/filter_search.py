@@ -13,6 +13,7 @@ from . import evidence
 from .batch import Batch
 from .data_term import WaveformTerm
 from .descent import is_heavy
+from .fitted_sets import FittedSets
 from .joint_fit import Fit, fit
 from .normal_equations import derivatives
 from .search import Search
@@ -53,9 +54,7 @@ def sensor_filter(search: Search) -> SensorFilter | None:
     harmonics.
     """
     batch, best = search.batch, search.best()
-    if not batch.has_open_records or batch.is_behind_filter:
-        return None
-    if min(term.cycles for term in batch.waveform) < _FEWEST_CYCLES:
+    if not _may_be_behind_one(batch):
         return None
     best_cost, is_exact = search.fits[best].cost, evidence.leaves_noise(batch, search.fits[best])
     likeliest = [best] if is_exact else search.ranked()[:_ASKED]
@@ -73,6 +72,28 @@ def sensor_filter(search: Search) -> SensorFilter | None:
     nearly = min(_NEAR * noise, noise + _LEFT * (best_cost - noise))
     kept = [item for item in kept if item.is_exact or (not is_exact and item.cost < nearly)]
     return min(kept, key=lambda item: item.cost + item.price).filter if kept else None
+
+
+def early_high_pass(search: FittedSets) -> SensorFilter | None:
+    """Return the high-pass behind which the base or the best simple set so far leaves noise; None for none.
+
+    Asked in the middle of a search for what explains velocities or accelerations: most accelerometers have one, and
+    without it no set leaves noise, however many are fitted.
+    """
+    batch = search.batch
+    if not _may_be_behind_one(batch) or not all(term.order for term in batch.waveform):
+        return None
+    starts = [found for names, found in search.fits.items() if names and not is_heavy(found.layout)]
+    frequency = float(np.median([record.frequency for record in batch.records]))
+    best = sorted(starts, key=lambda start: start.cost)[:1]
+    found = [item for item in _high_passes(batch, search.fits[()], best, frequency) if item.is_exact]
+    return min(found, key=lambda item: item.cost + item.price).filter if found else None
+
+
+def _may_be_behind_one(batch: Batch) -> bool:
+    """Return whether a filter in front of the records can be seen: harmonics that no band-pass took, and cycles."""
+    is_open = batch.has_open_records and not batch.is_behind_filter
+    return is_open and min(term.cycles for term in batch.waveform) >= _FEWEST_CYCLES
 
 
 def _low_passes(batch: Batch, starts: Sequence[Fit], frequency: float) -> list[_Behind]:
@@ -258,4 +279,4 @@ def _rows(term: WaveformTerm, known: WaveformTerm) -> slice:
     return slice(round(_MASKED[0] * each), min(term.size - round(_MASKED[1] * each), known.size))
 
 
-__all__ = ["sensor_filter"]
+__all__ = ["early_high_pass", "sensor_filter"]

@@ -61,6 +61,11 @@ class FittedSets:
         Effects that are looked for in the place of the candidates that they are variants of.
     tolerance : mapping of str to float
         Relative change of frequency and damping that does not matter.
+    is_disturbed : callable, optional
+        Asked once, early, where nothing explains the records: whether something in front of them is in the way. What
+        it returns is kept in ``halted``, and the search ends there; None lets it go on.
+    halted : object, optional
+        What ended the search early.
     refuted : set of tuple of str
         Sets that were not fitted to the samples, because the turning points leave no doubt.
     scatter : float
@@ -89,6 +94,8 @@ class FittedSets:
     noisy: dict[int, tuple[Fit, bool]] = field(default_factory=dict)
     refuted: set[Set] = field(default_factory=set)
     scatter: float = SCATTER
+    is_disturbed: Callable[[FittedSets], object | None] | None = None
+    halted: object | None = None
 
     def __post_init__(self) -> None:
         self.descent = Descent(self.batch, limit=_LIMIT * self.budget)

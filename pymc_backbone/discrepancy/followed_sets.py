@@ -18,6 +18,7 @@ FEW_FOLLOWED = 6
 """Sets that are followed where not even the backbones are explained."""
 REACH = 12.0
 """Difference of the logarithm of evidence by the backbones within which the waveforms are asked, too."""
+_FIRST = 3  # sets that are followed before it is asked whether something is in front of the records
 _LEAST_FOLLOWED = 2  # sets that are followed although a base with a law of its own has taken all the effort
 _STILL = 6  # simple sets within reach that are followed although the effort is spent
 _PASSED = 6  # less likely simple sets that are followed before one that costs much
@@ -57,6 +58,8 @@ class FollowedSets(VariedSets):
             self.progress("sets that the backbones propose", min(so_far.fitted / most, 1.0))
             so_far.fitted += sum(names not in self.fits for names in few)
             fit_side_by_side(self, few)
+            if so_far.fitted >= _FIRST and self._is_halted():
+                return
             for names in few:
                 if names not in self.fits:
                     continue
@@ -66,6 +69,13 @@ class FollowedSets(VariedSets):
                     so_far.explained.append(names)
                     so_far.reach = max(so_far.reach, likely - REACH)
         self._follow_left(so_far)
+
+    def _is_halted(self) -> bool:
+        """Return whether the search ends here: nothing explains the records, and what is in front of them is known."""
+        if self.is_disturbed is not None and self.halted is None and not self._is_explained():
+            asked, self.is_disturbed = self.is_disturbed, None
+            self.halted = asked(self)
+        return self.halted is not None
 
     def _is_followed(self, names: Set, proposal: Proposal, so_far: _Followed) -> bool:
         """Return whether a set is fitted, after what was; one that adds to what explains is noted as left."""

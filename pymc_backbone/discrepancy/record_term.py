@@ -11,7 +11,7 @@ import numpy as np
 from .._common.checks import FloatArray
 from ..measurement.conditioning.conditioned import ConditionedRecord
 from ..measurement.conditioning.filters import BandPass
-from ..measurement.cycles import Cycles
+from ..measurement.cycle_data import Cycles
 from .data_term import Jumps, Subspace, TurningTerm, WaveformTerm
 from .drift_course import fade_of
 from .passed import passed_values

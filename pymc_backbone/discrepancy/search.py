@@ -50,6 +50,8 @@ class Search(FollowedSets):
             self._mind_scatter()
             if self._is_beyond():
                 self._follow_backbones(FEW_FOLLOWED)
+                if self.halted is not None:
+                    return
                 if self._lacks_mid_line:
                     self._ask_plain_effects()
                 if min(item.cost for item in self.fits.values()) > _NEAR * self.count:
@@ -57,6 +59,8 @@ class Search(FollowedSets):
                     self._vary()
                     return
             self._follow_backbones(_MOST_FOLLOWED)
+            if self.halted is not None:
+                return
             self._ask_plain_effects()
             self._look_wider()
         self._look_back()
@@ -71,6 +75,12 @@ class Search(FollowedSets):
             self._enlarge()
         self._look_back()
         self._settle()
+
+    def resume(self) -> None:
+        """Go on to the end with a search that was halted."""
+        if self.halted is not None:
+            self.halted = None
+            self.run()
 
     def _ask_single_effects(self) -> None:
         """Fit every effect by itself, until all that is missing is within the tolerance."""

@@ -99,16 +99,29 @@ def undisturbed(
     time beside it, which is likelier, no cycle is left out, and sensors are straightened only where clearly less noise
     is left then: an estimate of the noise that holds the disturbance hides it.
     """
-    known = Undisturbed(question, search)
-    is_of_rates = bool(records) and all(record.quantity != "displacement" for record in records)
-    if not is_of_rates and (steady := _steadied(known, measuring, searched)) is not None:
-        return steady
     asked = _Asked(question, measuring, searched)
-    known, records, said = _without_drop_outs(asked, known, records)
+    if (halted := _halted(asked, search, records)) is not None:
+        return halted
+    is_of_rates = bool(records) and all(record.quantity != "displacement" for record in records)
+    if not is_of_rates and (steady := _steadied(Undisturbed(question, search), measuring, searched)) is not None:
+        return steady
+    return _one_by_one(asked, search, records, drifting, is_of_rates=is_of_rates)
+
+
+def _one_by_one(
+    asked: _Asked,
+    search: Search,
+    records: Sequence[Record],
+    drifting: Callable[[Search], Mapping[Set, Drifting]],
+    *,
+    is_of_rates: bool,
+) -> Undisturbed:
+    """Return the question and search of records without what disturbs them, asked one after the other."""
+    known, records, said = _without_drop_outs(asked, Undisturbed(asked.question, search), records)
     again = known.search
-    if (behind := _filtered(asked, search, records, said)) is not None:
+    if (behind := _filtered(asked, again, records, said)) is not None:
         said, known, again = (*said, behind.said), behind.found, behind.found.search
-    if is_of_rates and (steady := _steadied(known, measuring, searched)) is not None:
+    if is_of_rates and (steady := _steadied(known, asked.measuring, asked.searched)) is not None:
         return steady
     if (release := earlier(again)) is not None:
         asked.release = release
@@ -137,6 +150,22 @@ def undisturbed(
         return known
     left = _over_motion(straight.search, straight.search.fits[straight.search.best()])
     return straight if left < _QUIETER * known.noise_beside_drift else known
+
+
+def _halted(asked: _Asked, search: Search, records: Sequence[Record]) -> Undisturbed | None:
+    """Return the question behind the filter for which a search was halted, where it leaves noise.
+
+    Else that search is taken to its end.
+    """
+    if not isinstance(search.halted, SensorFilter):
+        return None
+    asked.sensor_filter = search.halted
+    tried = asked.of(records, (search.halted.sentence(search.batch),))
+    if _is_exact(tried.search):
+        return tried
+    asked.sensor_filter = None
+    search.resume()
+    return None
 
 
 def _without_drop_outs(

@@ -29,7 +29,8 @@ from .decision import AGREE, Decision
 from .descent import is_heavy
 from .design import Contender, Plan, contender, present_design
 from .extend import Inference, infer
-from .fitted_sets import BUDGET, Progress
+from .filter_search import early_high_pass
+from .fitted_sets import BUDGET, FittedSets, Progress
 from .force_curve import force_curves
 from .inexact import certain_sets
 from .joint_fit import Fit
@@ -181,7 +182,7 @@ def find_missing_effect(
         question = ask(
             oscillator, data, candidates=candidates, max_effects=max_effects, tolerance=tolerance, measuring=measuring
         )
-        search = _searched(question, quick, say)
+        search = _searched(question, quick, say, early_high_pass if is_of_records(data) else None)
         known = Undisturbed(question, search)
         if is_of_records(data):
             say("looking for what disturbs the records", 0.0)
@@ -236,12 +237,14 @@ def _curves(
     return force_curves(question.batch, start, remembering, outcome.drifting, gap, most, seed)
 
 
-def _searched(question: Question, quick: bool, say: Progress) -> Search:
-    """Return the finished search over sets of effects."""
+def _searched(
+    question: Question, quick: bool, say: Progress, is_disturbed: Callable[[FittedSets], object | None] | None = None
+) -> Search:
+    """Return the search over sets of effects: finished, or halted by what disturbs the records."""
     search = Search(
         question.batch, question.base, question.candidates, question.max_effects, say,
         budget=BUDGET * (_QUICK_BUDGET if quick else 1.0), own=question.own,
-        variants=question.variants, tolerance=question.tolerance,
+        variants=question.variants, tolerance=question.tolerance, is_disturbed=is_disturbed,
     )  # fmt: skip
     search.run()
     if () not in search.fits:

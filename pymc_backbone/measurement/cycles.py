@@ -9,7 +9,6 @@ The template costs next to no variance because all cycles determine it, and it l
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,89 +16,14 @@ from numpy.typing import ArrayLike
 
 from .._common.checks import FloatArray, InputError, check_finite_array
 from .._common.threads import with_one_thread
+from .cycle_data import MINIMUM_CYCLES, Cycles, with_shared_errors
 from .peak_noise import with_peak_noise
 from .rough_turning import rough_noise, rough_turning_points, running_line
 from .smoothed_amplitude import amplitude_from_damping
 from .smoothing import smooth
 from .template import FLOOR, Fit, fit_with_template
 from .turning import cycle_covariance, turning_covariance
-
-QUANTITIES: tuple[str, ...] = ("amplitude", "frequency", "damping", "offset")
-MINIMUM_CYCLES = 4  # a smooth curve with a standard error needs as many
-
-
-@dataclass(frozen=True, eq=False)
-class Cycles:
-    """The cycles of one free decay, in time order, with standard errors.
-
-    Attributes
-    ----------
-    specimen : str
-        Name of the specimen.
-    time : (n,) array
-        Middle of each cycle [s].
-    amplitude, frequency, damping, offset : (n,) arrays
-        The cycle quantities by the package's one definition [m or rad, Hz, 1, 1].
-    amplitude_error, frequency_error, damping_error, offset_error : (n,) arrays
-        Their standard errors.
-    bands : (4, b, n) array
-        Covariance of each quantity (rows as in `QUANTITIES`) between cycle i and cycle i + b: neighbours share peaks
-        and samples.
-    shared : (4, n, r) array
-        Errors all cycles share, through the template and the zero: their covariance is ``shared @ shared.T``, beside
-        the bands.
-    smoothed_amplitude : (n,) array
-        Amplitude smoothed over cycles: the regressor of the backbone.
-    smoothed_amplitude_design, smoothed_amplitude_spread : (n, r) and (r, r) arrays
-        Its covariance is ``design @ spread @ design.T``.
-    turning_times, turning_values, turning_time_errors, turning_value_errors, turning_signs : (m,) arrays
-        Turning points; sign +1.0 for a peak.
-    noise : float
-        Standard deviation of the noise used [m or rad].
-    notes : tuple of str
-        What was assumed, dropped or corrected.
-    observables : tuple of str
-        Those that were measured. Of an envelope the others hold no measurement: the frequency where it is known only,
-        and an offset of zero.
-
-    See Also
-    --------
-    extract_cycles : makes it.
-    backbones_at_levels : brings many to common amplitudes.
-    """
-
-    specimen: str
-    time: FloatArray
-    amplitude: FloatArray
-    frequency: FloatArray
-    damping: FloatArray
-    offset: FloatArray
-    amplitude_error: FloatArray
-    frequency_error: FloatArray
-    damping_error: FloatArray
-    offset_error: FloatArray
-    bands: FloatArray
-    shared: FloatArray
-    smoothed_amplitude: FloatArray
-    smoothed_amplitude_design: FloatArray
-    smoothed_amplitude_spread: FloatArray
-    turning_times: FloatArray
-    turning_values: FloatArray
-    turning_time_errors: FloatArray
-    turning_value_errors: FloatArray
-    turning_signs: FloatArray
-    noise: float
-    notes: tuple[str, ...] = ()
-    observables: tuple[str, ...] = QUANTITIES[1:]
-
-    @property
-    def is_of_envelope(self) -> bool:
-        """Whether only amplitudes over time were measured, no turning points."""
-        return self.turning_times.size == 0
-
-    def __len__(self) -> int:
-        """Return the number of cycles."""
-        return int(self.time.size)
+from .wandering_zero import mind_wandering_zero
 
 
 def extract_cycles(record: Any, *, noise: float | ArrayLike | None = None) -> Cycles:
@@ -137,13 +61,7 @@ def extract_cycles(record: Any, *, noise: float | ArrayLike | None = None) -> Cy
     )
     cycles = _with_mid_line_errors(cycles, float(getattr(record, "mid_line_error", 0.0)))
     measured = getattr(record, "measured", None)
-    if measured is None or measured.slow_noise is None or measured.order:
-        return cycles
-    slow, time, noise = measured.slow_noise, measured.time, float(measured.autocovariance[0])
-    # the zero was taken from where it happened to be
-    size = slow.size(float(time[-1] - time[0]) / (time.size - 1), time.size, noise)
-    modes = slow.modes(time, noise, cycles.time)
-    return _with_zero_errors(cycles, np.column_stack([modes, np.full(len(cycles), size)]))
+    return cycles if measured is None else mind_wandering_zero(cycles, measured)
 
 
 @with_one_thread
@@ -203,12 +121,9 @@ def extract_cycles_from_arrays(
     if autocovariance is not None:
         guess_noise = max(guess_noise, float(np.sqrt(autocovariance[0])))
     cycles = _extract(t, x, step, autocovariance, guess_noise, specimen, list(notes))
-    return cycles if zero_error == 0.0 else _with_zero_errors(cycles, np.full((len(cycles), 1), zero_error))
-
-
-def _with_zero_errors(cycles: Cycles, modes: FloatArray) -> Cycles:
-    """Return the cycles with errors of the zero in their offsets: columns (n, k), each of one independent error."""
-    return _with_shared_errors(cycles, "offset", -modes / cycles.smoothed_amplitude[:, None])
+    if zero_error == 0.0:
+        return cycles
+    return with_shared_errors(cycles, "offset", -zero_error / cycles.smoothed_amplitude[:, None])
 
 
 def _with_mid_line_errors(cycles: Cycles, error: float) -> Cycles:
@@ -216,16 +131,7 @@ def _with_mid_line_errors(cycles: Cycles, error: float) -> Cycles:
     if error == 0.0:
         return cycles
     amplitude = cycles.smoothed_amplitude
-    return _with_shared_errors(cycles, "damping", (2.0 * error * cycles.damping * amplitude / amplitude[0])[:, None])
-
-
-def _with_shared_errors(cycles: Cycles, quantity: str, errors: FloatArray) -> Cycles:
-    """Return the cycles with errors that they share in one quantity: columns (n, k), each of one independent error."""
-    row, name = QUANTITIES.index(quantity), f"{quantity}_error"
-    shared = np.concatenate([cycles.shared, np.zeros((*cycles.shared.shape[:2], errors.shape[1]))], axis=2)
-    shared[row, :, cycles.shared.shape[2] :] = errors
-    whole = np.sqrt(getattr(cycles, name) ** 2 + (errors**2).sum(axis=1))
-    return replace(cycles, shared=shared, **{name: whole})
+    return with_shared_errors(cycles, "damping", (2.0 * error * cycles.damping * amplitude / amplitude[0])[:, None])
 
 
 def _autocovariance(noise: float | ArrayLike | None) -> FloatArray | None:

@@ -18,7 +18,7 @@ import numpy as np
 
 from .._common.checks import FloatArray, InputError, check_motion
 from .._common.threads import with_one_thread
-from .cycles import MINIMUM_CYCLES, Cycles
+from .cycle_data import MINIMUM_CYCLES, Cycles
 from .envelope_noise import Scatter, excess, memory_of, scatter_of
 from .envelope_part import FreeEnvelope, free_envelope
 from .smoothed_amplitude import amplitude_from_damping

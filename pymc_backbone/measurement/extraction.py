@@ -21,7 +21,8 @@ from .._common.threads import in_threads
 from .conditioning.condition import condition
 from .conditioning.conditioned import ConditionedRecord
 from .conditioning.one_sensor import records_of_one_sensor
-from .cycles import Cycles, extract_cycles
+from .cycle_data import Cycles
+from .cycles import extract_cycles
 from .envelope import envelope_cycles
 from .levels import DEFAULT_LEVELS, backbones_at_levels, default_levels
 from .options import Measuring

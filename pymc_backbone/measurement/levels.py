@@ -16,7 +16,7 @@ from .._common.checks import (
     check_levels,
     check_observables,
 )
-from .cycles import QUANTITIES, Cycles
+from .cycle_data import QUANTITIES, Cycles
 from .smoothed_amplitude import abscissas
 from .smoothing import smooth
 

@@ -11,7 +11,7 @@ from scipy.special import stdtr
 
 from .._common.checks import FloatArray
 from .._common.text import printable, shorten
-from .cycles import Cycles
+from .cycle_data import Cycles
 
 FALSE_ALARMS = 0.01
 """Share of batches without an outlier in which one is named at most."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from .._common.checks import FloatArray
 from .conditioning.conditioned import ConditionedRecord
-from .cycles import Cycles
+from .cycle_data import Cycles
 
 _STRETCHES = 120  # columns of a picture
 _CYCLES = 12.0  # of one stretch: frequencies a twelfth apart are told
