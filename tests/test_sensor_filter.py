@@ -10,9 +10,9 @@ from scipy.signal import butter, freqs, sosfilt
 
 import pymc_backbone as pb
 from pymc_backbone.discrepancy import evidence, rivals, workflow
-from pymc_backbone.discrepancy.filter_search import early_high_pass, sensor_filter
+from pymc_backbone.discrepancy.filter_search import _lowest, early_high_pass, sensor_filter
 from pymc_backbone.discrepancy.search import Search
-from pymc_backbone.discrepancy.sensor_filter import Chain, SensorFilter
+from pymc_backbone.discrepancy.sensor_filter import Chain, SensorFilter, with_past
 
 from .discrepancy_cases import AMPLITUDE, FREQUENCY, MASS, TIME, batch_of, decaying_sinusoid, make_records, noisy
 
@@ -104,6 +104,22 @@ def test_where_nothing_has_harmonics_the_release_shows_a_high_pass(rng):
     assert behind.best() == () and evidence.leaves_noise(behind.batch, behind.fits[()])
     assert rivals.data_terms_check(behind.batch, 50.0, 5.0).passed
     assert not rivals.data_terms_check(without.batch, 50.0, 5.0).passed
+
+
+def test_a_past_of_several_times_the_motion_is_forgotten(rng):
+    """The mirror image that stands for it is as large; what was left of it had refuted right laws behind filters."""
+    term = batch_of(measured(rng)).waveform[0]
+    filtered = SensorFilter(1, 0.3 * FREQUENCY, "high-pass")
+    size = 3.0 * np.abs(term.values).max()
+    past = size * np.exp(-2.0 * np.pi * filtered.cut * (term.time - term.time[0]))[:, None]
+    assert np.linalg.norm(term.whiten(term.compared(past))) > 1000.0
+    assert np.linalg.norm(with_past(term, filtered).whiten(term.compared(past))) < 1.0
+
+
+def test_the_cut_off_is_where_the_costs_around_it_are_lowest():
+    costs = [(np.log(cut) - np.log(1.04)) ** 2 for cut in (1.0 / 1.1, 1.0, 1.1)]
+    assert _lowest(1.0, 1.1, tuple(costs)) == pytest.approx(1.04, rel=1e-12)
+    assert _lowest(1.0, 1.1, (3.0, 2.0, 0.5)) == pytest.approx(1.1) and _lowest(1.0, 1.1, (1.0, 2.0, 3.0)) < 0.92
 
 
 @pytest.mark.parametrize("order", [2, 4, 8])

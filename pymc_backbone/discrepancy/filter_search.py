@@ -23,7 +23,7 @@ from .whitening import with_slow_noise
 _ORDERS = (1, 2, 3, 4, 6, 8)
 _CUTS = (1.6, 9.0)  # cut-offs of low-passes that are looked at, over the frequency of the mode
 _COUPLED = (0.02, 0.045, 0.1, 0.2, 0.4)  # those of high-passes behind which sets are fitted at first ...
-_NEARER = (1.4, 1.18, 1.08, 1.03)  # ... and ratios to the best of them of those that are tried then
+_NEARER = (1.4, 1.18, 1.08)  # ... and ratios to the best of them of those that are tried then
 _LOOKS = 20
 _FINER = (
     (1.25, 9),
@@ -163,11 +163,23 @@ def _high_pass(batch: Batch, start: Fit, filters: Sequence[SensorFilter]) -> tup
         return None
     for ratio in _NEARER:
         at, found = best
-        best = min(
-            [best, *(item for by in (ratio, 1.0 / ratio) for item in fitted(replace(at, cut=by * at.cut), found))],
-            key=cost,
-        )
+        sides = [fitted(replace(at, cut=by * at.cut), found) for by in (1.0 / ratio, ratio)]
+        best = min([best, *sides[0], *sides[1]], key=cost)
+    if sides[0] and sides[1]:
+        cut = _lowest(at.cut, ratio, (cost(sides[0][0]), found.cost, cost(sides[1][0])))
+        best = min([best, *fitted(replace(at, cut=cut), best[1])], key=cost)
     return replace(best[0], shows_at_release=shows_at_release), best[1]
+
+
+def _lowest(cut: float, ratio: float, costs: tuple[float, float, float]) -> float:
+    """Return where the parabola through the costs at ``cut / ratio``, ``cut`` and ``cut * ratio`` is lowest.
+
+    One of the outer two where it is nowhere between them.
+    """
+    low, middle, high = costs
+    bend = low - 2.0 * middle + high
+    step = 0.5 * (low - high) / bend if bend > 0.0 else float(np.sign(low - high))
+    return float(cut * ratio ** np.clip(step, -1.0, 1.0))
 
 
 def _is_exact(batch: Batch, behind: tuple[SensorFilter, Fit]) -> bool:

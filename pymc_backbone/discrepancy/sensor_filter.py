@@ -28,6 +28,7 @@ _TAPER = (0.75, 1.0)  # of the highest frequency that the samples hold: beyond, 
 GIBBS = 8
 """Samples beyond the delay by which the filter looks ahead."""
 _FEWEST = 4  # values of a window
+_PAST = 10.0  # largest values of the motion that a filter's past may come to
 
 
 @dataclass(frozen=True)
@@ -140,7 +141,7 @@ def _passed(term: WaveformTerm, chosen: SensorFilter, frequency: float) -> Wavef
 
 def with_past(term: WaveformTerm, chosen: SensorFilter) -> WaveformTerm:
     """Return a term that may hold what a filter still has of the past."""
-    modes = term.signal * _transients(chosen, term.time - term.time[0])
+    modes = _loudest(term) * _transients(chosen, term.time - term.time[0])
     if chosen.kind == "high-pass":  # which is ahead of the motion: its first values lie between samples not all known
         modes = np.hstack([modes, first_values(term)])
     return replace(term, whiten=with_slow_noise(term.whiten, term.compared(modes)))
@@ -148,7 +149,16 @@ def with_past(term: WaveformTerm, chosen: SensorFilter) -> WaveformTerm:
 
 def first_values(term: WaveformTerm) -> FloatArray:
     """Return what leaves the first values of a record free (n, `GIBBS`)."""
-    return term.signal * np.eye(term.time.size, min(GIBBS, term.time.size))
+    return _loudest(term) * np.eye(term.time.size, min(GIBBS, term.time.size))
+
+
+def _loudest(term: WaveformTerm) -> float:
+    """Return how large what is not known of the past may be: several times the largest value.
+
+    The past that the simulation is given is its mirror image in the first sample, which at the release is the largest
+    of all: what that leaves of a filter's past is larger than most of the motion.
+    """
+    return _PAST * float(np.abs(term.values - term.values.mean()).max())
 
 
 def _without_end(term: WaveformTerm, lost: int) -> WaveformTerm:
