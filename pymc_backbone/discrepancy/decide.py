@@ -45,7 +45,7 @@ def decide(search: Search, drifting: Mapping[Set, Drifting], tolerance: Mapping[
     decision = _mind_backbones(search, _judged(search, _weighed(search, drifting), tolerance, base))
     if decision.verdict is Verdict.AMBIGUOUS and decision.best not in decision.listed and not decision.unfinished:
         decision = replace(decision, listed=(decision.best, *decision.listed))
-    if decision.verdict is Verdict.ADEQUATE or decision.mechanisms:
+    if decision.verdict is Verdict.ADEQUATE or decision.mechanisms or decision.is_approximate:
         return decision
     return _by_mechanism(search, decision)
 

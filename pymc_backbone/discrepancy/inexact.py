@@ -20,6 +20,7 @@ from .verdict import MECHANISM_NAMED, NamedLevel, Verdict
 
 _LITTLE = 0.01  # probability of a set from which it is asked whether each of its effects does anything
 _NEAR = 3.0  # reduced chi-square up to which the samples say so
+_NOTHING = 0.7  # of the gap, that a set leaves which explains next to nothing
 MOST_OF_THE_GAP = 0.85
 """Share of the gap that named mechanisms explain together: it shrinks at least sevenfold."""
 
@@ -42,6 +43,9 @@ def departing(search: Search, decision: Decision) -> Decision:
     if simpler is not None and simpler != best and _is_kept(search, weighed, simpler):
         # what is only possible beside the certain takes nothing of what these explain alone
         best, mechanisms = simpler, _told(search, weighed, simpler)
+    if weighed.gaps[best] > _NOTHING and not any(item.is_certain for item in mechanisms):
+        # what explains next to nothing is no explanation, nor the best of any
+        best, mechanisms, weighed = (), (), _without_those_that_explain_nothing(weighed)
     search.mend(best)
     lack = evidence.lack_of_fit(search.batch, search.fits[best])
     if search.is_refuted(best):
@@ -72,6 +76,12 @@ def departing(search: Search, decision: Decision) -> Decision:
     # the base with a departure is no explanation, and not listed as one
     sets = {names: chance for names, chance in weighed.probabilities.items() if names and names in search.fits}
     return replace(known, verdict=Verdict.AMBIGUOUS, listed=listed(sets, 1.0 - sum(sets.values())))
+
+
+def _without_those_that_explain_nothing(weighed: Weighed) -> Weighed:
+    """Return the sets without the probability of those that leave next to all of the gap: it is that of none known."""
+    chances = {names: 0.0 if weighed.gaps[names] > _NOTHING else p for names, p in weighed.probabilities.items()}
+    return replace(weighed, probabilities=chances)
 
 
 def _without_idle(search: Search, weighed: Weighed) -> Weighed:

@@ -37,6 +37,7 @@ _REACH = 20.0  # logarithm of the odds at first sight from which a set is fitted
 _AMPLE = 5.0  # forces over the gap from which they are too large for it
 _STANDS_OUT = 3.0  # standard errors of a level value from which the departure of an observable counts
 _EXPLAINED = 0.2  # of the gap that a set leaves up to which it does not matter whose own the rest is
+_DRIFTS = 0.3  # of the gap, that a drift in time leaves at most where it explains the records
 _SEPARATE = 5.0  # logarithm of the odds from which departures are each specimen's own, and so no law of amplitude
 
 
@@ -94,14 +95,16 @@ def weigh(search: Search) -> Weighed | None:
     if () not in logs:
         return None
     best = max(logs, key=lambda names: logs[names])
+    gaps = _gaps(departing, departures)
     of_drift = -np.inf
     if search.batch.has_records:
-        of_drift = _of_drift(search, departures, departing[()], ())
+        drifting = _drifting(search, departures, departing[()], ())
+        if _least_gap(departing[()], drifting, departures) < _DRIFTS:
+            of_drift = _log_of_drift(search, drifting, ())
         for names in _beside_drift(logs):  # what is left beside a law may go with the time
-            drifting = _of_drift(search, departures, departing[names], names) + beside[names]
-            logs[names] = float(np.logaddexp(logs[names], drifting))
+            beside_law = _log_of_drift(search, _drifting(search, departures, departing[names], names), names)
+            logs[names] = float(np.logaddexp(logs[names], beside_law + beside[names]))
     total = float(logsumexp([*logs.values(), of_drift]))
-    gaps = _gaps(departing, departures)
     is_law = True
     if len(chosen) > 1:
         apart = departures.evidence_apart(departing[best], search.layout(best))
@@ -221,13 +224,17 @@ def _beside_drift(logs: Mapping[Set, float]) -> list[Set]:
     return [names for names in dict.fromkeys(parts) if names in logs]
 
 
-def _of_drift(search: Search, departures: DepartingSets, found: Departing, names: Set) -> float:
-    """Return the logarithm of evidence and prior of a set with a drift in time: in each record, or alike in all."""
+def _drifting(search: Search, departures: DepartingSets, found: Departing, names: Set) -> list[Departing]:
+    """Return what the backbones say of a set with a drift in time: in each record, or alike in all."""
     jobs = [
         partial(departures.evidence, search.layout(names), [found.state], drifts=kind) for kind in ("own", "common")
     ]
-    known = [item.log_evidence for item in in_threads(jobs) if item is not None]
-    if not known:
+    return [item for item in in_threads(jobs) if item is not None]
+
+
+def _log_of_drift(search: Search, drifting: Sequence[Departing], names: Set) -> float:
+    """Return the logarithm of evidence and prior of a set with a drift in time."""
+    if not drifting:
         return -np.inf
     # a drift stands for an effect more; the base with one is no model with a departure
     prior = (
@@ -235,7 +242,13 @@ def _of_drift(search: Search, departures: DepartingSets, found: Departing, names
         if names
         else evidence.log_prior(1, len(search.candidates))
     )
-    return float(logsumexp(known) - np.log(2.0) + prior)
+    return float(logsumexp([item.log_evidence for item in drifting]) - np.log(2.0) + prior)
+
+
+def _least_gap(base: Departing, drifting: Sequence[Departing], departures: DepartingSets) -> float:
+    """Return the least departure that is needed beside a drift in time, as a share of what the base needs."""
+    gaps = (_gaps({(): base, evidence.DRIFT: item}, departures)[evidence.DRIFT] for item in drifting)
+    return min(gaps, default=np.inf)
 
 
 def _gaps(departing: Mapping[Set, Departing], departures: DepartingSets) -> dict[Set, float]:

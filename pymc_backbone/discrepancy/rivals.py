@@ -253,11 +253,13 @@ def alike_check(batch: Batch, best: Fit) -> Check:
     return Check(name, True, f"the {which} curves agree in shape within {per_cent(scatter)}")
 
 
-def data_terms_check(batch: Batch, reduced: float, limit: float) -> Check:
-    """Say whether the backbones agree with what the waveform names."""
+def data_terms_check(batch: Batch, reduced: float, limit: float, *, is_explained: bool = True) -> Check:
+    """Say whether the backbones agree with what the waveform names; ``is_explained``: whether it names anything."""
     name = "data terms agree"
     if not batch.has_records:
         return Check(name, True, "backbones only: there is one data term")
+    if not is_explained:
+        return Check(name, True, "not compared: nothing known explains the records")
     if batch.is_behind_filter:
         said = "not compared: the backbones are those of records behind a filter, as the samples are compared"
         return Check(name, True, said)

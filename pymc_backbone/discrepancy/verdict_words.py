@@ -188,6 +188,8 @@ def _of_unexplained(decision: Decision) -> str:
         )
     share = f" ({per_cent(decision.lack.share)} of the motion)" if decision.lack.share > 0.0 else ""
     left = f"what the best set ({named(decision.best)}) leaves is not noise{share}"
+    if not decision.best and decision.is_approximate:
+        left = f"none comes near what the records show{share}"
     drifts = "a drift with time explains the records better than any effect of amplitude"
     why = drifts if decision.drift_probability > 0.5 else left
     return f"Something is missing, and no set of known effects explains it: {why}.{_certain(decision)}"

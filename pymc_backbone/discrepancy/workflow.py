@@ -228,8 +228,8 @@ def _curves(
         start, gap = outcome.base, float("nan") if held_out is None else held_out.before
     else:
         return None
-    if (quick and is_heavy(start.layout)) or outcome.model is decision.on_backbones:
-        return None  # minutes where each simulation takes a second; no curve where there is no phase to follow
+    if quick and is_heavy(start.layout):
+        return None  # minutes where each simulation takes a second
     say("looking for force curves", 0.0)
     remembering = [
         found for found in search.fits.values() if any(effect.n_states for effect in found.layout.oscillator.effects)
@@ -281,7 +281,12 @@ def _checks(question: Question, outcome: Outcome, verification: Verification) ->
         ),
         outcome.second_mode,
         rivals.alike_check(batch, outcome.model),
-        rivals.data_terms_check(outcome.judged, verification.reduced, AGREE),
+        rivals.data_terms_check(
+            outcome.judged,
+            verification.reduced,
+            AGREE,
+            is_explained=bool(decision.best) or decision.verdict is not Verdict.UNEXPLAINED,
+        ),
     )
 
 
