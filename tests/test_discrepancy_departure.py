@@ -16,7 +16,7 @@ from pymc_backbone.discrepancy.batch import Batch, batch_of_backbones
 from pymc_backbone.discrepancy.data_term import LevelTerm
 from pymc_backbone.discrepancy.departing import DepartingSets
 from pymc_backbone.discrepancy.departure import NOISES, OWN_SHARE, SCALES, SIZES, Choice
-from pymc_backbone.discrepancy.inexact import _without_idle
+from pymc_backbone.discrepancy.inexact import _without_idle, _without_those_that_explain_nothing
 from pymc_backbone.discrepancy.joint_fit import fit
 from pymc_backbone.discrepancy.layout import make_layout
 from pymc_backbone.discrepancy.mechanisms import Weighed, _log_size
@@ -262,6 +262,21 @@ def test_laws_of_one_mechanism_are_as_probable_beforehand():
     _, one, two, _ = mechanisms.PRIOR_OF_COUNT
     twice = 0.1 * one / 2  # two laws of friction
     assert np.exp(total).sum() == pytest.approx(one + two + twice, rel=1e-12)
+
+
+def test_what_explains_next_to_nothing_has_no_probability():
+    """It is none of the known effects then: a set whose strength is zero had been "the best"."""
+    chances = {("cubic_stiffness",): 0.5, ("coulomb_friction",): 0.3, (): 0.2}
+    gaps = {("cubic_stiffness",): 0.99, ("coulomb_friction",): 0.5, (): 1.0}
+    found = _without_those_that_explain_nothing(Weighed({}, chances, gaps, 0.0, True, np.zeros(0)))
+    assert found.probabilities == {("cubic_stiffness",): 0.0, ("coulomb_friction",): 0.3, (): 0.0}
+
+
+def test_a_drift_explains_what_it_leaves_little_of(monkeypatch):
+    """In each record or alike in all, whichever leaves less; without one that can be simulated nothing is explained."""
+    monkeypatch.setattr(mechanisms, "_gaps", lambda items, _: {names: item for names, item in items.items()})
+    assert mechanisms._least_gap(1.0, [0.6, 0.2], None) == 0.2
+    assert mechanisms._least_gap(1.0, [], None) == np.inf
 
 
 @pytest.mark.parametrize(

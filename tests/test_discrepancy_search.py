@@ -607,6 +607,21 @@ def test_a_second_mode_is_seen(frequency, rng):
     assert said == pytest.approx(frequency, abs=0.3)  # a bin of a record of five seconds is 0.2 Hz wide
 
 
+@pytest.mark.parametrize(("left", "seen"), [(3.0, True), (1.0, False)])
+def test_a_mode_that_is_gone_long_before_the_motion_is_seen_where_it_was(left, seen, linear, monkeypatch, rng):
+    """Below 2 % of the motion it counts where the model leaves more than noise: something has to be there."""
+    time = np.arange(3000) / (30.0 * 5.0)  # a hundred cycles
+    values = np.exp(-0.1 * time) * np.cos(OMEGA * time)
+    line = 0.03 * np.exp(-time / 1.2) * np.sin(1.46 * OMEGA * time)
+    monkeypatch.setattr(evidence, "residuals_of", lambda *_: line + 3e-4 * rng.standard_normal(time.size))
+    term = replace(linear.batch.waveform[0], time=time, values=values, size=time.size)
+    batch = replace(linear.batch.subset([0]), waveform=(term,))
+    check = second_mode_check(batch, SimpleNamespace(chi_square=[left * term.size]))
+    assert check.passed != seen
+    if seen:
+        assert float(check.message.split(" Hz")[0].split()[-1]) == pytest.approx(7.3, rel=0.03)
+
+
 @pytest.mark.parametrize("correlation", [0.0, 0.5, 0.8, 0.9])
 def test_noise_with_a_colour_holds_no_line(correlation, rng):
     time = np.arange(2400) / 40.0

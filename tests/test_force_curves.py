@@ -433,7 +433,7 @@ def test_curves_stand_beside_what_is_certain(monkeypatch, verdict, level, is_app
     kinds = {"quadratic_damping": "drag", "cubic_stiffness": "spring"}
     decision = SimpleNamespace(
         verdict=verdict, named_level=level, is_approximate=is_approximate, model=best, mechanisms=mechanisms,
-        on_backbones=None,
+        on_backbones=None, has_second_mode=False,
     )  # fmt: skip
     outcome = SimpleNamespace(
         search=SimpleNamespace(fits={}, mechanism_of=kinds.get), decision=decision, drifting=None, base="base",

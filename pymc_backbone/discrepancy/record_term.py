@@ -25,7 +25,6 @@ _FITTED = 8  # turning points whose course tells those before them
 _FOUR = 4  # turning points that tell the swing before them
 _MOST_LONGER, _MOST_WIDER = 1.5, 1.8  # change of a swing from one cycle to the next
 _AT_RELEASE = 0.3  # of a half cycle: so close to its first sample a record begins at a turning point
-_WHOLE_SWING = 0.7  # of a half cycle, from the first sample to a turning point: the first sample is one, too
 _AROUND = 0.25  # of a half cycle
 _CLEARLY = 4.0  # standard deviations of the noise
 _MOST_LOST = 400
@@ -36,18 +35,13 @@ INSIDE, BETWEEN = 0.6, 0.3
 def first_turning_point(record: ConditionedRecord, cycles: Cycles) -> int:
     """Return which turning point is the first after the release: the second, where the first is the release itself.
 
-    A record that begins at the release, or while the specimen is still held, begins near an extreme value. One that
-    begins between two of them began with a blow: the motion is free from the first on, to which it was loaded for the
-    first time. What a band-pass leaves begins later.
+    A record that begins at the release, or while the specimen is still held, begins near an extreme value. What a
+    band-pass leaves begins later.
     """
     if record.band is not None:
         return 0
     start, extreme = float(record.displacement[:3].mean()), float(cycles.turning_values[0])
-    is_held = start * extreme > 0.0 and abs(start) > 0.5 * abs(extreme)
-    # of a spring that hardens the first swings are the shortest
-    swing = float(cycles.turning_times[1] - cycles.turning_times[0])
-    is_struck = float(cycles.turning_times[0] - record.time[0]) < _WHOLE_SWING * swing
-    return int(is_held or is_struck)
+    return int(start * extreme > 0.0 and abs(start) > 0.5 * abs(extreme))
 
 
 def release_of(record: ConditionedRecord, cycles: Cycles) -> tuple[int, float, float]:

@@ -20,10 +20,12 @@ from .harmonic_lines import beside_harmonics, frequencies_of
 from .joint_fit import Fit
 from .study import Check
 
-_BEATING = 0.02  # of the motion
+_BEATING = 0.02  # of the motion, from which a line is another mode ...
+_SEEN, _NO_NOISE = 0.005, 2.0  # ... and where the model leaves so many times the noise
 _LINE = 25.0  # peak of the residuals' periodogram over its median that a line has at least
 _FAR = 4.0  # bins between a line and a harmonic, where it is looked for beside these
 _OFF = 0.75  # bins from where a harmonic may lie, beyond which a peak close to one is another mode
+_EARLY, _FEWEST_CYCLES = (4, 10), 10.0  # parts of a record, and how many cycles they hold at least
 _WIDE = 0.5  # of the frequency, from which the ranges of harmonics run into one another
 _FEWEST = 8  # bins beside the harmonics that tell how high nothing is
 _AROUND = 24  # bins on either side of a peak that tell it where noise has a colour ...
@@ -48,13 +50,16 @@ def second_mode_check(batch: Batch, best: Fit) -> Check:
         # not whitened: the estimate of the noise holds a second mode too, and whitening would take most of it away
         plain = replace(term, whiten=lambda columns: columns)
         left = evidence.residuals_of(plain, best, r)
-        time, frequency = term.time[: left.size], batch.records[r].frequency
-        between = frequencies_of(batch.levels[r], frequency)
-        for line in (line_beside(time, left, between), line_near(time, left, between)):
-            share = line.height / (np.sqrt(2.0) * term.signal)
-            if share > worst[0]:
-                worst = (share, line.frequency, batch.specimens[r])
-    if worst[0] > _BEATING:
+        between = frequencies_of(batch.levels[r], batch.records[r].frequency)
+        # what is far from noise is made of something
+        least = _SEEN if best.chi_square[r] > _NO_NOISE * term.size else _BEATING
+        for part in _parts(left.size, term.cycles):
+            time, motion = term.time[: left.size][part], float(np.std(term.values[: left.size][part]))
+            for line in (line_beside(time, left[part], between), line_near(time, left[part], between)):
+                share = line.height / (np.sqrt(2.0) * motion)
+                if share > max(worst[0], least):
+                    worst = (share, line.frequency, batch.specimens[r])
+    if worst[0] > 0.0:
         return Check(
             name,
             False,
@@ -62,6 +67,15 @@ def second_mode_check(batch: Batch, best: Fit) -> Check:
             "single mode makes: a second mode beats with it; keep one mode with `band`",
         )
     return Check(name, True, "what the model leaves holds no line beside the harmonics of the mode")
+
+
+def _parts(size: int, cycles: float) -> list[slice]:
+    """Return the parts of a record that are looked at: all of it, and its beginning.
+
+    A mode of a higher frequency mostly decays sooner, and over the whole record it is not seen.
+    """
+    early = [slice(0, size // share) for share in _EARLY if cycles > _FEWEST_CYCLES * share]
+    return [slice(0, size), *early]
 
 
 def line_beside(time: FloatArray, residuals: FloatArray, between: tuple[float, float]) -> Line:

@@ -224,7 +224,7 @@ def _curves(
         is_named = bool(certain_sets(search, decision.mechanisms, (decision.model,)))
     if is_named:
         start, gap = outcome.model, float("nan") if held_out is None else held_out.after
-    elif is_open or decision.verdict is Verdict.UNEXPLAINED:
+    elif is_open or (decision.verdict is Verdict.UNEXPLAINED and not decision.has_second_mode):
         start, gap = outcome.base, float("nan") if held_out is None else held_out.before
     else:
         return None
