@@ -40,8 +40,12 @@ class Line(NamedTuple):
     frequency: float = 0.0
 
 
-def second_mode_check(batch: Batch, best: Fit) -> Check:
-    """Look for a line beside the harmonics in what the best model leaves, and for one close to a harmonic."""
+def second_mode_check(batch: Batch, best: Fit, *, is_adequate: bool = False) -> Check:
+    """Look for a line beside the harmonics in what the best model leaves, and for one close to a harmonic.
+
+    Where nothing is said to be missing (``is_adequate``), in the beginning of the records, too, and of smaller ones
+    where that leaves more than noise: something has to be there.
+    """
     name = "no second mode"
     worst: tuple[float, float, str] = (0.0, 0.0, "")
     for r, term in enumerate(batch.waveform):
@@ -51,9 +55,8 @@ def second_mode_check(batch: Batch, best: Fit) -> Check:
         plain = replace(term, whiten=lambda columns: columns)
         left = evidence.residuals_of(plain, best, r)
         between = frequencies_of(batch.levels[r], batch.records[r].frequency)
-        # what is far from noise is made of something
-        least = _SEEN if best.chi_square[r] > _NO_NOISE * term.size else _BEATING
-        for part in _parts(left.size, term.cycles):
+        least = _SEEN if is_adequate and best.chi_square[r] > _NO_NOISE * term.size else _BEATING
+        for part in _parts(left.size, term.cycles if is_adequate else 0.0):
             time, motion = term.time[: left.size][part], float(np.std(term.values[: left.size][part]))
             for line in (line_beside(time, left[part], between), line_near(time, left[part], between)):
                 share = line.height / (np.sqrt(2.0) * motion)
@@ -70,7 +73,7 @@ def second_mode_check(batch: Batch, best: Fit) -> Check:
 
 
 def _parts(size: int, cycles: float) -> list[slice]:
-    """Return the parts of a record that are looked at: all of it, and its beginning.
+    """Return the parts of a record that are looked at: all of it, and of so many cycles its beginning.
 
     A mode of a higher frequency mostly decays sooner, and over the whole record it is not seen.
     """

@@ -261,7 +261,8 @@ def _decided(known: Undisturbed) -> Outcome:
     decision = decide(search, drifting, question.tolerance)
     second_mode = Check("no second mode", True, "not testable without records")
     if question.batch.has_records:
-        second_mode = second_mode_check(question.batch, search.fits[decision.model])
+        is_adequate = decision.verdict is Verdict.ADEQUATE
+        second_mode = second_mode_check(question.batch, search.fits[decision.model], is_adequate=is_adequate)
         if not second_mode.passed:
             decision = mind_second_mode(decision)
     if known.is_bent:
