@@ -24,7 +24,8 @@ def mind_wandering_zero(cycles: Cycles, measured: MeasuredSamples) -> Cycles:
     """Return the cycles of a displacement without what the slow noise of its zero does to damping and turning points.
 
     The offsets stay as they are: they hold the slow noise as errors, for it may hide a mid-line of the structure's own.
-    Cycles without slow noise, or of a velocity or an acceleration, come back as they were.
+    What is only possible adds to the errors of the offsets alone. Cycles without slow noise, or of a velocity or an
+    acceleration, come back as they were.
     """
     slow = measured.slow_noise
     if slow is None or measured.order:
@@ -33,8 +34,15 @@ def mind_wandering_zero(cycles: Cycles, measured: MeasuredSamples) -> Cycles:
     # the zero was taken from where it happened to be
     size = slow.size(float(time[-1] - time[0]) / (time.size - 1), time.size, noise)
     modes = slow.modes(time, noise, cycles.time)
-    if not modes.shape[1]:
-        return cycles
+    zero = np.column_stack([modes, np.full(len(cycles), size)])
+    if slow.is_sure and modes.shape[1]:
+        cycles = _without_slope(cycles, slow, measured, modes)
+    return with_shared_errors(cycles, "offset", -zero / cycles.smoothed_amplitude[:, None])
+
+
+def _without_slope(cycles: Cycles, slow: Wander, measured: MeasuredSamples, modes: FloatArray) -> Cycles:
+    """Return the cycles without what the zero does to damping and turning points; ``modes`` (n, k) are those there."""
+    time, noise = measured.time, float(measured.autocovariance[0])
     half = 0.5 / cycles.frequency
     before, after = (slow.modes(time, noise, cycles.time + side * half) for side in (-1.0, 1.0))
     share = np.exp(0.25 * cycles.damping)[:, None]
@@ -48,9 +56,7 @@ def mind_wandering_zero(cycles: Cycles, measured: MeasuredSamples) -> Cycles:
         turning_values=cycles.turning_values - turning @ amounts,
         turning_value_errors=np.sqrt(cycles.turning_value_errors**2 + ((turning @ root) ** 2).sum(axis=1)),
     )
-    cycles = with_shared_errors(cycles, "damping", of_damping @ root)
-    zero = np.column_stack([modes, np.full(len(cycles), size)])
-    return with_shared_errors(cycles, "offset", -zero / cycles.smoothed_amplitude[:, None])
+    return with_shared_errors(cycles, "damping", of_damping @ root)
 
 
 def _amounts(cycles: Cycles, modes: FloatArray, slow: Wander) -> tuple[FloatArray, FloatArray]:

@@ -18,8 +18,7 @@ from .tracking import Track
 TOP = 0.6
 """Order (frequency over that of the motion) up to which noise is slow; above, it shows between the harmonics."""
 _CLEAR = 0.4  # order up to which the motion's own line does not reach
-_POWERS = (0.5, 1.0, 1.5, 2.0, 4.0)
-_SMOOTH, _RARE = 2.0, 0.02  # power beyond which the zero creeps and does not walk; how much rarer that is
+_POWERS = (0.5, 1.0, 1.5, 2.0)
 _RATIOS = np.geomspace(1.0, 1e7, 43)  # of slow noise to the other at the lowest frequency
 _LEVERAGE = 0.5  # share of a frequency that shapes of the mid-line take, beyond which it says nothing
 _FEWEST = 2
@@ -164,8 +163,8 @@ def find_wander(
     harmonic that changes alike. What remains of the tracked mid-line beside constant, A, A^2, A^3 (A^2 alone in few
     cycles) and that harmonic is taken to cosines, whose squares follow the density of the noise (Whittle's
     likelihood): the known one alone, or with a power law of the frequency added, whose power (0.5 to 2: from drifting
-    electronics to a random walk; 4, which is rare: a zero that creeps) and size are averaged over what the record
-    supports. An acceleration that decays slowly has as good as no mid-line of its own.
+    electronics to a random walk) and size are averaged over what the record supports. An acceleration that decays
+    slowly has as good as no mid-line of its own.
     """
     middle, shapes, line = _mid_line(values, sampling_rate, path, order)
     found = _slow_noise(middle, shapes, path, spectrum)
@@ -203,7 +202,7 @@ def _slow_noise(middle: FloatArray, shapes: FloatArray, path: Track, spectrum: N
             level = ratio * scale / (lowest**-power - top**-power)
             asked.append((level, power))
             logs.append(_log_likelihood(density, known + level * shape))
-    return _averaged(np.array(logs), np.array(asked), top, _alone(np.array(asked)))
+    return _averaged(np.array(logs), np.array(asked), top, _alone(len(asked)))
 
 
 def of_one_sensor(wanders: Sequence[Wander | None]) -> list[Wander | None]:
@@ -215,7 +214,7 @@ def of_one_sensor(wanders: Sequence[Wander | None]) -> list[Wander | None]:
     found = [item for item in wanders if item is not None]
     if len(found) < 2:
         return list(wanders)
-    alone = _alone(found[0].asked)
+    alone = _alone(len(found[0].asked))
     each = np.array([item.likelihood + alone for item in found])
     each -= logsumexp(each, axis=1, keepdims=True)
     result: list[Wander | None] = []
@@ -231,10 +230,9 @@ def of_one_sensor(wanders: Sequence[Wander | None]) -> list[Wander | None]:
     return result
 
 
-def _alone(asked: FloatArray) -> FloatArray:
-    """Return the logarithm of the prior of none and of power laws (g, 2): even, and among these but for smooth ones."""
-    weight = np.where(asked[:, 1] > _SMOOTH, _RARE, 1.0)
-    return np.log(np.append(0.5, 0.5 * weight / weight.sum()))
+def _alone(count: int) -> FloatArray:
+    """Return the logarithm of the prior of none and of so many power laws: even, and even among these."""
+    return np.append(np.log(0.5), np.full(count, np.log(0.5 / count)))
 
 
 def _averaged(likelihood: FloatArray, asked: FloatArray, top: float, beforehand: FloatArray) -> Wander:
