@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from pymc_backbone._common.checks import FloatArray
-from pymc_backbone.measurement import cycles as cycles_module
 from pymc_backbone.measurement.conditioning import decimation
 from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.measurement.conditioning.decimation import design_decimation
@@ -70,8 +69,6 @@ def test_level_values_and_errors_agree_with_those_of_all_samples(seed: int, monk
     few, few_errors, notes = level_values(values, "displacement", FREQUENCY * PER_CYCLE)
     assert any("every 15th was kept" in note for note in notes), notes
     monkeypatch.setattr(decimation, "SMALL", 10**9)
-    # of two thousand samples per cycle, which nothing else is given, a zero that wanders is seen in white noise
-    monkeypatch.setattr(cycles_module, "mind_wandering_zero", lambda cycles, _: cycles)
     every, every_errors, notes = level_values(values, "displacement", FREQUENCY * PER_CYCLE)
     assert not any("was kept" in note for note in notes)
     # the twentieth of a cycle at each end is all that is missing: a fraction of the errors

@@ -159,6 +159,8 @@ def _high_pass(batch: Batch, start: Fit, filters: Sequence[SensorFilter]) -> tup
     if not is_exact and not best[1].cost < _LESS * past - _PRICE:
         return None
     shows_at_release = past - best[1].cost < _BY_HARMONICS * (start.cost - best[1].cost)
+    if shows_at_release and not all(term.order for term in batch.waveform):
+        return None  # of a displacement, a start that settles looks alike
     if shows_at_release and not best[1].cost < _left_by(start, batch, _free_at_first(batch)) - _PRICE:
         return None
     for ratio in _NEARER:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.fft import dct
 from scipy.interpolate import make_interp_spline
+from scipy.ndimage import uniform_filter1d
 from scipy.special import logsumexp
 
 from ..._common.checks import FloatArray
@@ -258,6 +259,9 @@ def _mid_line(
     end = min(float(stamps[-1]), float(path.time[-1]) + 1.0 / path.frequency)
     bounds = path.phase_at(np.array([0.0, end]))
     grid = step * np.arange(np.ceil(bounds[0] / step), np.floor(bounds[1] / step) + 1.0)
+    dense = round(sampling_rate / (path.frequency * per_cycle))
+    if dense > 1:  # the noise of single samples would pass for that of all
+        values = uniform_filter1d(values, dense)
     samples = make_interp_spline(stamps, values, k=3)(np.clip(path.time_at(grid), 0.0, stamps[-1]))
     box = np.ones(per_cycle) / per_cycle
     kernel = np.convolve(box, box)
