@@ -241,6 +241,42 @@ def test_release_is_found(kind: str, quantity: int, per_cycle: int, noise: float
     assert not warnings_of(decay)
 
 
+@pytest.mark.parametrize("pulse", [0.02, 0.08, 0.15, 0.3])
+@pytest.mark.parametrize("quantity", ["displacement", "velocity", "acceleration"])
+@pytest.mark.parametrize("stiffness", [-0.25, 0.0, 1.0])
+def test_what_a_hammer_still_drives_is_dropped_and_a_held_start_is_not(
+    pulse: float, quantity: str, stiffness: float, rng: np.random.Generator
+) -> None:
+    """Oracle: the equation of motion with the force of the hammer, at a tight tolerance."""
+    rest, per_cycle = 1.7, 48
+    time = np.arange(0.0, 20.0, 1.0 / per_cycle)  # in cycles
+
+    def force(t: float) -> float:
+        return np.pi**2 / pulse * np.sin(np.pi * (t - rest) / pulse) if rest < t < rest + pulse else 0.0
+
+    def acceleration(t: float, x: float, v: float, is_struck: bool) -> float:
+        free = -((2.0 * np.pi) ** 2) * (x + stiffness * x**3) - 0.12 * v
+        return (free + force(t)) if is_struck else free * (t >= rest)
+
+    for is_struck in (True, False):
+
+        def rate(t: float, y: Array, is_struck: bool = is_struck) -> list[float]:
+            return [y[1], acceleration(t, y[0], y[1], is_struck)] if is_struck or t >= rest else [0.0, 0.0]
+
+        begun = [0.0 if is_struck else 1.0, 0.0]
+        solved = solve_ivp(rate, (0.0, 20.0), begun, t_eval=time, rtol=1e-8, atol=1e-9, max_step=0.01)
+        x, v = solved.y
+        values = {"displacement": x, "velocity": v}.get(quantity)
+        if values is None:
+            values = np.array([acceleration(*state, is_struck) for state in zip(time, x, v, strict=True)])
+        values = values + 0.003 * np.abs(values[-960:]).max() * rng.normal(size=values.size)
+        decay = condition(record(time / FREQUENCY, values, quantity))
+        late = decay.time[0] * FREQUENCY - rest
+        at = decay.measured.time[0] * FREQUENCY - rest
+        low, high = (pulse, 0.9) if is_struck else (-1e-9, 0.45)
+        assert low <= late <= high and low <= at <= high, (is_struck, late, at)
+
+
 def test_held_position_is_dropped_and_first_turning_point_kept() -> None:
     _time, (x, _, _) = simulated(damping=0.02, per_cycle=80)
     values = np.concatenate([np.full(800, 1.0), x])

@@ -15,7 +15,7 @@ from .data_term import WaveformTerm
 from .descent import is_heavy
 from .fitted_sets import FittedSets
 from .joint_fit import Fit, fit
-from .normal_equations import derivatives
+from .normal_equations import State, derivatives
 from .search import Search
 from .sensor_filter import GIBBS, Chain, SensorFilter, first_values, with_past
 from .whitening import with_slow_noise
@@ -23,7 +23,10 @@ from .whitening import with_slow_noise
 _ORDERS = (1, 2, 3, 4, 6, 8)
 _CUTS = (1.6, 9.0)  # cut-offs of low-passes that are looked at, over the frequency of the mode
 _COUPLED = (0.02, 0.045, 0.1, 0.2, 0.4)  # those of high-passes behind which sets are fitted at first ...
-_NEARER = (1.4, 1.18, 1.08)  # ... and ratios to the best of them of those that are tried then
+_NEARER = (1.4, 1.18)  # ... and ratios to the best of them of those that are tried then
+_MEASURED = 1.08  # that of those between which the cut-off is measured
+_EXPLORED = 2  # records that a high-pass is looked for with
+_PROMISING = 0.8  # share of what is left of these, below which it is asked of all
 _LOOKS = 20
 _FINER = (
     (1.25, 9),
@@ -43,6 +46,18 @@ _NEAR, _LEFT = (
 _BY_HARMONICS = 0.3  # of what a high-pass explains, that its past alone leaves at least where harmonics show it
 _LESS = 0.7  # of what is left where records only begin as behind a high-pass, that is left behind it at most
 _ITERATIONS = 12
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """A filter and a set behind it."""
+
+    filter: SensorFilter
+    found: Fit
+
+    def cost(self) -> float:
+        """Return what the set leaves."""
+        return self.found.cost
 
 
 def sensor_filter(search: Search) -> SensorFilter | None:
@@ -124,7 +139,7 @@ def _high_passes(batch: Batch, base: Fit, starts: Sequence[Fit], frequency: floa
             if best is None:
                 begun.remove(start)
                 continue
-            found.append(_behind_it(batch, *best))
+            found.append(_behind_it(batch, best.filter, best.found))
             if found[-1].is_exact and start is base:
                 begun = [base]  # nothing else is needed
                 break
@@ -133,44 +148,63 @@ def _high_passes(batch: Batch, base: Fit, starts: Sequence[Fit], frequency: floa
     return found
 
 
-def _high_pass(batch: Batch, start: Fit, filters: Sequence[SensorFilter]) -> tuple[SensorFilter, Fit] | None:
+def _high_pass(batch: Batch, start: Fit, filters: Sequence[SensorFilter]) -> _Fitted | None:
     """Return the high-pass that suits a set best, and the set behind it; None where it leaves little less.
 
-    A motion without harmonics shows it at the release alone, where records begin with what it has of the past: it then
-    has to leave noise where the set without it does not, nor free first values do.
+    Looked for with the records that the set leaves most of, and measured with all. A motion without harmonics shows it
+    at the release alone, where records begin with what it has of the past: it then has to leave noise where the set
+    without it does not, nor free first values do.
     """
 
-    def fitted(chosen: SensorFilter, known: Fit) -> list[tuple[SensorFilter, Fit]]:
-        terms = chosen.passed(batch).waveform
-        solved = fit(known.layout, terms, known.state, iterations=_ITERATIONS, nuisances=batch.nuisances)
-        return [] if solved is None else [(chosen, solved)]
+    def fitted(on: Batch, chosen: SensorFilter, state: State) -> list[_Fitted]:
+        terms = chosen.passed(on).waveform
+        solved = fit(start.layout, terms, state, iterations=_ITERATIONS, nuisances=on.nuisances)
+        return [] if solved is None else [_Fitted(chosen, solved)]
 
-    def cost(item: tuple[SensorFilter, Fit]) -> float:
-        return item[1].cost
-
-    tried = [(filters[0], start)]
+    few = np.sort(np.argsort(-start.chi_square, kind="stable")[:_EXPLORED])
+    part, begun = batch.subset(few.tolist()), State(start.state.eta, start.state.own[few])
+    tried: list[_Fitted] = []
     for chosen in filters:
-        tried += fitted(chosen, tried[-1][1])
-    best = min(tried[1:], key=cost, default=None)
-    if best is None:
-        return None
-    past = _left_by(start, batch, [with_past(term, best[0]) for term in batch.waveform])
-    is_exact = best[1].cost < start.cost - _PRICE and _is_exact(batch, best)
-    if not is_exact and not best[1].cost < _LESS * past - _PRICE:
-        return None
-    shows_at_release = past - best[1].cost < _BY_HARMONICS * (start.cost - best[1].cost)
-    if shows_at_release and not all(term.order for term in batch.waveform):
-        return None  # of a displacement, a start that settles looks alike
-    if shows_at_release and not best[1].cost < _left_by(start, batch, _free_at_first(batch)) - _PRICE:
+        tried += fitted(part, chosen, tried[-1].found.state if tried else begun)
+    best = min(tried, key=_Fitted.cost, default=None)
+    if best is None or not _is_promising(part, best, float(start.chi_square[few].sum())):
         return None
     for ratio in _NEARER:
-        at, found = best
-        sides = [fitted(replace(at, cut=by * at.cut), found) for by in (1.0 / ratio, ratio)]
-        best = min([best, *sides[0], *sides[1]], key=cost)
-    if sides[0] and sides[1]:
-        cut = _lowest(at.cut, ratio, (cost(sides[0][0]), found.cost, cost(sides[1][0])))
-        best = min([best, *fitted(replace(at, cut=cut), best[1])], key=cost)
-    return replace(best[0], shows_at_release=shows_at_release), best[1]
+        near, reached = best.filter, best.found.state
+        sides = [
+            item for by in (1.0 / ratio, ratio) for item in fitted(part, replace(near, cut=by * near.cut), reached)
+        ]
+        best = min([best, *sides], key=_Fitted.cost)
+    own = start.state.own.copy()
+    own[few] = best.found.state.own
+    whole = fitted(batch, best.filter, State(best.found.state.eta, own))
+    whole += [
+        again for item in whole if not item.found.is_converged for again in fitted(batch, item.filter, item.found.state)
+    ]
+    if not whole:
+        return None
+    best = whole[-1]
+    past = _left_by(start, batch, [with_past(term, best.filter) for term in batch.waveform])
+    is_exact = best.cost() < start.cost - _PRICE and _is_exact(batch, best)
+    if not is_exact and not best.cost() < _LESS * past - _PRICE:
+        return None
+    shows_at_release = past - best.cost() < _BY_HARMONICS * (start.cost - best.cost())
+    if shows_at_release and not all(term.order for term in batch.waveform):
+        return None  # of a displacement, a start that settles looks alike
+    if shows_at_release and not best.cost() < _left_by(start, batch, _free_at_first(batch)) - _PRICE:
+        return None
+    at, known = best.filter, best.found
+    lower, upper = (fitted(batch, replace(at, cut=by * at.cut), known.state) for by in (1.0 / _MEASURED, _MEASURED))
+    best = min([best, *lower, *upper], key=_Fitted.cost)
+    if lower and upper:
+        cut = _lowest(at.cut, _MEASURED, (lower[0].cost(), known.cost, upper[0].cost()))
+        best = min([best, *fitted(batch, replace(at, cut=cut), best.found.state)], key=_Fitted.cost)
+    return replace(best, filter=replace(best.filter, shows_at_release=shows_at_release))
+
+
+def _is_promising(part: Batch, best: _Fitted, left: float) -> bool:
+    """Return whether a set leaves clearly less of some records behind a high-pass than the ``left`` without one."""
+    return best.cost() < _PROMISING * left or _is_exact(part, best)
 
 
 def _lowest(cut: float, ratio: float, costs: tuple[float, float, float]) -> float:
@@ -184,10 +218,9 @@ def _lowest(cut: float, ratio: float, costs: tuple[float, float, float]) -> floa
     return float(cut * ratio ** np.clip(step, -1.0, 1.0))
 
 
-def _is_exact(batch: Batch, behind: tuple[SensorFilter, Fit]) -> bool:
+def _is_exact(batch: Batch, behind: _Fitted) -> bool:
     """Return whether a set leaves noise behind a filter."""
-    chosen, found = behind
-    return evidence.leaves_noise(chosen.passed(batch), found)
+    return evidence.leaves_noise(behind.filter.passed(batch), behind.found)
 
 
 def _left_by(start: Fit, batch: Batch, terms: Sequence[WaveformTerm]) -> float:

@@ -27,6 +27,8 @@ __all__ = ["ConditionedRecord", "condition"]
 
 _FEWEST_CYCLES = 8.0
 """Fewer are not given up to keep the end of forcing out of what a filter saw."""
+_LET_GO, _STRUCK = 0.2, 0.55
+"""Cycles from the release to the first turning point that is used; what was struck may be driven for half a cycle."""
 
 
 @with_one_thread
@@ -72,9 +74,9 @@ def condition(
     Notes
     -----
     *Release.* After a hold, an impact or the end of forcing the record begins a quarter of a cycle before the first
-    turning point that lies at least 0.3 cycles after the release. The held position itself is dropped: it is a
-    plateau, not a turning point, and the hand is in it; so is the first quarter of a cycle after an impact, with
-    the hammer.
+    turning point that lies at least 0.2 cycles after the release. The held position itself is dropped: it is a
+    plateau, not a turning point, and the hand is in it. What was struck was at rest in its equilibrium: the turning
+    point lies at least 0.55 cycles after the first motion, and a pulse of up to 0.3 cycles is dropped.
 
     *Zero.* For displacement nothing is high-passed, because the mid-line is physics. The reading subtracted is the
     limit of the mid-line at vanishing amplitude, confirmed by a quiet tail where there is one. See
@@ -315,7 +317,8 @@ class _Conditioning:
         """Return how many samples after a release lies a quarter of a cycle before the first turning point."""
         cycle = 1.0 / path.frequency
         shift = 0.5 * np.pi if self.record.quantity == "velocity" else 0.0
-        phase = float(path.phase_at(np.array([release + 0.3 * cycle]))[0]) - shift
+        least = _STRUCK if self.free.is_struck else _LET_GO
+        phase = float(path.phase_at(np.array([release + least * cycle]))[0]) - shift
         turning = float(path.time_at(np.array([np.pi * np.ceil(phase / np.pi) + shift]))[0])
         return max(0, int(np.floor((turning - 0.25 * cycle - release) * self.rate)))
 

@@ -11,6 +11,7 @@ from ..._common.checks import FloatArray, InputError, check_finite_array
 from ..._common.text import printable
 from ..reading.record import MINIMUM_SAMPLES, QUANTITIES, Record
 from ..rough_turning import rough_noise
+from .blow import is_struck
 from .decimation import Decimation, design_decimation
 from .filters import check_band
 from .hum import without_hum
@@ -54,6 +55,8 @@ class FreePart:
         Whether the release is to be found.
     is_cut : bool
         Whether something before the release was left out.
+    is_struck : bool
+        Whether that was rest in equilibrium: a hammer or a hand may act on the first swing.
     decimation : Decimation or None
         What left samples out.
     values : (n,) array
@@ -98,6 +101,7 @@ class FreePart:
         self.notes += [] if hum is None else [hum.note]
         self.searches = start is None and not record.starts_free
         self.decimation: Decimation | None = None
+        self.is_struck = False
         self.values, self.is_cut = self._released(self.whole)
         self.values, is_lifted = self._let_go(self.values)
         self.is_cut |= is_lifted
@@ -149,6 +153,7 @@ class FreePart:
         whole = dominant_frequency(values[lead:], self.rate) if values.size - lead >= MINIMUM_SAMPLES else None
         index = end_of_rest(values, self.rate, whole or self.frequency)
         if index is not None:
+            self.is_struck = is_struck(self.samples.values, index, self.rate, self.frequency, self.integrations)
             return self._without(values, index, "at rest"), True
         if (
             self.band is None
