@@ -79,6 +79,11 @@ class Batch:
         """Which of a specimen's own values the deciding data term sees."""
         return (0, 1, 2, 3, 4) if self.has_records else (0, 1)
 
+    @property
+    def count(self) -> int:
+        """How many values the deciding data term holds."""
+        return sum(term.size for term in self.deciding)
+
     def subset(self, specimens: Sequence[int]) -> Batch:
         """Return the batch of some of its specimens."""
         index = list(specimens)

@@ -63,7 +63,9 @@ def _judged(search: Search, weighed: Decision, tolerance: Mapping[str, float], d
         )  # fmt: skip
     named = _pruned(search, weighed, tolerance) if any(tolerance.values()) else weighed
     if named.verdict is Verdict.ADEQUATE:
-        return named
+        if drifting is None or named.drift_probability <= 0.5:
+            return named
+        return _with_drift(search, named, drifting)
     if named.drift_probability > NAMED and drifting is not None and evidence.leaves_noise(search.batch, drifting):
         return replace(named, verdict=Verdict.UNEXPLAINED, below=())
     if named.lack.p_value < UNEXPLAINED:
@@ -75,6 +77,18 @@ def _judged(search: Search, weighed: Decision, tolerance: Mapping[str, float], d
     chances = {names: named.evidences[names].probability for names in named.ranked}
     # what the sets do not hold of the probability is the drift's
     return replace(named, listed=listed(chances, 1.0 - sum(chances.values())))
+
+
+def _with_drift(search: Search, decision: Decision, drifting: Fit) -> Decision:
+    """Return the decision for the base with the drift that explains the records: no effect beside it is the best."""
+    search.fits[()] = drifting
+    chances = {**decision.probabilities, (): decision.probabilities[()] + decision.drift_probability}
+    evidences = {**decision.evidences, (): decision.evidences[DRIFT]}
+    return replace(
+        decision, best=(), probability=chances[()], probabilities=chances, evidences=evidences,
+        ranked=((), *(names for names in decision.ranked if names)), drifts=(*decision.drifts, ()),
+        lack=evidence.lack_of_fit(search.batch, drifting),
+    )  # fmt: skip
 
 
 def _weighed(search: Search, drifting: Mapping[Set, Drifting]) -> Decision:

@@ -18,6 +18,7 @@ from .joint_fit import Fit, fit
 from .normal_equations import State, derivatives
 from .search import Search
 from .sensor_filter import GIBBS, Chain, SensorFilter, first_values, with_past
+from .telling import Telling, most_telling
 from .whitening import with_slow_noise
 
 _ORDERS = (1, 2, 3, 4, 6, 8)
@@ -25,8 +26,7 @@ _CUTS = (1.6, 9.0)  # cut-offs of low-passes that are looked at, over the freque
 _COUPLED = (0.02, 0.045, 0.1, 0.2, 0.4)  # those of high-passes behind which sets are fitted at first ...
 _NEARER = (1.4, 1.18)  # ... and ratios to the best of them of those that are tried then
 _MEASURED = 1.08  # that of those between which the cut-off is measured
-_EXPLORED = 2  # records that a high-pass is looked for with
-_PROMISING = 0.8  # share of what is left of these, below which it is asked of all
+_PROMISING = 0.8  # share of what is left of some records, that a filter leaves at most to be asked of all
 _LOOKS = 20
 _FINER = (
     (1.25, 9),
@@ -116,9 +116,11 @@ def _low_passes(batch: Batch, starts: Sequence[Fit], frequency: float) -> list[_
     filters = [SensorFilter(order, float(cut)) for order in _ORDERS for cut in np.geomspace(*_CUTS, _LOOKS) * frequency]
     promised = []
     for start in starts:
-        looked = _look(batch, batch, start, filters)
+        part = most_telling(batch, start)
+        looked = _look(part.batch, part.batch, part.found, filters)
         if looked is not None and looked.gain > _PRICE:
-            promised.append((looked.cost + _EACH * start.layout.free.size, start, looked.best))
+            price = _EACH * start.layout.free.size
+            promised.append((looked.cost * batch.count / part.batch.count + price, start, looked.best))
     promised.sort(key=lambda item: item[0])
     found = [_behind(batch, start, first) for _, start, first in promised[:_FITTED]]
     return [item for item in found if item is not None]
@@ -161,23 +163,22 @@ def _high_pass(batch: Batch, start: Fit, filters: Sequence[SensorFilter]) -> _Fi
         solved = fit(start.layout, terms, state, iterations=_ITERATIONS, nuisances=on.nuisances)
         return [] if solved is None else [_Fitted(chosen, solved)]
 
-    few = np.sort(np.argsort(-start.chi_square, kind="stable")[:_EXPLORED])
-    part, begun = batch.subset(few.tolist()), State(start.state.eta, start.state.own[few])
+    part = most_telling(batch, start)
     tried: list[_Fitted] = []
     for chosen in filters:
-        tried += fitted(part, chosen, tried[-1].found.state if tried else begun)
+        tried += fitted(part.batch, chosen, (tried[-1].found if tried else part.found).state)
     best = min(tried, key=_Fitted.cost, default=None)
-    if best is None or not _is_promising(part, best, float(start.chi_square[few].sum())):
+    if best is None or not _is_promising(part, best):
         return None
     for ratio in _NEARER:
         near, reached = best.filter, best.found.state
         sides = [
-            item for by in (1.0 / ratio, ratio) for item in fitted(part, replace(near, cut=by * near.cut), reached)
+            item
+            for by in (1.0 / ratio, ratio)
+            for item in fitted(part.batch, replace(near, cut=by * near.cut), reached)
         ]
         best = min([best, *sides], key=_Fitted.cost)
-    own = start.state.own.copy()
-    own[few] = best.found.state.own
-    whole = fitted(batch, best.filter, State(best.found.state.eta, own))
+    whole = fitted(batch, best.filter, part.whole(best.found.state, start))
     whole += [
         again for item in whole if not item.found.is_converged for again in fitted(batch, item.filter, item.found.state)
     ]
@@ -202,9 +203,9 @@ def _high_pass(batch: Batch, start: Fit, filters: Sequence[SensorFilter]) -> _Fi
     return replace(best, filter=replace(best.filter, shows_at_release=shows_at_release))
 
 
-def _is_promising(part: Batch, best: _Fitted, left: float) -> bool:
-    """Return whether a set leaves clearly less of some records behind a high-pass than the ``left`` without one."""
-    return best.cost() < _PROMISING * left or _is_exact(part, best)
+def _is_promising(part: Telling, best: _Fitted) -> bool:
+    """Return whether a set leaves clearly less of some records behind a filter than without one."""
+    return best.cost() < _PROMISING * part.left or _is_exact(part.batch, best)
 
 
 def _lowest(cut: float, ratio: float, costs: tuple[float, float, float]) -> float:
@@ -247,22 +248,46 @@ class _Behind:
 
 
 def _behind(batch: Batch, start: Fit, first: SensorFilter) -> _Behind | None:
-    """Return a set behind the filter that suits it best, looked for from the first on; None where it does not fit."""
-    best, behind, found = first, batch, start
-    for ratio, count in ((1.0, 1), *_FINER):
-        if count > 1:
-            cuts = np.geomspace(best.cut / ratio, best.cut * ratio, count)
-            looked = _look(batch, behind, found, [replace(best, cut=float(cut)) for cut in cuts])
-            if looked is None:
-                return None
-            best = looked.best
-        behind = best.passed(batch)
-        solved = fit(found.layout, behind.waveform, found.state, iterations=_ITERATIONS, nuisances=batch.nuisances)
-        if solved is None:
-            return None
-        found = solved
+    """Return a set behind the filter that suits it best, looked for from the first on; None where it does not fit.
+
+    Looked for with the records that the set leaves most of, and measured with all.
+    """
+    part = most_telling(batch, start)
+    best = _looked_for(part.batch, _Fitted(first, part.found))
+    if best is None or not _is_promising(part, best):
+        return None
+    behind = best.filter.passed(batch)
+    begun = part.whole(best.found.state, start)
+    found = fit(start.layout, behind.waveform, begun, iterations=_ITERATIONS, nuisances=batch.nuisances)
+    if found is None:
+        return None
+    best = _Fitted(best.filter, found)
+    if len(part.specimens) < len(batch.specimens):
+        measured = _nearer(batch, behind, best, *_FINER[-1])
+        best = best if measured is None or measured.cost() > best.cost() else measured
     lowest, highest = (bound * float(np.median([record.frequency for record in batch.records])) for bound in _CUTS)
-    return _behind_it(batch, best, found) if lowest < best.cut < highest else None
+    return _behind_it(batch, best.filter, best.found) if lowest < best.filter.cut < highest else None
+
+
+def _looked_for(batch: Batch, begun: _Fitted) -> _Fitted | None:
+    """Return the low-pass that suits a set best, and the set behind it, from one and the set without."""
+    terms, known = begun.filter.passed(batch).waveform, begun.found
+    found = fit(known.layout, terms, known.state, iterations=_ITERATIONS, nuisances=batch.nuisances)
+    best = None if found is None else _Fitted(begun.filter, found)
+    for ratio, count in _FINER:
+        best = None if best is None else _nearer(batch, best.filter.passed(batch), best, ratio, count)
+    return best
+
+
+def _nearer(batch: Batch, behind: Batch, known: _Fitted, ratio: float, count: int) -> _Fitted | None:
+    """Return the best of so many cut-offs within a ratio of the known one as a look has it, and the set behind it."""
+    cuts = np.geomspace(known.filter.cut / ratio, known.filter.cut * ratio, count)
+    looked = _look(batch, behind, known.found, [replace(known.filter, cut=float(cut)) for cut in cuts])
+    if looked is None:
+        return None
+    terms = looked.best.passed(batch).waveform
+    found = fit(known.found.layout, terms, known.found.state, iterations=_ITERATIONS, nuisances=batch.nuisances)
+    return None if found is None else _Fitted(looked.best, found)
 
 
 def _behind_it(batch: Batch, best: SensorFilter, found: Fit) -> _Behind:

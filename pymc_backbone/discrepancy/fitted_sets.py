@@ -101,7 +101,7 @@ class FittedSets:
         self.descent = Descent(self.batch, limit=_LIMIT * self.budget)
         spans = [w.levels[-1] / w.levels[0] if w.levels.size else 0.0 for w in self.batch.levels]
         self.reference = int(np.argmax(spans))
-        self.count = sum(term.size for term in self.batch.deciding)
+        self.count = self.batch.count
 
     @cached_property
     def proposals(self) -> dict[Set, Proposal]:

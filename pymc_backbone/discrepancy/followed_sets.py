@@ -119,7 +119,8 @@ class FollowedSets(VariedSets):
 
         But behind some simple ones only that are less likely, so that the likeliest is asked whatever it costs. Single
         effects, which are few and soon fitted, have every third turn: of strong ones, or of such that differ much
-        between specimens, backbones say too little.
+        between specimens, backbones say too little. A simple one goes first: what costs much is given up early where
+        it is no rival of that.
         """
         simple = [item for item in self.proposals.items() if not self._is_costly(item[0])]
         waiting = [item for item in self.proposals.items() if self._is_costly(item[0])]
@@ -129,7 +130,7 @@ class FollowedSets(VariedSets):
             if waiting and item[1].log_evidence < waiting[0][1].log_evidence:
                 less_likely += 1
             is_overdue = less_likely > _PASSED
-            if waiting and (is_overdue or item[1].log_evidence < waiting[0][1].log_evidence - REACH):
+            if waiting and ordered and (is_overdue or item[1].log_evidence < waiting[0][1].log_evidence - REACH):
                 ordered.append(waiting.pop(0))
                 less_likely = 0
             ordered.append(item)

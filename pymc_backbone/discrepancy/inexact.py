@@ -40,6 +40,7 @@ def departing(search: Search, decision: Decision) -> Decision:
     mechanisms = _told(search, weighed, best)
     certain = certain_sets(search, mechanisms, ranked)
     simpler = next((names for names in certain if weighed.gaps[names] <= 1.0 - MOST_OF_THE_GAP), None)
+    simpler = None if simpler is None else _without_what_idles(search, weighed, simpler)
     if simpler is not None and simpler != best and _is_kept(search, weighed, simpler):
         # what is only possible beside the certain takes nothing of what these explain alone
         best, mechanisms = simpler, _told(search, weighed, simpler)
@@ -98,6 +99,14 @@ def _without_idle(search: Search, weighed: Weighed) -> Weighed:
             chances[names] = 0.0
             break
     return replace(weighed, probabilities=chances)
+
+
+def _without_what_idles(search: Search, weighed: Weighed, names: Set) -> Set:
+    """Return a set without effects that do nothing for the samples."""
+    for parent in combinations(names, max(len(names) - 1, 0)):
+        if parent in weighed.departing and _is_idle(search, names, parent):
+            return _without_what_idles(search, weighed, parent)
+    return names
 
 
 def _is_idle(search: Search, names: Set, parent: Set) -> bool:

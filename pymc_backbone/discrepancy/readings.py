@@ -8,7 +8,7 @@ that holds, few coefficients explain all of it, and the records can be read as w
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
@@ -26,18 +26,22 @@ from .harmonic_lines import beside_harmonics, frequencies_with, is_harmonic
 from .joint_fit import Fit, fit
 from .normal_equations import DRIFTS, State, derivatives
 from .search import Search, Set
+from .telling import Telling, most_telling
 
 _MOST = 0.1  # of the reading at the largest motion: what bends by more is no sensor
 _MOST_OF_A_LINE = 0.06  # of the motion: beside more, the other mode is no disturbance
 _LOOKS = 3  # times that the coefficients are found again, the set fitted to what they leave
 _ASKED = 3  # likeliest sets that are asked where none leaves noise, with what is in them
 _NEAR = 3.0  # chi-square over the number of samples that a linear look promises, from which a set is not fitted
+_CHANCE = 30.0  # chi-square by which chance may part records from what the best set leaves of them
 _COST = 4.0  # that each coefficient must be worth
 _ROUNDS = 30  # of the solution for the motion at a reading
 _LINE = 25.0  # peak of the residuals' periodogram over its median that a line has at least
 _FAR = 4.0  # bins between a line and a harmonic, where it is looked for
 _APART = 2.0  # bins between them, once it is found
 _DECAYS = (0.0, 3.0, 10.0)  # of lines over a record, as they are looked for
+_Left = tuple[float, "list[Disturbance]"]
+"""What a set leaves beside disturbances, and these."""
 _ALIKE = 0.03  # difference of the orders of one line in specimens that are alike
 
 
@@ -177,10 +181,14 @@ def disturbed(search: Search) -> Disturbed | None:
         start = search.fit_set(names)
         if start is None:
             continue
+        part = most_telling(batch, start)
+        left = float(search.fits[best].chi_square[part.specimens].sum())
+        few = left + _CHANCE if is_exact else _NEAR * part.batch.count
         for has_line, is_bent in ((True, False), (False, True), (True, True)):
             price = _COST * (4.0 * has_line + 2.0 * is_bent) * len(batch.specimens)
             limit = search.fits[best].cost - price if is_exact else _NEAR * search.count
-            jobs.append(partial(_beside, batch, start, limit, has_line=has_line, is_bent=is_bent))
+            whole = partial(_beside, batch, start, limit, has_line=has_line, is_bent=is_bent)
+            jobs.append(whole if has_line else partial(_bent_beside, part, few, whole))
             priced.append((names, price + 2.0 * _COST * len(names)))
     found: list[tuple[float, Disturbed]] = []
     for (names, price), beside in zip(priced, in_threads(jobs), strict=True):
@@ -190,9 +198,13 @@ def disturbed(search: Search) -> Disturbed | None:
     return min(found, key=lambda item: item[0])[1] if found else None
 
 
-def _beside(
-    batch: Batch, start: Fit, limit: float, *, has_line: bool, is_bent: bool
-) -> tuple[float, list[Disturbance]] | None:
+def _bent_beside(part: Telling, few: float, whole: Callable[[], _Left | None]) -> _Left | None:
+    """Return the ``whole`` answer where a set leaves noise of some records behind a bent sensor: it bends in all."""
+    is_there = _beside(part.batch, part.found, few, has_line=False, is_bent=True) is not None
+    return whole() if is_there else None
+
+
+def _beside(batch: Batch, start: Fit, limit: float, *, has_line: bool, is_bent: bool) -> _Left | None:
     """Return the cost of a set with a disturbance beside it, and that; None where it does not leave noise."""
     items = [
         Disturbance(

@@ -184,7 +184,8 @@ def drift_fit(batch: Batch, layout: Layout, state: State, limit: float = np.inf)
         return None
     if turning is not None:
         found = fit(layout, batch.waveform, turning.state, iterations=40, nuisances=nuisances)
-    near = fit(layout, batch.waveform, state, iterations=40, nuisances=nuisances)
+    rival = None if found is None else found.cost
+    near = fit(layout, batch.waveform, state, iterations=40, nuisances=nuisances, rival=rival)
     both = [item for item in (found, near) if item is not None]
     return min(both, key=lambda item: item.cost) if both else None
 
@@ -197,13 +198,16 @@ def drift_check(drifting: Fit | None, probability: float, found: bool, named: Fi
     name = "amplitude, not time"
     if drifting is None:
         return Check(name, True, "not testable without records: backbones do not say when an amplitude was passed")
-    if named is not None:
+    if named is not None and found:
         return Check(
             name,
             False,
             f"beside the effect the frequency drifts with time ({_rate(named)} over a record), or a second effect "
             "imitates that: keep the temperature, and release from other amplitudes to tell the two apart",
         )
+    if named is not None:
+        said = f"frequency and damping drift with time ({_rate(named)} of the frequency over a record), which explains"
+        return Check(name, False, f"{said} what is detectable; keep the temperature, if that matters")
     if probability > 0.02 and found:
         return Check(
             name,

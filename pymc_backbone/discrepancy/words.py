@@ -20,6 +20,7 @@ from .study import Detectable, ScatterOfEffects
 from .verdict_words import is_drift_possible, named
 
 _VANISHING = 0.3  # power of the amplitude below which a departure does not vanish with it
+_OWN = 0.3  # of a departure, that the effect itself brings about as the model has it, from which it is told
 _AT_BOUND = 1.2  # times the narrowest scatter, up to which it is none that is seen
 _SEPARATED = 5.0  # logarithm of the odds that decides
 
@@ -30,16 +31,22 @@ def reasons(batch: Batch, found: Fit, names: Set, scatter: ScatterOfEffects | No
     What the library says an effect does is told where nothing stands out at single levels. Elsewhere it could
     contradict what was measured (a second effect in the set, or another amplitude), so only what the effect is is told.
     What differs between the two sides changes the damping by the mid-line alone: nothing is told of that where the
-    mid-line is not measured.
+    mid-line is not measured. Nor is what the effect itself does not bring about, as the model has it.
     """
     sentences = []
     brought = on_levels(batch, found)
     summaries = {effect.name: effect.summary for effect in found.layout.oscillator.effects}
     sides = {effect.name for effect in found.layout.oscillator.effects if effect.mechanism == "asymmetry"}
     has_mid_line = all(record.offset_is_measured for record in batch.records)
+    with_it = _curves(batch, brought)
     for name in names:
+        without_it = _curves(batch, without(brought, [name]))
         rows = (0, 2) if name in sides and not has_mid_line else (0, 1, 2)
-        parts = [sentence for sentence in (_power_law(batch, brought, name, row) for row in rows) if sentence]
+        parts = [
+            sentence
+            for sentence in (_power_law(batch, without_it, with_it - without_it, row) for row in rows)
+            if sentence
+        ]
         unseen = "the waveforms show it" if batch.has_records else "all levels together show it"
         text = "; ".join(parts) if parts else f"too small to be seen at single levels; {unseen}"
         sentences.append(f"{capitalised(in_words(name))}: {text}.{_said_by_the_library(summaries[name], bool(parts))}")
@@ -72,20 +79,25 @@ def _said_by_the_library(summary: str, is_measured: bool) -> str:
     return f" In other words: {in_a_sentence(what)}."
 
 
-def _power_law(batch: Batch, found: Fit, name: str, row: int) -> str:
-    """Return how one observable exceeds the model without the effect, or nothing where that is not significant."""
+def _curves(batch: Batch, found: Fit) -> FloatArray:
+    """Return the backbones of all specimens at the levels (specimen, 3, level)."""
+    levels = np.asarray(batch.backbones["level"])
+    each = zip(range(len(batch.specimens)), batch.levels, strict=True)
+    return np.array([curve(found, found.parameters(r), levels, term.release) for r, term in each])
+
+
+def _power_law(batch: Batch, without_it: FloatArray, brought: FloatArray, row: int) -> str:
+    """Return how one observable exceeds the model without the effect.
+
+    Nothing where that is not significant, or not what the effect has ``brought`` (specimen, 3, level).
+    """
     observables = [str(item) for item in batch.backbones["observable"].values]
     if OBSERVABLES[row] not in observables:
         return ""
     o = observables.index(OBSERVABLES[row])
-    off = without(found, [name])
     levels = np.asarray(batch.backbones["level"])
     values, errors = measured(batch)
-    excess, variance = [], []
-    for r in range(len(batch.specimens)):
-        excess.append(values[r, o] - curve(off, off.parameters(r), levels, batch.levels[r].release)[row])
-        variance.append(errors[r, o] ** 2)
-    gap, spread = np.array(excess), np.array(variance)
+    gap, spread = values[:, o] - without_it[:, row], errors[:, o] ** 2
     held = np.isfinite(gap) & np.isfinite(spread) & (spread > 0.0)
     weight = np.where(held, 1.0 / np.where(held, spread, 1.0), 0.0)
     total = weight.sum(axis=0)
@@ -95,6 +107,9 @@ def _power_law(batch: Batch, found: Fit, name: str, row: int) -> str:
         significance = mean / error
     good = np.isfinite(mean) & (np.abs(significance) > 2.0)
     if good.sum() < 3 or np.abs(significance[good]).max() < 4.0:
+        return ""
+    own = np.where(held & np.isfinite(brought[:, row]), brought[:, row] * weight, 0.0).sum(axis=0)[good]
+    if not float(own @ mean[good]) > _OWN * float(total[good] @ mean[good] ** 2):
         return ""
     unit, length = " Hz" if row == 0 else "", str(batch.backbones.attrs.get("amplitude_unit", "m"))
     sign = np.sign(np.median(mean[good]))

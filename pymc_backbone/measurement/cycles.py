@@ -60,6 +60,9 @@ def extract_cycles(record: Any, *, noise: float | ArrayLike | None = None) -> Cy
         zero_error=float(getattr(record, "baseline_error", 0.0)),
     )
     cycles = _with_mid_line_errors(cycles, float(getattr(record, "mid_line_error", 0.0)))
+    cycles = _with_shape_errors(
+        cycles, float(getattr(record, "mid_line_error", 0.0)), float(getattr(record, "mid_line_shape_error", 0.0))
+    )
     measured = getattr(record, "measured", None)
     return cycles if measured is None else mind_wandering_zero(cycles, measured)
 
@@ -132,6 +135,22 @@ def _with_mid_line_errors(cycles: Cycles, error: float) -> Cycles:
         return cycles
     amplitude = cycles.smoothed_amplitude
     return with_shared_errors(cycles, "damping", (2.0 * error * cycles.damping * amplitude / amplitude[0])[:, None])
+
+
+def _with_shape_errors(cycles: Cycles, error: float, shape: float) -> Cycles:
+    """Return the cycles with what is not known of a restored mid-line, over amplitude: its size and its law.
+
+    Between a mid-line in proportion to the amplitude and one to its square lies what vanishes at the largest amplitude,
+    and a spring that hardens bends it there; damping holds the rate of change of all.
+    """
+    if shape == 0.0:
+        return cycles
+    share = cycles.smoothed_amplitude / cycles.smoothed_amplitude[0]
+    cycles = with_shared_errors(
+        cycles, "offset", np.column_stack([error * share, shape * (1.0 - share), shape * share**2])
+    )
+    bent = np.column_stack([1.0 - 2.0 * share, 3.0 * share**2])
+    return with_shared_errors(cycles, "damping", shape * cycles.damping[:, None] * bent)
 
 
 def _autocovariance(noise: float | ArrayLike | None) -> FloatArray | None:

@@ -18,6 +18,8 @@ _RATIOS = (1.5, 7.0)
 """Mid-line over second harmonic, sign reversed: 3 for a quadratic stiffness, 4.5 for a bilinear one."""
 _RATIO, _RATIO_ERROR = 3.3, 1.0
 """The same where the stiffness is not known: 2.3 for x^4."""
+_SHAPE = 0.3
+"""How far between that of one law and that of another a mid-line lies, as a standard deviation."""
 _TOLERATED = 0.008
 """Second harmonic up to which damping is off by 5 % without a mid-line: it changes what falls from peak to peak."""
 
@@ -34,12 +36,16 @@ class MidLine:
         Standard error of the mid-line over amplitude at the first cycle.
     is_measured : bool
         Whether it was measured, and not taken from the second harmonic.
+    shape_error : float
+        Standard error, over amplitude at the first cycle, of what laws of force make of it below: two terms are the
+        least that tell a spring of two sides from a curved one, and several springs at once are neither.
     """
 
     linear: float
     square: float
     error: float
     is_measured: bool = True
+    shape_error: float = 0.0
 
     def at(self, amplitude: FloatArray) -> FloatArray:
         """Return the mid-line at amplitudes of the displacement."""
@@ -107,7 +113,8 @@ def restore_mid_line(path: Track, harmonic: float) -> MidLine | None:
             best_score = score
             coefficients = dict(zip(powers, solution[1:], strict=True))
             error = float(np.sqrt(gradient @ covariance[1:, 1:] @ gradient))
-            best = MidLine(float(coefficients.get(1, 0.0)), float(coefficients.get(2, 0.0)), error)
+            shape = _SHAPE * abs(float(gradient @ solution[1:]))
+            best = MidLine(float(coefficients.get(1, 0.0)), float(coefficients.get(2, 0.0)), error, shape_error=shape)
     return best
 
 

@@ -172,6 +172,7 @@ class _Conditioning:
             rest_offset=baseline.rest,
             offset_is_measured=is_absolute or (mid_line is not None and mid_line.is_measured),
             mid_line_error=0.0 if mid_line is None else mid_line.error,
+            mid_line_shape_error=0.0 if mid_line is None else mid_line.shape_error,
             frequency=path.frequency,
             amplitude=largest,
             unit=self.record.unit.partition("/")[0],

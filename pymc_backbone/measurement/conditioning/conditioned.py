@@ -72,6 +72,8 @@ class ConditionedRecord:
     mid_line_error : float
         Standard error of a mid-line that was restored, or implied by the second harmonic, over amplitude at the first
         cycle; damping has twice that, in proportion to amplitude.
+    mid_line_shape_error : float
+        Standard error of a restored mid-line over amplitude, at small amplitudes: what is not known of its law.
     frequency : float
         Mean frequency of the dominant mode [Hz].
     amplitude : float
@@ -126,3 +128,4 @@ class ConditionedRecord:
     measured: MeasuredSamples
     notes: tuple[str, ...] = field(default=())
     mid_line_error: float = 0.0
+    mid_line_shape_error: float = 0.0

@@ -26,6 +26,7 @@ from .time_grid import to_uniform
 from .tracking import dominant_frequency
 
 _MOST_PLACES = 5
+_JUMP = 3  # widest spikes after a release within which what stands out is its jump behind a filter against aliases
 
 
 class FreePart:
@@ -178,7 +179,7 @@ class FreePart:
         for spike in spikes:
             if spike.first < first:
                 continue
-            if self.is_cut and spike.first < first + WIDEST:
+            if self.is_cut and spike.first < first + _JUMP * WIDEST:
                 there = slice(spike.first - first, spike.first - first + spike.count)
                 self.values = self.values.copy()
                 self.values[there] = self.samples.values[spike.first : spike.first + spike.count]
