@@ -273,7 +273,7 @@ def test_what_a_hammer_still_drives_is_dropped_and_a_held_start_is_not(
         decay = condition(record(time / FREQUENCY, values, quantity))
         late = decay.time[0] * FREQUENCY - rest
         at = decay.measured.time[0] * FREQUENCY - rest
-        low, high = (pulse, 0.9) if is_struck else (-1e-9, 0.45)
+        low, high = (pulse, 0.9) if is_struck else (-1e-9, 0.6)
         assert low <= late <= high and low <= at <= high, (is_struck, late, at)
 
 

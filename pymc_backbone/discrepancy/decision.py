@@ -76,6 +76,9 @@ class Decision:
         The best set fitted to the backbones, where no fit of it keeps the phase of the records; then it is believed.
     corrected : Corrected
         By how much Laplace's method was off, for the sets between which the verdict lies.
+    nearest : tuple of str or None
+        Where no set explains the backbones: the one that leaves least of the samples, if that is much less than the
+        base does.
     none_other : mapping of tuple of str to float
         Probability that a set which leaves noise is no imitation of what the library lacks.
     """
@@ -103,6 +106,7 @@ class Decision:
     remainder: tuple[Remainder, ...] = ()
     is_single_valued: bool = True
     on_backbones: Fit | None = None
+    nearest: Set | None = None
     corrected: Corrected = field(default_factory=Corrected)
     none_other: Mapping[Set, float] = field(default_factory=dict)
 

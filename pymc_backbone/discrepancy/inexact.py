@@ -21,6 +21,7 @@ from .verdict import MECHANISM_NAMED, NamedLevel, Verdict
 _LITTLE = 0.01  # probability of a set from which it is asked whether each of its effects does anything
 _NEAR = 3.0  # reduced chi-square up to which the samples say so
 _NOTHING = 0.7  # of the gap, that a set leaves which explains next to nothing
+_MUCH_LESS = 0.3  # of what the base leaves of the samples, over which a set comes nowhere near them
 MOST_OF_THE_GAP = 0.85
 """Share of the gap that named mechanisms explain together: it shrinks at least sevenfold."""
 
@@ -47,6 +48,7 @@ def departing(search: Search, decision: Decision) -> Decision:
     if weighed.gaps[best] > _NOTHING and not any(item.is_certain for item in mechanisms):
         # what explains next to nothing is no explanation, nor the best of any
         best, mechanisms, weighed = (), (), _without_those_that_explain_nothing(weighed)
+    nearest = None if best else _nearest(search)
     search.mend(best)
     lack = evidence.lack_of_fit(search.batch, search.fits[best])
     if search.is_refuted(best):
@@ -57,6 +59,7 @@ def departing(search: Search, decision: Decision) -> Decision:
         probability=weighed.probabilities[best],
         probabilities=weighed.probabilities,
         lack=lack,
+        nearest=nearest,
         below=(),
         drift_probability=weighed.drift_probability,
         mechanisms=mechanisms,
@@ -77,6 +80,13 @@ def departing(search: Search, decision: Decision) -> Decision:
     # the base with a departure is no explanation, and not listed as one
     sets = {names: chance for names, chance in weighed.probabilities.items() if names and names in search.fits}
     return replace(known, verdict=Verdict.AMBIGUOUS, listed=listed(sets, 1.0 - sum(sets.values())))
+
+
+def _nearest(search: Search) -> Set | None:
+    """Return the set that leaves least of the samples, if that is much less than the base does."""
+    names = min(search.fits, key=lambda item: search.fits[item].cost)
+    leaves, base = (search.fits[item].cost - search.count for item in (names, ()))
+    return names if names and leaves < _MUCH_LESS**2 * base else None
 
 
 def _without_those_that_explain_nothing(weighed: Weighed) -> Weighed:

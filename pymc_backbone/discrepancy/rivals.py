@@ -257,13 +257,21 @@ def alike_check(batch: Batch, best: Fit) -> Check:
     return Check(name, True, f"the {which} curves agree in shape within {per_cent(scatter)}")
 
 
-def data_terms_check(batch: Batch, reduced: float, limit: float, *, is_explained: bool = True) -> Check:
-    """Say whether the backbones agree with what the waveform names; ``is_explained``: whether it names anything."""
+def data_terms_check(
+    batch: Batch, reduced: float, limit: float, *, is_explained: bool = True, is_drifting: bool = False
+) -> Check:
+    """Say whether the backbones agree with what the waveform names.
+
+    ``is_explained`` says whether it names anything, ``is_drifting`` whether that is a drift with time alone: backbones
+    take what goes with the time for what goes with the amplitude.
+    """
     name = "data terms agree"
     if not batch.has_records:
         return Check(name, True, "backbones only: there is one data term")
     if not is_explained:
         return Check(name, True, "not compared: nothing known explains the records")
+    if is_drifting:
+        return Check(name, True, "not compared: backbones take a drift with time for a change with amplitude")
     if batch.is_behind_filter:
         said = "not compared: the backbones are those of records behind a filter, as the samples are compared"
         return Check(name, True, said)

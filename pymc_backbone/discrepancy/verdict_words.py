@@ -190,6 +190,9 @@ def _of_unexplained(decision: Decision) -> str:
     left = f"what the best set ({named(decision.best)}) leaves is not noise{share}"
     if not decision.best and decision.is_approximate:
         left = f"none comes near what the records show{share}"
+        if decision.nearest is not None:
+            near = named(decision.nearest)
+            left = f"none holds at all amplitudes; nearest to the samples is {near}, but its backbones are far off"
     drifts = "a drift with time explains the records better than any effect of amplitude"
     why = drifts if decision.drift_probability > 0.5 else left
     return f"Something is missing, and no set of known effects explains it: {why}.{_certain(decision)}"

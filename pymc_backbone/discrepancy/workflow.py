@@ -287,6 +287,7 @@ def _checks(question: Question, outcome: Outcome, verification: Verification) ->
             verification.reduced,
             AGREE,
             is_explained=bool(decision.best) or decision.verdict is not Verdict.UNEXPLAINED,
+            is_drifting=not decision.model and () in decision.drifts,
         ),
     )
 
