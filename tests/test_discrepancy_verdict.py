@@ -19,6 +19,7 @@ from pymc_backbone._common.text import capitalised, in_words
 from pymc_backbone.discrepancy import candidate_table, decide, inexact, rivals, shares, verdict_words, words
 from pymc_backbone.discrepancy.decision import Decision
 from pymc_backbone.discrepancy.evidence import Evidence
+from pymc_backbone.discrepancy.normal_equations import State
 from pymc_backbone.discrepancy.question import TOLERANCE
 from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.discrepancy.study import LawProbability, MissingMechanism, ScatterOfEffects
@@ -378,6 +379,39 @@ def test_a_drift_is_not_named(rng):
     assert "drift" in study.sentence
 
 
+def test_a_drift_that_explains_all_is_the_best_and_no_effect_beside_it(rng):
+    """A stiffness that grows by 0.4 % over each record: nothing that is above the tolerance."""
+    study = study_of(drifting_records(rng, 0.004, specimens=3))
+    assert study.verdict == "adequate" and "a drift with time is detectable" in study.sentence
+    best = study.candidates[0]
+    assert best.effects == () and best.status == "best" and best.probability > 0.5
+    assert 0.8 < best.reduced_chi_square < 1.2 and study.reasons == ()
+    failed = [item for item in study.checks if not item.passed]
+    assert [item.check for item in failed] == ["amplitude, not time"]
+    assert "0.2 % of the frequency over a record" in failed[0].message and "effect" not in failed[0].message
+
+
+def test_what_an_effect_does_not_bring_about_is_not_told_as_its_own(monkeypatch):
+    """Dry friction leaves the frequency; that of the model is off by a little, as by the error of a stiffness."""
+    monkeypatch.setattr(words, "on_levels", lambda _, found: found)
+    batch = batch_of(make_records(np.random.default_rng(4), ("coulomb_friction",), specimens=3))
+    found = Search(batch, LINEAR, ("coulomb_friction",), 1).fit_set(("coulomb_friction",))
+    assert found is not None
+    own = found.state.own.copy()
+    own[:, 0] *= 1.002
+    off = replace(found, state=State(found.state.eta, own))
+    (reason,) = words.reasons(batch, off, ("coulomb_friction",))
+    assert "damping rises" in reason and "frequency" not in reason
+    # negative control: a cubic spring that is off alike changes the frequency itself
+    batch = batch_of(make_records(np.random.default_rng(4), ("cubic_stiffness",), specimens=3))
+    found = Search(batch, LINEAR, ("cubic_stiffness",), 1).fit_set(("cubic_stiffness",))
+    assert found is not None
+    own = found.state.own.copy()
+    own[:, 0] *= 1.002
+    (reason,) = words.reasons(batch, replace(found, state=State(found.state.eta, own)), ("cubic_stiffness",))
+    assert "frequency rises" in reason
+
+
 def test_a_beating_mode_is_reported(rng):
     beating = decaying_sinusoid(0.08 * AMPLITUDE, 7.3)
     records = [dataclasses.replace(record, values=record.values + beating) for record in make_records(rng)]
@@ -591,6 +625,12 @@ def test_words_of_each_verdict():
             "adequate",
             {"adequate_by": AdequateBy.TOLERANCE, "drift_probability": 0.9},
             "a drift with time is detectable",
+        ),
+        ("unexplained", {"best": (), "is_approximate": True}, "none comes near what the records show (1.2 % of"),
+        (
+            "unexplained",
+            {"best": (), "is_approximate": True, "nearest": ("freeplay", "jenkins")},
+            "nearest to the samples is freeplay + Jenkins, but its backbones are far off",
         ),
         (
             "adequate",
