@@ -13,11 +13,13 @@ from .compensation import compensation
 from .corrected_evidence import Corrected, corrections
 from .curves import level_chi_square
 from .decision import AGREE, DRIFT_POSSIBLE, NAMED, Decision, listed
+from .drift_course import changes_of
 from .estimates import estimates_of
 from .evidence import DRIFT, UNEXPLAINED, Drifting, Evidence, is_unexplained
 from .harmonic_odds import odds_behind_bands
 from .inexact import departing, is_told_apart
 from .joint_fit import Fit
+from .normal_equations import DRIFTS
 from .search import Search, Set
 from .shares import missing_mechanisms
 from .tolerance import prune
@@ -65,7 +67,7 @@ def _judged(search: Search, weighed: Decision, tolerance: Mapping[str, float], d
     if named.verdict is Verdict.ADEQUATE:
         if drifting is None or named.drift_probability <= 0.5:
             return named
-        return _with_drift(search, named, drifting)
+        return _with_drift(search, named, drifting, tolerance)
     if named.drift_probability > NAMED and drifting is not None and evidence.leaves_noise(search.batch, drifting):
         return replace(named, verdict=Verdict.UNEXPLAINED, below=())
     if named.lack.p_value < UNEXPLAINED:
@@ -79,13 +81,21 @@ def _judged(search: Search, weighed: Decision, tolerance: Mapping[str, float], d
     return replace(named, listed=listed(chances, 1.0 - sum(chances.values())))
 
 
-def _with_drift(search: Search, decision: Decision, drifting: Fit) -> Decision:
-    """Return the decision for the base with the drift that explains the records: no effect beside it is the best."""
+def _with_drift(search: Search, decision: Decision, drifting: Fit, tolerance: Mapping[str, float]) -> Decision:
+    """Return the decision for the base with the drift that explains the records: no effect beside it is the best.
+
+    It is adequate where what drifts is below the tolerance, as effects are that are not named.
+    """
     search.fits[()] = drifting
     chances = {**decision.probabilities, (): decision.probabilities[()] + decision.drift_probability}
     evidences = {**decision.evidences, (): decision.evidences[DRIFT]}
+    places = list(DRIFTS)
+    changes = changes_of(drifting.state.own[:, places], np.nan_to_num(drifting.own_covariance[:, places]))
+    is_small = all(change < tolerance.get(key, np.inf) for key, change in changes.items())
+    verdict, by = (Verdict.ADEQUATE, decision.adequate_by) if is_small else (Verdict.UNEXPLAINED, None)
     return replace(
-        decision, best=(), probability=chances[()], probabilities=chances, evidences=evidences,
+        decision, verdict=verdict, adequate_by=by, below=(), best=(), probability=chances[()],
+        probabilities=chances, evidences=evidences,
         ranked=((), *(names for names in decision.ranked if names)), drifts=(*decision.drifts, ()),
         lack=evidence.lack_of_fit(search.batch, drifting),
     )  # fmt: skip

@@ -48,6 +48,20 @@ def fade_of(amplitude: FloatArray) -> float:
     return min(_FADE * max(fall, _LEAST_FALL), _MOST_FADE)
 
 
+def changes_of(drifts: FloatArray, variances: FloatArray) -> dict[str, float]:
+    """Return by how much frequency and damping change over a record, relative: mean size of the drifts of records.
+
+    Of damping it is what that is at most: a record that loses much holds less of it.
+
+    Parameters
+    ----------
+    drifts, variances : (r, 2) arrays
+        What was fitted, and its variance, which is no change.
+    """
+    frequency, damping = np.sqrt(np.maximum((drifts**2 - variances).mean(axis=0), 0.0))
+    return {"frequency": DRIFT * float(frequency), "damping": _FADE * float(damping)}
+
+
 def course_of(time: FloatArray, nuisances: FloatArray, order: int, fade: float) -> Course:
     """Return how drifts change the motion over the record, seen as its derivative of an order; ``fade`` as above."""
     _, release_time, _, drift, loss = nuisances
@@ -82,4 +96,4 @@ def drifted(
     return faster, damping + loss * share / (length * faster)
 
 
-__all__ = ["DRIFT", "Course", "course_of", "drifted", "fade_of", "levels_before"]
+__all__ = ["DRIFT", "Course", "changes_of", "course_of", "drifted", "fade_of", "levels_before"]

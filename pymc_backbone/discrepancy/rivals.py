@@ -207,7 +207,7 @@ def drift_check(drifting: Fit | None, probability: float, found: bool, named: Fi
         )
     if named is not None:
         said = f"frequency and damping drift with time ({_rate(named)} of the frequency over a record), which explains"
-        return Check(name, False, f"{said} what is detectable; keep the temperature, if that matters")
+        return Check(name, False, f"{said} the records alone; keep the temperature")
     if probability > 0.02 and found:
         return Check(
             name,
