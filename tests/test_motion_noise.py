@@ -73,6 +73,20 @@ def test_samples_of_an_accelerometer_that_are_averaged_are_asked_as_well(share, 
         assert found.weighed(search.batch).waveform[0].size == search.batch.waveform[0].size
 
 
+def test_loud_noise_of_values_that_are_averaged_makes_no_rate_of_its_own(rng):
+    """Two samples to a value: loud noise had seemed to grow where its own slope was steep."""
+    time = np.arange(3000) / (60.0 * FREQUENCY)
+    exact = pb.simulate_waveform(pb.Oscillator(MASS), truth_of(()), time, AMPLITUDE, quantity="acceleration").values
+    noise = 0.06 * np.abs(exact).max()
+    records = [
+        pb.Record(f"{r}", time, exact + noise * rng.standard_normal(time.size), "acceleration", "m/s^2")
+        for r in range(4)
+    ]
+    search = searched(records, ("cubic_stiffness",))
+    assert search.batch.waveform[0].averaged == 2
+    assert motion_noise(search) is None
+
+
 def test_noise_that_is_the_same_everywhere_is_left_alone(rng):
     assert motion_noise(searched(disturbed(rng))) is None
 

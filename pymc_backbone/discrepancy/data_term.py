@@ -346,9 +346,15 @@ class WaveformTerm:
 
     def standardised(self, rows: FloatArray) -> FloatArray:
         """Return of rows (n,) at the instants the means (m,) over the samples of each standardised value."""
+        return self.standing(self.means_of(rows))
+
+    def means_of(self, rows: FloatArray) -> FloatArray:
+        """Return the means over the samples of each value before those that do not count are left out."""
         kept = self.compared(rows)
-        if self.averaged > 1:
-            kept = means(kept[:, None], self.averaged)[:, 0]
+        return kept if self.averaged == 1 else means(kept[:, None], self.averaged)[:, 0]
+
+    def standing(self, kept: FloatArray) -> FloatArray:
+        """Return of such means those that are standardised values."""
         return kept[: self.size] if self.shown is None else kept[self.shown[: self.size]]
 
     @cached_property

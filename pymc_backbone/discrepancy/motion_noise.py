@@ -116,8 +116,11 @@ def _stands_in_lines(left: FloatArray, share: float) -> bool:
 
 
 def _course(term: WaveformTerm, is_of_rate: bool) -> FloatArray:
-    """Return the square of the rate, or its mean over each cycle, at each value; one at the largest motion."""
-    square = term.standardised(np.gradient(term.values, term.time) ** 2)
+    """Return the square of the rate, or its mean over each cycle, at each value; one at the largest motion.
+
+    From the values before and after: the noise of a value makes no rate of its own.
+    """
+    square = term.standing(np.gradient(term.means_of(term.values)) ** 2)
     smooth = _over_cycles(square, term)
     course: FloatArray = (square if is_of_rate else smooth) / smooth.max()
     return course
