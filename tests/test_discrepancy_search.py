@@ -624,6 +624,22 @@ def test_a_mode_that_is_gone_long_before_the_motion_is_seen_where_it_was(left, s
         assert float(check.message.split(" Hz")[0].split()[-1]) == pytest.approx(7.3, rel=0.03)
 
 
+@pytest.mark.parametrize(("ratio", "share", "passes"), [(0.6, 0.015, False), (0.6, 0.005, True), (1.6, 0.015, True)])
+def test_a_smaller_line_counts_below_the_frequency_of_the_mode(ratio, share, passes, linear, monkeypatch, rng):
+    """As that of a liquid that moves along; above, a percent may be anything."""
+    time = np.arange(3000) / (30.0 * 5.0)
+    values = np.exp(-0.1 * time) * np.cos(OMEGA * time)
+    motion = np.sqrt(2.0) * values.std()
+    line = share * motion * np.sin(ratio * OMEGA * time)
+    monkeypatch.setattr(evidence, "residuals_of", lambda *_: line + 3e-3 * rng.standard_normal(time.size))
+    term = replace(linear.batch.waveform[0], time=time, values=values, size=time.size)
+    batch = replace(linear.batch.subset([0]), waveform=(term,))
+    check = second_mode_check(batch, SimpleNamespace(chi_square=[1.0 * term.size]))
+    assert check.passed == passes
+    if not passes:
+        assert float(check.message.split(" Hz")[0].split()[-1]) == pytest.approx(3.0, rel=0.01)
+
+
 @pytest.mark.parametrize("correlation", [0.0, 0.5, 0.8, 0.9])
 def test_noise_with_a_colour_holds_no_line(correlation, rng):
     time = np.arange(2400) / 40.0

@@ -22,6 +22,7 @@ from .study import Check
 
 _BEATING = 0.02  # of the motion, from which a line is another mode ...
 _SEEN, _NO_NOISE = 0.005, 2.0  # ... and where the model leaves so many times the noise
+_BELOW, _LOWEST = 0.01, 0.3  # ... and below the frequency of the mode, down to that share of it, where nothing else is
 _LINE = 25.0  # peak of the residuals' periodogram over its median that a line has at least
 _FAR = 4.0  # bins between a line and a harmonic, where it is looked for beside these
 _OFF = 0.75  # bins from where a harmonic may lie, beyond which a peak close to one is another mode
@@ -44,7 +45,8 @@ def second_mode_check(batch: Batch, best: Fit, *, is_adequate: bool = False) -> 
     """Look for a line beside the harmonics in what the best model leaves, and for one close to a harmonic.
 
     Where nothing is said to be missing (``is_adequate``), in the beginning of the records, too, and of smaller ones
-    where that leaves more than noise: something has to be there.
+    where that leaves more than noise: something has to be there. Below the frequency of the mode a smaller line counts:
+    a single mode has none there, and a mass that moves along, as of a liquid, bends the backbones.
     """
     name = "no second mode"
     worst: tuple[float, float, str] = (0.0, 0.0, "")
@@ -58,9 +60,12 @@ def second_mode_check(batch: Batch, best: Fit, *, is_adequate: bool = False) -> 
         least = _SEEN if is_adequate and best.chi_square[r] > _NO_NOISE * term.size else _BEATING
         for part in _parts(left.size, term.cycles if is_adequate else 0.0):
             time, motion = term.time[: left.size][part], float(np.std(term.values[: left.size][part]))
-            for line in (line_beside(time, left[part], between), line_near(time, left[part], between)):
+            below = line_below(time, left[part], between), min(least, _BELOW)
+            beside = line_beside(time, left[part], between), least
+            near = line_near(time, left[part], between), least
+            for line, smallest in (below, beside, near):
                 share = line.height / (np.sqrt(2.0) * motion)
-                if share > max(worst[0], least):
+                if share > max(worst[0], smallest):
                     worst = (share, line.frequency, batch.specimens[r])
     if worst[0] > 0.0:
         return Check(
@@ -84,7 +89,18 @@ def _parts(size: int, cycles: float) -> list[slice]:
 def line_beside(time: FloatArray, residuals: FloatArray, between: tuple[float, float]) -> Line:
     """Return the highest line beside the harmonics of a motion whose frequency was in a range."""
     grid, power = _periodogram(time, residuals)
+    return _highest(grid, power, beside_harmonics(grid, between, _FAR * grid[1]))
+
+
+def line_below(time: FloatArray, residuals: FloatArray, between: tuple[float, float]) -> Line:
+    """Return the highest line below the frequency of a motion, but for what is much slower."""
+    grid, power = _periodogram(time, residuals)
     beside = beside_harmonics(grid, between, _FAR * grid[1])
+    return _highest(grid, power, beside & (grid > _LOWEST * between[0]) & (grid < between[0]))
+
+
+def _highest(grid: FloatArray, power: FloatArray, beside: BoolArray) -> Line:
+    """Return the highest line in some bins."""
     if np.count_nonzero(beside) < _FEWEST:
         return Line()
     highest = Line()
