@@ -137,9 +137,14 @@ def test_the_reason_is_in_physical_words(cubic_study):
 def test_an_effect_that_is_a_spring_at_rest_is_told_by_what_changes():
     """A slider that sticks is a spring more, which is the linear one's; what tells is that it gives way."""
     levels, error = np.array([0.1, 0.2, 0.5, 1.0]), np.full(4, 1e-3)
-    softer = words._change("frequency", np.array([0.5, 0.48, 0.4, 0.3]), error, levels, (" Hz", "mm"))
+    excess, units = np.array([0.5, 0.48, 0.4, 0.3]), (" Hz", "mm")
+    softer = words._change("frequency", excess, error, excess, levels, units)
     assert softer == "frequency falls by 0.2 Hz from 0.1 to 1 mm"
-    same = words._change("damping", np.array([-0.5, -0.4995, -0.5, -0.501]), error, levels, ("", "mm"))
+    # what changes is not this effect's: a spring that is stiffer on one side is so at every amplitude
+    constant = words._change("frequency", excess, error, np.full(4, 0.45), levels, units)
+    assert constant == "frequency is 0.5 Hz higher throughout"
+    excess = np.array([-0.5, -0.4995, -0.5, -0.501])
+    same = words._change("damping", excess, error, excess, levels, ("", "mm"))
     assert same == "damping is 0.5 lower throughout"
 
 

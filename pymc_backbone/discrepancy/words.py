@@ -108,20 +108,20 @@ def _power_law(batch: Batch, without_it: FloatArray, brought: FloatArray, row: i
     good = np.isfinite(mean) & (np.abs(significance) > 2.0)
     if good.sum() < 3 or np.abs(significance[good]).max() < 4.0:
         return ""
-    own = np.where(held & np.isfinite(brought[:, row]), brought[:, row] * weight, 0.0).sum(axis=0)[good]
-    if not float(own @ mean[good]) > _OWN * float(total[good] @ mean[good] ** 2):
+    own = np.where(held & np.isfinite(brought[:, row]), brought[:, row] * weight, 0.0).sum(axis=0)[good] / total[good]
+    if not float(total[good] @ (own * mean[good])) > _OWN * float(total[good] @ mean[good] ** 2):
         return ""
     unit, length = " Hz" if row == 0 else "", str(batch.backbones.attrs.get("amplitude_unit", "m"))
     sign = np.sign(np.median(mean[good]))
     if (mean[good] * sign < 0.0).any():  # no power of the amplitude changes its sign
-        return _change(OBSERVABLES[row], mean[good], error[good], levels[good], (unit, length))
+        return _change(OBSERVABLES[row], mean[good], error[good], own, levels[good], (unit, length))
     x, y = np.log(levels[good]), np.log(mean[good] * sign)
     w = (mean[good] / error[good]) ** 2
     centre = np.average(x, weights=w)
     slope = float(np.average((x - centre) * y, weights=w) / np.average((x - centre) ** 2, weights=w))
     slope_error = max(float(1.0 / np.sqrt(np.sum(w * (x - centre) ** 2))), 0.01)  # two digits are told: never as 0.00
     if row < 2 and slope < _VANISHING and (row == 0 or slope > -_VANISHING):
-        return _change(OBSERVABLES[row], mean[good], error[good], levels[good], (unit, length))
+        return _change(OBSERVABLES[row], mean[good], error[good], own, levels[good], (unit, length))
     at = int(np.flatnonzero(good)[np.argmax(np.abs(mean[good]))])
     verb = {(0, 1): "rises", (0, -1): "falls", (1, 1): "rises", (1, -1): "falls"}.get((row, int(sign)), "moves")
     trend = "grows with amplitude" if slope > 0.0 else "grows as amplitude falls"
@@ -131,15 +131,23 @@ def _power_law(batch: Batch, without_it: FloatArray, brought: FloatArray, row: i
     )
 
 
-def _change(observable: str, excess: FloatArray, error: FloatArray, levels: FloatArray, units: tuple[str, str]) -> str:
+def _change(
+    observable: str,
+    excess: FloatArray,
+    error: FloatArray,
+    own: FloatArray,
+    levels: FloatArray,
+    units: tuple[str, str],
+) -> str:
     """Return how an observable changes with amplitude by an effect that is there however small the amplitude is.
 
     A slider that sticks is a spring more: the linear spring of the model without it would stand for that, so it is the
-    change from the smallest amplitude on that tells.
+    change from the smallest amplitude on that tells; ``own`` is what the effect brings about as the model has it.
     """
     change = excess - excess[0]
     at = int(np.argmax(np.abs(change)))
-    if not abs(change[at]) > 2.0 * float(np.hypot(error[at], error[0])):
+    is_seen = abs(change[at]) > 2.0 * float(np.hypot(error[at], error[0]))
+    if not (is_seen and (own[at] - own[0]) / change[at] > _OWN):
         return f"{observable} is {abs(excess[0]):.3g}{units[0]} {'higher' if excess[0] > 0.0 else 'lower'} throughout"
     verb = "rises" if change[at] > 0.0 else "falls"
     between = span(float(levels[0]), float(levels[at]), units[1])
