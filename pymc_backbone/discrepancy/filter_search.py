@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
 
 import numpy as np
 
 from .._common.checks import FloatArray
+from .._common.threads import in_threads
 from . import evidence
 from .batch import Batch
 from .data_term import WaveformTerm
@@ -136,15 +138,17 @@ def _high_passes(batch: Batch, base: Fit, starts: Sequence[Fit], frequency: floa
     begun = [base, *sorted(starts, key=lambda start: start.cost)[:_FITTED]]
     found: list[_Behind] = []
     for order in (1, 2):
-        for start in list(begun):
-            best = _high_pass(batch, start, [SensorFilter(order, cut * frequency, "high-pass") for cut in _COUPLED])
-            if best is None:
-                begun.remove(start)
-                continue
-            found.append(_behind_it(batch, best.filter, best.found))
-            if found[-1].is_exact and start is base:
-                begun = [base]  # nothing else is needed
-                break
+        filters = [SensorFilter(order, cut * frequency, "high-pass") for cut in _COUPLED]
+        kept = []
+        for few in ([start for start in begun if start is base], [start for start in begun if start is not base]):
+            passed = in_threads([partial(_high_pass, batch, start, filters) for start in few])
+            for start, best in zip(few, passed, strict=True):
+                if best is not None:
+                    kept.append(start)
+                    found.append(_behind_it(batch, best.filter, best.found))
+            if kept == [base] and found[-1].is_exact:
+                break  # nothing else is needed
+        begun = kept
         if any(item.is_exact and not item.filter.shows_at_release for item in found):
             break
     return found
