@@ -23,15 +23,17 @@ from pymc_backbone.discrepancy.curves import (
 )
 from pymc_backbone.discrepancy.decide import decide, doubted, is_none_other
 from pymc_backbone.discrepancy.decision import NAMED
+from pymc_backbone.discrepancy.drift_course import DRIFT
 from pymc_backbone.discrepancy.drift_proposals import beside_drifts, single_beside_drifts
 from pymc_backbone.discrepancy.joint_fit import fit
 from pymc_backbone.discrepancy.layout import make_layout
 from pymc_backbone.discrepancy.locate import mean_gap, where_different
-from pymc_backbone.discrepancy.normal_equations import information, start_state
+from pymc_backbone.discrepancy.normal_equations import DRIFTS, information, start_state
 from pymc_backbone.discrepancy.scatter import SCATTER
 from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.discrepancy.second_mode import line_beside, line_near, second_mode_check
 from pymc_backbone.discrepancy.study import HeldOut
+from pymc_backbone.discrepancy.tolerance import is_drift_small
 from pymc_backbone.effects import LIBRARY
 from pymc_backbone.oscillator import Oscillator
 from pymc_backbone.simulation.decay import simulate_waveform
@@ -917,7 +919,12 @@ def test_laws_of_one_mechanism_compete_with_a_drift_beside_them():
     decision = decide(search, found, {})
     assert ("cubic_stiffness",) in decision.drifts
     assert decision.best == ("cubic_stiffness",)
-    assert not rivals.drift_check(found[()].fit, 0.0, True, search.fits[decision.best]).passed
+    named = search.fits[decision.best]
+    assert not rivals.drift_check(found[()].fit, 0.0, True, named).passed
+    below = rivals.drift_check(found[()].fit, 0.0, True, named, is_small=True)
+    assert below.passed and "below the tolerance" in below.message
+    rate = DRIFT * float(np.abs(named.state.own[:, DRIFTS[0]]).mean())
+    assert not is_drift_small(named, {"frequency": 0.5 * rate}) and is_drift_small(named, {"frequency": 2.0 * rate})
 
 
 def test_a_law_is_found_that_a_strong_drift_had_hidden_in_the_backbones():

@@ -13,16 +13,14 @@ from .compensation import compensation
 from .corrected_evidence import Corrected, corrections
 from .curves import level_chi_square
 from .decision import AGREE, DRIFT_POSSIBLE, NAMED, Decision, listed
-from .drift_course import changes_of
 from .estimates import estimates_of
 from .evidence import DRIFT, UNEXPLAINED, Drifting, Evidence, is_unexplained
 from .harmonic_odds import odds_behind_bands
 from .inexact import departing, is_told_apart
 from .joint_fit import Fit
-from .normal_equations import DRIFTS
 from .search import Search, Set
 from .shares import missing_mechanisms
-from .tolerance import prune
+from .tolerance import is_drift_small, prune
 from .verdict import AdequateBy, NamedLevel, Verdict
 
 _IMITATES = (0.0, 0.03, 0.06, 0.15)  # how probable it is that a set of so many effects imitates what the library lacks
@@ -89,9 +87,7 @@ def _with_drift(search: Search, decision: Decision, drifting: Fit, tolerance: Ma
     search.fits[()] = drifting
     chances = {**decision.probabilities, (): decision.probabilities[()] + decision.drift_probability}
     evidences = {**decision.evidences, (): decision.evidences[DRIFT]}
-    places = list(DRIFTS)
-    changes = changes_of(drifting.state.own[:, places], np.nan_to_num(drifting.own_covariance[:, places]))
-    is_small = all(change < tolerance.get(key, np.inf) for key, change in changes.items())
+    is_small = is_drift_small(drifting, tolerance)
     verdict, by = (Verdict.ADEQUATE, decision.adequate_by) if is_small else (Verdict.UNEXPLAINED, None)
     return replace(
         decision, verdict=verdict, adequate_by=by, below=(), best=(), probability=chances[()],

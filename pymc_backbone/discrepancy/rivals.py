@@ -190,23 +190,30 @@ def drift_fit(batch: Batch, layout: Layout, state: State, limit: float = np.inf)
     return min(both, key=lambda item: item.cost) if both else None
 
 
-def drift_check(drifting: Fit | None, probability: float, found: bool, named: Fit | None = None) -> Check:
+def drift_check(
+    drifting: Fit | None, probability: float, found: bool, named: Fit | None = None, *, is_small: bool = False
+) -> Check:
     """Say whether a change with time explains the records as well as a change with amplitude.
 
-    ``named`` is the fit of the named set where it holds a drift beside its effects.
+    ``named`` is the fit of the named set where it holds a drift beside its effects, ``is_small`` whether that is below
+    the tolerance.
     """
     name = "amplitude, not time"
     if drifting is None:
         return Check(name, True, "not testable without records: backbones do not say when an amplitude was passed")
     if named is not None and found:
+        said = f"beside the effect the frequency drifts with time ({_rate(named)} over a record), or a second effect"
+        if is_small:
+            return Check(name, True, f"{said} imitates that, which is below the tolerance")
         return Check(
             name,
             False,
-            f"beside the effect the frequency drifts with time ({_rate(named)} over a record), or a second effect "
-            "imitates that: keep the temperature, and release from other amplitudes to tell the two apart",
+            f"{said} imitates that: keep the temperature, and release from other amplitudes to tell the two apart",
         )
     if named is not None:
         said = f"frequency and damping drift with time ({_rate(named)} of the frequency over a record), which explains"
+        if is_small:
+            return Check(name, True, f"{said} the records alone, and is below the tolerance")
         return Check(name, False, f"{said} the records alone; keep the temperature")
     if probability > 0.02 and found:
         return Check(

@@ -4,8 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from .curves import relative_change
+from .drift_course import changes_of
+from .joint_fit import Fit
+from .normal_equations import DRIFTS
 from .search import Search, Set
+
+
+def is_drift_small(found: Fit, tolerance: Mapping[str, float]) -> bool:
+    """Return whether what drifts with time in a fit changes frequency and damping by less than the tolerance."""
+    places = list(DRIFTS)
+    changes = changes_of(found.state.own[:, places], np.nan_to_num(found.own_covariance[:, places]))
+    return all(change < tolerance.get(key, np.inf) for key, change in changes.items())
 
 
 def prune(search: Search, best: Set, tolerance: Mapping[str, float]) -> tuple[Set, Set]:

@@ -41,6 +41,7 @@ from .question import Question, ask, is_of_records
 from .search import Search
 from .second_mode import second_mode_check
 from .study import Check, EvidenceBasis, Study
+from .tolerance import is_drift_small
 from .undisturbed import Undisturbed, undisturbed
 from .verdict import NamedLevel, Verdict
 from .verify import MOST_HELD_OUT, Verification, verify
@@ -273,12 +274,14 @@ def _decided(known: Undisturbed) -> Outcome:
 def _checks(question: Question, outcome: Outcome, verification: Verification) -> tuple[Check, ...]:
     """Return the checks on the data: explanations that are no effect."""
     batch, decision = question.batch, outcome.decision
+    named = outcome.model if decision.model in decision.drifts else None
     return (
         rivals.drift_check(
             outcome.drifting,
             decision.drift_probability,
             bool(decision.best),
-            outcome.model if decision.model in decision.drifts else None,
+            named,
+            is_small=named is not None and is_drift_small(named, question.tolerance),
         ),
         outcome.second_mode,
         rivals.alike_check(batch, outcome.model),
