@@ -153,6 +153,10 @@ def test_the_likeliest_set_is_asked_whatever_it_costs(batch):
     search._is_costly = lambda names: names == COSTLY
     order = [names for names, _ in search._queue()]
     assert 0 < order.index(COSTLY) <= 7
+    # far likelier than all simple ones it still has one of them to be measured against, and only one
+    search, _ = search_with(batch, {COSTLY: 100.0} | simple, {})
+    search._is_costly = lambda names: names == COSTLY
+    assert [names for names, _ in search._queue()].index(COSTLY) == 1
     explaining = {("cubic_stiffness",): 1.0, ("quadratic_damping",): 1.0}
     for log_evidence, is_asked in ((0.0, True), (-6.0, False)):
         evidences = {("cubic_stiffness",): -3.0, ("quadratic_damping",): -4.0, COSTLY: log_evidence}

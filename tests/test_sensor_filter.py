@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,8 +12,10 @@ from scipy.signal import butter, freqs, sosfilt
 import pymc_backbone as pb
 from pymc_backbone.discrepancy import evidence, rivals, workflow
 from pymc_backbone.discrepancy.filter_search import _lowest, early_high_pass, sensor_filter
+from pymc_backbone.discrepancy.normal_equations import State
 from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.discrepancy.sensor_filter import Chain, SensorFilter, with_past
+from pymc_backbone.discrepancy.telling import most_telling
 
 from .discrepancy_cases import AMPLITUDE, FREQUENCY, MASS, TIME, batch_of, decaying_sinusoid, make_records, noisy
 
@@ -168,3 +171,19 @@ def test_what_a_search_notes(is_cut, explains, behind, quick):
     said = " ".join(workflow._search_notes(search, quick=quick))
     assert ("nothing came near the noise" in said) == (is_cut and not explains)
     assert ("nothing was sampled" in said) == (behind and not quick)
+
+
+def test_the_records_that_a_set_leaves_most_of_are_asked_first(rng):
+    """Two of four, as they were fitted with all; a fit of these alone goes back into that of all."""
+    batch = batch_of(make_records(rng, specimens=4))
+    found = Search(batch, pb.Oscillator(MASS), ("cubic_stiffness",), 1).fit_set(())
+    held = replace(found, chi_square=np.array([1.0, 9.0, 2.0, 7.0]))
+    part = most_telling(batch, held)
+    assert part.specimens == [1, 3] and part.batch.specimens == (batch.specimens[1], batch.specimens[3])
+    assert part.left == 16.0 and part.batch.count < batch.count
+    np.testing.assert_array_equal(part.found.state.own, found.state.own[[1, 3]])
+    other = State(found.state.eta, part.found.state.own + 1.0)
+    whole = part.whole(other, found)
+    np.testing.assert_array_equal(whole.own[[1, 3]], found.state.own[[1, 3]] + 1.0)
+    np.testing.assert_array_equal(whole.own[[0, 2]], found.state.own[[0, 2]])
+    assert most_telling(batch.subset([0]), replace(held, chi_square=held.chi_square[:1])).specimens == [0]
