@@ -626,7 +626,7 @@ def test_a_mode_that_is_gone_long_before_the_motion_is_seen_where_it_was(left, s
         assert float(check.message.split(" Hz")[0].split()[-1]) == pytest.approx(7.3, rel=0.03)
 
 
-@pytest.mark.parametrize(("ratio", "share", "passes"), [(0.6, 0.015, False), (0.6, 0.005, True), (1.6, 0.015, True)])
+@pytest.mark.parametrize(("ratio", "share", "passes"), [(0.6, 0.015, False), (0.6, 0.007, True), (1.6, 0.015, True)])
 def test_a_smaller_line_counts_below_the_frequency_of_the_mode(ratio, share, passes, linear, monkeypatch, rng):
     """As that of a liquid that moves along; above, a percent may be anything."""
     time = np.arange(3000) / (30.0 * 5.0)
@@ -636,8 +636,11 @@ def test_a_smaller_line_counts_below_the_frequency_of_the_mode(ratio, share, pas
     monkeypatch.setattr(evidence, "residuals_of", lambda *_: line + 3e-3 * rng.standard_normal(time.size))
     term = replace(linear.batch.waveform[0], time=time, values=values, size=time.size)
     batch = replace(linear.batch.subset([0]), waveform=(term,))
-    check = second_mode_check(batch, SimpleNamespace(chi_square=[1.0 * term.size]))
+    best = SimpleNamespace(chi_square=[1.0 * term.size])
+    check = second_mode_check(batch, best)
     assert check.passed == passes
+    # where nothing would be said to be missing, half as much below the mode is enough, though it hides in the noise
+    assert second_mode_check(batch, best, is_adequate=True).passed == (ratio > 1.0)
     if not passes:
         assert float(check.message.split(" Hz")[0].split()[-1]) == pytest.approx(3.0, rel=0.01)
 

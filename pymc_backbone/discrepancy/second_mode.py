@@ -60,7 +60,7 @@ def second_mode_check(batch: Batch, best: Fit, *, is_adequate: bool = False) -> 
         least = _SEEN if is_adequate and best.chi_square[r] > _NO_NOISE * term.size else _BEATING
         for part in _parts(left.size, term.cycles if is_adequate else 0.0):
             time, motion = term.time[: left.size][part], float(np.std(term.values[: left.size][part]))
-            below = line_below(time, left[part], between), min(least, _BELOW)
+            below = line_below(time, left[part], between), min(least, _SEEN if is_adequate else _BELOW)
             beside = line_beside(time, left[part], between), least
             near = line_near(time, left[part], between), least
             for line, smallest in (below, beside, near):
