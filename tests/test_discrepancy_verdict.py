@@ -17,6 +17,7 @@ from scipy.integrate import solve_ivp
 import pymc_backbone as pb
 from pymc_backbone._common.text import capitalised, in_words
 from pymc_backbone.discrepancy import candidate_table, decide, inexact, rivals, shares, verdict_words, words
+from pymc_backbone.discrepancy.batch import batch_of_backbones
 from pymc_backbone.discrepancy.decision import Decision
 from pymc_backbone.discrepancy.evidence import Evidence
 from pymc_backbone.discrepancy.normal_equations import State
@@ -146,6 +147,30 @@ def test_an_effect_that_is_a_spring_at_rest_is_told_by_what_changes():
     excess = np.array([-0.5, -0.4995, -0.5, -0.501])
     same = words._change("damping", excess, error, excess, levels, ("", "mm"))
     assert same == "damping is 0.5 lower throughout"
+
+
+def test_specimens_that_differ_make_no_change_with_amplitude(monkeypatch):
+    """Springs of two sides, one stiffer by half, which alone reaches the lowest levels: each is constant."""
+    levels = AMPLITUDE * np.geomspace(0.1, 1.0, 8)
+    truth = np.array([[STIFFNESS, DAMPING, 0.1 * STIFFNESS], [STIFFNESS, DAMPING, 0.15 * STIFFNESS]])
+    backbones = simulate_population(pb.Oscillator(MASS) + "bilinear_stiffness", truth, levels)
+    backbones["value"][0, :, :3] = np.nan
+    errors = 1e-5 * np.abs(backbones["value"].values)
+    backbones["standard_error"] = (backbones["value"].dims, errors)
+    backbones["covariance"] = (
+        ("specimen", "observable", "level", "level_other"), errors[..., None] ** 2 * np.eye(levels.size)
+    )  # fmt: skip
+    batch = batch_of_backbones(MASS, backbones)
+    alone = np.array([[STIFFNESS, DAMPING]] * 2)
+    without_it = simulate_population(pb.Oscillator(MASS), alone, levels)["value"].values
+    brought = (
+        simulate_population(pb.Oscillator(MASS) + "bilinear_stiffness", truth, levels)["value"].values - without_it
+    )
+    said = words._power_law(batch, without_it, brought, 0)
+    assert "Hz higher throughout" in said
+    # negative control: with all levels taken for those of the same specimens the batch seems to fall
+    monkeypatch.setattr(words, "_of_the_same", lambda held: np.arange(held.shape[1]))
+    assert "frequency falls" in words._power_law(batch, without_it, brought, 0)
 
 
 def test_what_falls_by_little_and_then_rises_by_much_is_said_to_rise(rng):

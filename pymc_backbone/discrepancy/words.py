@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .._common.checks import OBSERVABLES, FloatArray
+from .._common.checks import OBSERVABLES, BoolArray, FloatArray, IntArray
 from .._common.text import amplitude, capitalised, in_a_sentence, in_words, span
 from . import starts
 from .batch import Batch
@@ -111,17 +111,18 @@ def _power_law(batch: Batch, without_it: FloatArray, brought: FloatArray, row: i
     own = np.where(held & np.isfinite(brought[:, row]), brought[:, row] * weight, 0.0).sum(axis=0)[good] / total[good]
     if not float(total[good] @ (own * mean[good])) > _OWN * float(total[good] @ mean[good] ** 2):
         return ""
+    alike = _of_the_same(held[:, good])
     unit, length = " Hz" if row == 0 else "", str(batch.backbones.attrs.get("amplitude_unit", "m"))
-    sign = np.sign(np.median(mean[good]))
+    units, sign = (unit, length), np.sign(np.median(mean[good]))
     if (mean[good] * sign < 0.0).any():  # no power of the amplitude changes its sign
-        return _change(OBSERVABLES[row], mean[good], error[good], own, levels[good], (unit, length))
+        return _change(OBSERVABLES[row], mean[good][alike], error[good][alike], own[alike], levels[good][alike], units)
     x, y = np.log(levels[good]), np.log(mean[good] * sign)
     w = (mean[good] / error[good]) ** 2
     centre = np.average(x, weights=w)
     slope = float(np.average((x - centre) * y, weights=w) / np.average((x - centre) ** 2, weights=w))
     slope_error = max(float(1.0 / np.sqrt(np.sum(w * (x - centre) ** 2))), 0.01)  # two digits are told: never as 0.00
     if row < 2 and slope < _VANISHING and (row == 0 or slope > -_VANISHING):
-        return _change(OBSERVABLES[row], mean[good], error[good], own, levels[good], (unit, length))
+        return _change(OBSERVABLES[row], mean[good][alike], error[good][alike], own[alike], levels[good][alike], units)
     at = int(np.flatnonzero(good)[np.argmax(np.abs(mean[good]))])
     verb = {(0, 1): "rises", (0, -1): "falls", (1, 1): "rises", (1, -1): "falls"}.get((row, int(sign)), "moves")
     trend = "grows with amplitude" if slope > 0.0 else "grows as amplitude falls"
@@ -129,6 +130,13 @@ def _power_law(batch: Batch, without_it: FloatArray, brought: FloatArray, row: i
         f"{OBSERVABLES[row]} {verb}: the departure {trend}, proportional to A^({slope:.2f} +- {slope_error:.2f}), "
         f"{mean[at]:+.3g}{unit} at {amplitude(float(levels[at]), length)}"
     )
+
+
+def _of_the_same(held: BoolArray) -> IntArray:
+    """Return the levels that the same specimens reach, of (specimen, level): how these differ is no change."""
+    patterns, which = np.unique(held, axis=1, return_inverse=True)
+    most = int(np.argmax([np.count_nonzero(which == k) for k in range(patterns.shape[1])]))
+    return np.flatnonzero(which == most)
 
 
 def _change(
