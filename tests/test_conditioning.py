@@ -787,6 +787,17 @@ def test_the_jump_of_an_acceleration_at_the_release_is_no_spike(order: int, rng:
     assert [note for note in condition(record(time, values, "acceleration")).notes if "a spike of 3" in note]
 
 
+def test_what_rings_after_a_release_is_no_spike(rng: np.random.Generator) -> None:
+    """Behind a filter against aliases that is close to half the sampling rate the jump rings for some samples."""
+    time = np.arange(2400) / 800.0
+    elapsed = np.maximum(time - 0.3004, 0.0)
+    values = -100.0 * (time >= 0.3004) * np.exp(-0.6 * elapsed) * np.cos(2.0 * np.pi * 8.0 * elapsed)
+    values = lfilter(*butter(4, 320.0, fs=800.0), values) + 0.03 * rng.standard_normal(time.size)
+    assert not [note for note in condition(record(time, values, "acceleration")).notes if "spike" in note]
+    values[260] += 20.0  # later than what rings
+    assert [note for note in condition(record(time, values, "acceleration")).notes if "a spike of" in note]
+
+
 def test_hopeless_records_end_in_an_input_error(rng: np.random.Generator) -> None:
     time = np.arange(400) / 100.0
     shapes = {

@@ -24,7 +24,7 @@ class Telling:
     batch : Batch
         Of these alone.
     found : Fit
-        Shared values and their own ones, as of all.
+        Shared values and their own ones, as of all; its system and what follows from that are of all.
     left : float
         Sum of squares that the set leaves of them.
     """
@@ -44,7 +44,12 @@ class Telling:
 def most_telling(batch: Batch, found: Fit) -> Telling:
     """Return the specimens of which a set leaves most, two of them, or all where there are no more."""
     few = sorted(np.argsort(-found.chi_square, kind="stable")[:_ASKED].tolist())
-    part = replace(found, state=State(found.state.eta, found.state.own[few]), chi_square=found.chi_square[few])
+    part = replace(
+        found,
+        state=State(found.state.eta, found.state.own[few]),
+        chi_square=found.chi_square[few],
+        own_covariance=found.own_covariance[few],
+    )
     return Telling(few, batch.subset(few), part, float(found.chi_square[few].sum()))
 
 

@@ -59,10 +59,8 @@ def extract_cycles(record: Any, *, noise: float | ArrayLike | None = None) -> Cy
         notes=tuple(getattr(record, "notes", ())),
         zero_error=float(getattr(record, "baseline_error", 0.0)),
     )
-    cycles = _with_mid_line_errors(cycles, float(getattr(record, "mid_line_error", 0.0)))
-    cycles = _with_shape_errors(
-        cycles, float(getattr(record, "mid_line_error", 0.0)), float(getattr(record, "mid_line_shape_error", 0.0))
-    )
+    error, shape = (float(getattr(record, name, 0.0)) for name in ("mid_line_error", "mid_line_shape_error"))
+    cycles = _with_mid_line_errors(cycles, error, shape)
     measured = getattr(record, "measured", None)
     return cycles if measured is None else mind_wandering_zero(cycles, measured)
 
@@ -129,28 +127,22 @@ def extract_cycles_from_arrays(
     return with_shared_errors(cycles, "offset", -zero_error / cycles.smoothed_amplitude[:, None])
 
 
-def _with_mid_line_errors(cycles: Cycles, error: float) -> Cycles:
-    """Return the cycles with the error of a mid-line, over amplitude at the first cycle, in their damping."""
-    if error == 0.0:
-        return cycles
-    amplitude = cycles.smoothed_amplitude
-    return with_shared_errors(cycles, "damping", (2.0 * error * cycles.damping * amplitude / amplitude[0])[:, None])
+def _with_mid_line_errors(cycles: Cycles, error: float, shape: float) -> Cycles:
+    """Return the cycles with what is not known of a mid-line, over amplitude at the first cycle: its size and its law.
 
-
-def _with_shape_errors(cycles: Cycles, error: float, shape: float) -> Cycles:
-    """Return the cycles with what is not known of a restored mid-line, over amplitude: its size and its law.
-
-    Between a mid-line in proportion to the amplitude and one to its square lies what vanishes at the largest amplitude,
-    and a spring that hardens bends it there; damping holds the rate of change of all.
+    Damping holds the rate of change of either. ``shape`` is zero where the mid-line is not measured, which the offsets
+    are not then. Between a mid-line in proportion to the amplitude and one to its square lies what vanishes at the
+    largest amplitude, and a spring that hardens bends it there.
     """
-    if shape == 0.0:
-        return cycles
     share = cycles.smoothed_amplitude / cycles.smoothed_amplitude[0]
-    cycles = with_shared_errors(
-        cycles, "offset", np.column_stack([error * share, shape * (1.0 - share), shape * share**2])
-    )
-    bent = np.column_stack([1.0 - 2.0 * share, 3.0 * share**2])
-    return with_shared_errors(cycles, "damping", shape * cycles.damping[:, None] * bent)
+    if error:
+        cycles = with_shared_errors(cycles, "damping", (2.0 * error * cycles.damping * share)[:, None])
+    if shape:
+        of_offset = np.column_stack([error * share, shape * (1.0 - share), shape * share**2])
+        bent = np.column_stack([1.0 - 2.0 * share, 3.0 * share**2])
+        cycles = with_shared_errors(cycles, "offset", of_offset)
+        cycles = with_shared_errors(cycles, "damping", shape * cycles.damping[:, None] * bent)
+    return cycles
 
 
 def _autocovariance(noise: float | ArrayLike | None) -> FloatArray | None:
