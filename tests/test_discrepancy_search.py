@@ -819,6 +819,27 @@ def test_search_ends_where_nothing_is_missing(linear):
     assert evidence.p_nothing_missing(linear.fits, linear.batch) > evidence.MISSING
 
 
+def test_effects_begin_again_from_a_base_that_a_larger_set_led_to_a_better_place(linear, monkeypatch):
+    """They were fitted from where the base had rested before; then it is asked whether that is all."""
+    answers = iter((False, True))
+    names = ("quadratic_damping",)
+    search = Search(linear.batch, linear.base, names, 1)
+
+    def behind():
+        known = search.fit_set(names)
+        search.fits[names] = replace(known, chi_square=known.chi_square + 20.0)
+
+    def better():
+        base = search.fits[()]
+        search.fits[()] = replace(base, state=replace(base.state))
+
+    monkeypatch.setattr(search, "_ask_single_effects", behind)
+    monkeypatch.setattr(search, "_is_answered", lambda: next(answers))
+    monkeypatch.setattr(search, "_look_back", better)
+    search.run()
+    assert search.fits[names].cost < search.fits[()].cost + 1.0
+
+
 def test_one_set_of_each_kind_is_extended():
     """Of sets that hold the same mechanisms the simplest, unless another leaves clearly less."""
     costs = {("jenkins",): 103.0, ("iwan",): 101.0, ("bouc_wen",): 100.0, ("cubic_stiffness",): 120.0}

@@ -64,6 +64,7 @@ class Search(FollowedSets):
             self._ask_plain_effects()
             self._look_wider()
         self._look_back()
+        self._look_forward()  # from the base, where a larger set led it to a better place
         if self._is_answered() or (self.is_cut and self.is_refuted(self.best())):
             return
         self._enlarge()
