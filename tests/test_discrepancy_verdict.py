@@ -856,11 +856,26 @@ def test_sets_of_what_is_certain_hold_each_such_mechanism_and_no_other():
 
 
 def test_unfinished_are_sets_that_explain_the_backbones_and_were_weighed():
-    open_sets = {("iwan",), ("jenkins",), ("bouc_wen", "freeplay")}
-    search = SimpleNamespace(is_open=lambda names: names in open_sets)
-    weighed = SimpleNamespace(gaps={("iwan",): 0.05, ("jenkins",): 0.6, ("freeplay",): 0.0})
-    ranked = [("bouc_wen", "freeplay"), ("jenkins",), ("freeplay",), ("iwan",)]  # the first was not weighed at all
-    assert inexact._unfinished(search, weighed, ranked) == (("iwan",),)
+    dahl = ("dahl_friction",)
+    open_sets = {("iwan",), ("jenkins",), dahl, ("bouc_wen", "freeplay")}
+    chances = {("freeplay",): 0.5, ("jenkins",): 0.3, ("iwan",): 0.1, dahl: 0.001, (): 0.01}
+    search = SimpleNamespace(is_open=lambda names: names in open_sets, fits=chances)
+    weighed = SimpleNamespace(
+        gaps={("iwan",): 0.05, dahl: 0.1, ("jenkins",): 0.6, ("freeplay",): 0.0},
+        probabilities=chances, ranked=lambda: sorted(chances, key=lambda names: -chances[names]),
+    )  # fmt: skip
+    # the first was not weighed at all
+    ranked = [("bouc_wen", "freeplay"), dahl, ("jenkins",), ("freeplay",), ("iwan",)]
+    unfinished = inexact._unfinished(search, weighed, ranked)
+    assert unfinished == (("iwan",), dahl)
+    # what remains possible beside them is listed, in the order of the probabilities
+    remaining = inexact._remaining(search, weighed)
+    assert () not in remaining
+    assert inexact._with_unfinished(remaining[:1], unfinished, weighed) == (("freeplay",), ("iwan",), dahl)
+    many = tuple((f"e{k}",) for k in range(inexact.MOST_LISTED))
+    chances.update(dict.fromkeys(many, 0.2))
+    assert len(inexact._with_unfinished(many, unfinished, weighed)) == inexact.MOST_LISTED
+    assert {*unfinished} < {*inexact._with_unfinished(many, unfinished, weighed)}
 
 
 def test_what_a_mechanism_explains_is_the_mean_over_the_orders():

@@ -21,6 +21,7 @@ from .verdict import MECHANISM_NAMED, NamedLevel, Verdict
 _LITTLE = 0.01  # probability of a set from which it is asked whether each of its effects does anything
 _NEAR = 3.0  # reduced chi-square up to which the samples say so
 _NOTHING = 0.7  # of the gap, that a set leaves which explains next to nothing
+_MOST_UNFINISHED = 5  # sets that did not come to rest, listed although others are more probable
 _MUCH_LESS = 0.3  # of what the base leaves of the samples, over which a set comes nowhere near them
 MOST_OF_THE_GAP = 0.85
 """Share of the gap that named mechanisms explain together: it shrinks at least sevenfold."""
@@ -73,13 +74,24 @@ def departing(search: Search, decision: Decision) -> Decision:
     if weighed.gaps[best] > 1.0 - MOST_OF_THE_GAP:
         unfinished = _unfinished(search, weighed, decision.ranked)
         if unfinished:  # what was not fitted to its end is not refuted
-            return replace(known, verdict=Verdict.AMBIGUOUS, listed=unfinished[:MOST_LISTED], unfinished=unfinished)
+            possible = _with_unfinished(_remaining(search, weighed), unfinished, weighed)
+            return replace(known, verdict=Verdict.AMBIGUOUS, listed=possible, unfinished=unfinished)
         return replace(known, verdict=Verdict.UNEXPLAINED)
     if is_told_apart(mechanisms) and weighed.drift_probability < DRIFT_POSSIBLE:
         return replace(known, verdict=Verdict.FOUND, named_level=NamedLevel.MECHANISM)
-    # the base with a departure is no explanation, and not listed as one
+    return replace(known, verdict=Verdict.AMBIGUOUS, listed=_remaining(search, weighed))
+
+
+def _remaining(search: Search, weighed: Weighed) -> tuple[Set, ...]:
+    """Return the sets that remain possible: the base with a departure is no explanation, and not listed as one."""
     sets = {names: chance for names, chance in weighed.probabilities.items() if names and names in search.fits}
-    return replace(known, verdict=Verdict.AMBIGUOUS, listed=listed(sets, 1.0 - sum(sets.values())))
+    return listed(sets, 1.0 - sum(sets.values()))
+
+
+def _with_unfinished(remaining: tuple[Set, ...], unfinished: tuple[Set, ...], weighed: Weighed) -> tuple[Set, ...]:
+    """Return the sets that remain possible with some whose fit did not come to rest, most probable first."""
+    beside = [names for names in unfinished if names not in remaining][:_MOST_UNFINISHED]
+    return tuple(names for names in weighed.ranked() if names in (*remaining[: MOST_LISTED - len(beside)], *beside))
 
 
 def _nearest(search: Search) -> Set | None:
@@ -164,12 +176,12 @@ def certain_sets(search: Search, mechanisms: Sequence[MissingMechanism], ranked:
 
 
 def _unfinished(search: Search, weighed: Weighed, ranked: Sequence[Set]) -> tuple[Set, ...]:
-    """Return the sets whose fit to the records did not come to rest although they explain the backbones.
+    """Return the sets that explain the backbones and whose fit to the records did not come to rest, likeliest first.
 
     Sets so improbable by their backbones that they were not weighed are none of these.
     """
     explaining = [names for names, gap in weighed.gaps.items() if gap <= 1.0 - MOST_OF_THE_GAP]
-    return tuple(names for names in ranked if names in explaining and search.is_open(names))
+    return tuple(names for names in weighed.ranked() if names in {*explaining} & {*ranked} and search.is_open(names))
 
 
 def is_told_apart(mechanisms: Sequence[MissingMechanism]) -> bool:

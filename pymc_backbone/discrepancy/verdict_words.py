@@ -167,7 +167,7 @@ def _of_ambiguous(decision: Decision) -> str:
     if decision.unfinished:
         return (
             "Something is missing; no fit explains the records, but those of sets that could explain the backbones "
-            f"did not come to rest: {'; '.join(listed[:_SPOKEN])}."
+            f"did not come to rest: {'; '.join(named(names) for names in decision.unfinished[:_SPOKEN])}."
         )
     # as the list below writes them, which holds the others
     rest = f"; and {len(told) - _HEADED} more" if len(told) > _HEADED else ""
