@@ -180,8 +180,8 @@ def _unfinished(search: Search, weighed: Weighed, ranked: Sequence[Set]) -> tupl
 
     Sets so improbable by their backbones that they were not weighed are none of these.
     """
-    explaining = [names for names, gap in weighed.gaps.items() if gap <= 1.0 - MOST_OF_THE_GAP]
-    return tuple(names for names in weighed.ranked() if names in {*explaining} & {*ranked} and search.is_open(names))
+    explaining = {names for names in ranked if weighed.gaps.get(names, 1.0) <= 1.0 - MOST_OF_THE_GAP}
+    return tuple(names for names in weighed.ranked() if names in explaining and search.is_open(names))
 
 
 def is_told_apart(mechanisms: Sequence[MissingMechanism]) -> bool:
