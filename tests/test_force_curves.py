@@ -26,13 +26,27 @@ from pymc_backbone.discrepancy.rivals import drift_fit
 from pymc_backbone.discrepancy.study import MissingMechanism
 from pymc_backbone.discrepancy.tabulated import DAMPING, NODES, STIFFNESS, tabulate
 from pymc_backbone.discrepancy.verdict import NamedLevel, Verdict
+from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.oscillator import Oscillator
+from pymc_backbone.reporting.curve_plots import plot_force
 from pymc_backbone.reporting.output_folder import plain
 from pymc_backbone.reporting.report import report_html
 from pymc_backbone.reporting.study_files import force_curve_entries, write_study
 from pymc_backbone.reporting.study_plots import study_figures
 
-from .discrepancy_cases import AMPLITUDE, MASS, OMEGA, RELEASE_TIME, TIME, batch_of, drifting_records, free_decay, noisy
+from .discrepancy_cases import (
+    AMPLITUDE,
+    FREQUENCY,
+    MASS,
+    OMEGA,
+    RELEASE_TIME,
+    TIME,
+    batch_of,
+    batch_of_conditioned,
+    drifting_records,
+    free_decay,
+    noisy,
+)
 from .discrepancy_cases import DAMPING as VISCOUS
 from .discrepancy_cases import STIFFNESS as SPRING
 from .study_cases import make_study
@@ -242,6 +256,31 @@ def test_curves_leave_noise_and_predict_a_specimen_left_out(outside):
     entries = json.loads(json.dumps(plain(force_curve_entries(curves))))
     assert entries["held_out"]["before"] == 1e3 and len(entries["curves"]) == 6
     assert entries["range"]["displacement"] == [curves.bands.conservative.at[0], curves.bands.conservative.at[-1]]
+
+
+def test_an_even_part_that_the_band_keeps_out_is_held_and_said():
+    """Its second harmonic and its offset are all that measures it; a band of up to 2.6 times the frequency has one."""
+    records = records_of(np.random.default_rng(5), conservative, dissipative, specimens=2)
+    narrow, wide = (
+        batch_of_conditioned([condition(record, band=(0.4 * FREQUENCY, highest * FREQUENCY)) for record in records])
+        for highest in (1.6, 2.6)
+    )
+    curves, open_curves = (force_curves(each, base_fit(each), (), None, 1.0, 0, 1) for each in (narrow, wide))
+    for band in (curves.bands.conservative_even, curves.bands.damping_even):
+        assert not np.any(np.stack([band.force, band.low, band.high]))
+    odd, at = curves.bands.conservative_odd, curves.bands.conservative_odd.at
+    truth = 0.5 * (conservative(at) - conservative(-at))
+    line = float(at @ (truth - odd.force)) / float(at @ at)
+    assert np.abs(odd.force + line * at - truth).max() < 0.05 * np.abs(truth).max()
+    assert np.all(odd.high[1:] > odd.low[1:])
+    even = open_curves.bands.conservative_even
+    assert np.all(even.high[1:] > even.low[1:])
+    said = "keeps the second harmonic and the offset out"
+    assert said in curves.sentence and said not in open_curves.sentence
+    assert (curves.has_even, open_curves.has_even) == (False, True)
+    titles = [axis.get_title(loc="left") for which in ("conservative", "damping") for axis in
+              plot_force(curves, which).axes]  # fmt: skip
+    assert sum("not measured" in title for title in titles) == 2
 
 
 def test_nothing_is_seen_where_nothing_is_there():

@@ -80,6 +80,8 @@ def mean_values(found: CurveFit) -> FloatArray:
 
 
 def _band(found: CurveFit, effect: str, at: FloatArray, rng: np.random.Generator, mirrored: float) -> Band:
+    if mirrored > 0.0 and not found.tabulated.has_even:
+        return Band(at, *np.zeros((4, at.size)))
     rows = rows_of(found, effect, at, mirrored)
     force = rows @ mean_values(found) + _beyond(found, effect, at, mirrored)
     covariance = rows @ found.mean_covariance @ rows.T

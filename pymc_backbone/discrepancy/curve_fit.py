@@ -361,7 +361,7 @@ def _finished(
     scale = 1.0 / np.sqrt(np.maximum(np.diag(hessian), 1e-300))
     scaled = hessian * np.outer(scale, scale)
     covariance = np.linalg.pinv(scaled, hermitian=True) * np.outer(scale, scale)
-    curves = tabulated.layout.free.size - 2
+    curves = max(columns.stop for columns in frame.own_columns.values())
     prior = frame.loose + sum(level * part for level, part in zip(levels, frame.parts, strict=True))
     log_evidence = 0.5 * float(
         np.linalg.slogdet(prior[:curves, :curves])[1]

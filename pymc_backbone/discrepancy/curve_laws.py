@@ -63,7 +63,10 @@ def with_laws(
         covariance[np.ix_(mine, mine)] = spread
         at = places() * found.tabulated.ranges()[own]
         rest = np.zeros(2 * at.size) + sum(shape.probability * shape.beyond for shape in laws)
-        beyond[effect] = np.concatenate([-at[::-1], at]), np.concatenate([rest[: at.size][::-1], rest[at.size :]])
+        below, above = rest[: at.size], rest[at.size :]
+        if not found.tabulated.has_even:
+            below, above = 0.5 * (below - above), 0.5 * (above - below)
+        beyond[effect] = np.concatenate([-at[::-1], at]), np.concatenate([below[::-1], above])
     state, before = found.fit.state, mean_values(found)
     each = state.own.copy()
     each[:, :2] += values[:2] - before[:2]

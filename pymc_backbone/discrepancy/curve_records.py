@@ -94,6 +94,8 @@ class ForceCurves:
         Effects of the model beside which the curves stand, linear stiffness and viscous damping left out.
     bands : Bands
         The forces with their bands, over what was visited.
+    has_even : bool
+        Whether the records say anything of even parts; else these are zero, and their bands empty.
     proposals : tuple of Proposal
         What law each curve may be, most probable first.
     share_left : float
@@ -112,6 +114,7 @@ class ForceCurves:
     sentence: str
     beside: tuple[str, ...]
     bands: Bands
+    has_even: bool
     proposals: tuple[Proposal, ...]
     share_left: float
     p_value: float

@@ -24,6 +24,10 @@ WORDS = {
     NONE: "none of the families",
     NOTHING: "not seen",
 }
+_ONE_SIDE = (
+    " What is alike on both sides is drawn: the band keeps the second harmonic and the offset out, "
+    "by which an even part of a force would be measured."
+)
 WHY = {
     "drift": "a drift with time explains more of the rest than any such force",
     "hysteresis": "a force that remembers the way explains more of the rest",
@@ -53,16 +57,20 @@ class Judgement:
     why: str
 
 
-def sentence(judged: Judgement, told: Sequence[Proposal], unit: str, beside: Sequence[str] = ()) -> str:
+def sentence(
+    judged: Judgement, told: Sequence[Proposal], unit: str, beside: Sequence[str] = (), has_even: bool = True
+) -> str:
     """Return what the curves say: whether they can be it, what each looks like, and which law it may be.
 
-    ``beside`` names the effects beside which they stand: then it is what these leave that is told.
+    ``beside`` names the effects beside which they stand: then it is what these leave that is told. Without ``has_even``
+    the records do not hold what differs between the two sides.
     """
     if not judged.is_possible:
         gap = "that rest" if beside else "the gap"
         left = f"the best of them leave {per_cent(judged.share_left)} of {gap} (p = {judged.p_value:.1g})"
         what = "what the named effects leave" if beside else "what is missing"
-        return f"A force of displacement and speed cannot be {what}: {left}, and {WHY[judged.why]}."
+        said = f"A force of displacement and speed cannot be {what}: {left}, and {WHY[judged.why]}."
+        return said + ("" if has_even else _ONE_SIDE)
     parts = []
     for curve, what, place in (
         ("conservative", "the conservative force beyond the linear spring", unit),
@@ -73,7 +81,7 @@ def sentence(judged: Judgement, told: Sequence[Proposal], unit: str, beside: Seq
     leave = leave or f"but for {per_cent(judged.share_left)} of the gap"
     also = " A drift with time explains them as well: releases from other amplitudes tell the two apart."
     said = f"Forces of displacement and speed explain the records {leave}: {'; '.join(parts)}."
-    return said + (also if judged.why == "drift" else "")
+    return said + (also if judged.why == "drift" else "") + ("" if has_even else _ONE_SIDE)
 
 
 def described(told: Sequence[Proposal], unit: str) -> str:

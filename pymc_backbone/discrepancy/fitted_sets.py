@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
@@ -35,10 +35,12 @@ _POOR = 1.5  # reduced chi-square above which a fit may have lost its way
 _NOT_FAR = 2.0  # reduced chi-square of a smaller set up to which the records say where a further effect begins
 _UNTOLD = 1.0  # reduced chi-square of the backbones of a smaller set up to which they do not say what else is there
 _MUCH_MORE = 10.0  # chi-square of the backbones above their lowest minimum, from which that is asked as well
-_MINIMA, _ALIKE = 2, 3.0  # fits of a single effect of several shapes; chi-square within which its minima are alike
+_MINIMA, _ALIKE = 2, 6.0  # minima of a single effect of several shapes; chi-square within which its starts are alike
+_APART = 1.0  # chi-square by which two fits ended in different minima
 _LOST = 6.0  # reduced chi-square of the backbones, over what was promised, from which a fit ended elsewhere
 _NOTED = 1.0  # chi-square above that of the smaller set up to which one step is enough to note a set
 _WORTH = 5.0  # fall of chi-square by which one more effect begins to earn its place
+_HINT = 1.0  # the same, from which a single effect is fitted although a linear step promises less than that
 
 
 @dataclass
@@ -280,10 +282,12 @@ class FittedSets:
             return []
         best = promised[0]
         if self.explains(parent):
-            promised = [best]
-            if best.gain < _WORTH:
+            # whether anything is missing hangs on single effects, and where a shape bends the way, a step tells little
+            is_single = len(names) == 1
+            if best.gain < (_HINT if is_single else _WORTH):
                 noted = self._noted(layout, best, parent)
                 return [] if noted is None else [noted]
+            promised = promised if is_single else [best]
         near = self.descent.from_near(layout, [item.moved for item in promised], rival=rival)
         if near is None or near.cost > parent.cost + _NOTED:  # the step went too far: what is there begins small
             small = self.descent.from_near(layout, [best.small], rival=rival)
@@ -345,7 +349,8 @@ class FittedSets:
     def _proposed(self, names: Set, rival: float | None) -> list[Fit]:
         """Return fits from what the backbones propose for a set, until one keeps what they promise.
 
-        A single effect of several shapes has minima that the backbones cannot tell apart: more than one begins.
+        A single effect of several shapes, its own or of the model as it is, has minima that the backbones cannot tell
+        apart: more than one begins.
         """
         proposal = self._proposal(names)
         if proposal is None:
@@ -356,9 +361,9 @@ class FittedSets:
         ways: list[Way] = []
         limit, is_refuted = self._limit, True
         lowest = min((promised for promised, _, _ in proposal.starts), default=0.0)
-        is_kept, is_alone = False, len(names) == 1 and np.count_nonzero(~layout.is_strength) > 1
+        is_kept, is_alone = False, len(names) == 1 and self._has_minima(layout)
         for promised, state in self.descent.in_order(layout, proposal.starts):
-            if is_kept and not (is_alone and len(found) < _MINIMA and promised < lowest + _ALIKE):
+            if is_kept and not (is_alone and _apart(found) < _MINIMA and promised < lowest + _ALIKE):
                 break
             reached = self.descent.from_afar(layout, state, rival, ways, limit)
             if reached is None:
@@ -374,6 +379,11 @@ class FittedSets:
         if found and is_refuted:
             self.refuted.add(names)
         return found
+
+    def _has_minima(self, layout: Layout) -> bool:
+        """Return whether the shapes of a single effect, or of one that the model holds, may leave several minima."""
+        is_shape, has_base = ~layout.is_strength, not self.layout(()).is_strength.all()
+        return np.count_nonzero(is_shape) > (0 if has_base else 1)
 
     def _without_base(self, layout: Layout, proposal: Proposal, rival: float | None, ways: list[Way]) -> list[Fit]:
         """Return the fit of a set from where the effects of the model as it is are absent: they may imitate the set."""
@@ -406,3 +416,9 @@ class FittedSets:
     def _names(self, found: Fit) -> Set:
         held = {effect.name for effect in self.base.effects}
         return tuple(effect.name for effect in found.layout.oscillator.effects if effect.name not in held)
+
+
+def _apart(found: Sequence[Fit]) -> int:
+    """Return in how many different minima some fits ended."""
+    costs = np.sort([item.cost for item in found])
+    return int(costs.size > 0) + int(np.count_nonzero(np.diff(costs) > _APART))

@@ -24,7 +24,7 @@ from .scatter import SCATTER
 from .tabulated import DAMPING, STIFFNESS, Tabulated, tabulate
 from .verify import held_out_specimens
 
-_NUISANCES = (0, 1, 2, 3, 4)
+_NUISANCES, _OFFSET = (0, 1, 2, 3, 4), 4
 _RELEASE = (2, 3, 4)
 _WINDOW, _GROWTH, _SLOW_GROWTH = 12, 3, 1.5  # turning points of the first window, and by which factor it grows
 _NEAR_NOISE = 1.3  # of the turning points' reduced chi-square, from which the samples take over
@@ -80,9 +80,12 @@ def force_curves(
     beside = tuple(effect.name for effect in start.layout.oscillator.effects if effect.name not in BASE_EFFECTS)
     return ForceCurves(
         is_possible=judgement.is_possible,
-        sentence=sentence(judgement, told, str(batch.backbones.attrs.get("amplitude_unit", "m")), beside),
+        sentence=sentence(
+            judgement, told, str(batch.backbones.attrs.get("amplitude_unit", "m")), beside, found.tabulated.has_even
+        ),
         beside=beside,
         bands=bands,
+        has_even=found.tabulated.has_even,
         proposals=told,
         share_left=judgement.share_left,
         p_value=judgement.p_value,
@@ -103,7 +106,8 @@ def fit_remainder(batch: Batch, oscillator: Oscillator, start: Fit | None = None
     """
     scatter = SCATTER if start is None else start.layout.scatter
     lowest = min(float(np.abs(term.values[-_AMONG:]).max()) for term in batch.turning)
-    tabulated = tabulate(oscillator, batch, max(lowest, _LEAST_REACH * batch.amplitude), scatter=scatter)
+    reach, has_even = max(lowest, _LEAST_REACH * batch.amplitude), is_even_measured(batch)
+    tabulated = tabulate(oscillator, batch, reach, scatter=scatter, has_even=has_even)
     begun = fit_curves(tabulated, batch.levels, _began(tabulated, batch, start), nuisances=(0, 1), iterations=15)
     if begun is None:
         return None
@@ -114,12 +118,24 @@ def fit_remainder(batch: Batch, oscillator: Oscillator, start: Fit | None = None
         found = min((each for each in (found, patient) if each is not None), key=_left, default=None)
     if found is None:
         return None
-    sharp = tabulate(oscillator, batch, tabulated.reach, is_sharp=True, scatter=scatter)
-    other = fit_curves(sharp, batch.waveform, found.fit.state, nuisances=_NUISANCES, precisions=found.precisions)
+    sharp = tabulate(oscillator, batch, reach, is_sharp=True, scatter=scatter, has_even=has_even)
+    other = fit_curves(sharp, batch.waveform, found.fit.state, nuisances=_seen(batch), precisions=found.precisions)
     if other is None:
         return _widened(batch, found)
     best, rest = (found, other) if found.log_evidence >= other.log_evidence else (other, found)
     return _either(_widened(batch, best), rest)
+
+
+def is_even_measured(batch: Batch) -> bool:
+    """Return whether a record holds what an even force makes, a mid-line or a second harmonic: a band may lose both."""
+    second = 2.0 * batch.angular_frequency / (2.0 * np.pi)
+    return any(record.band is None or record.band[1] > second for record in batch.records)
+
+
+def _seen(batch: Batch) -> tuple[int, ...]:
+    """Return which of a specimen's own values the samples tell: behind a band no offset is left."""
+    has_offset = any(record.band is None for record in batch.records)
+    return _NUISANCES if has_offset else tuple(n for n in _NUISANCES if n != _OFFSET)
 
 
 def _left(found: CurveFit) -> float:
@@ -145,7 +161,7 @@ def _approached(
         if is_last:
             break
         window = int(window * (_SLOW_GROWTH if is_patient else _GROWTH))
-    return fit_curves(tabulated, batch.waveform, state, nuisances=_NUISANCES, precisions=precisions)
+    return fit_curves(tabulated, batch.waveform, state, nuisances=_seen(batch), precisions=precisions)
 
 
 def _began(tabulated: Tabulated, batch: Batch, start: Fit | None) -> State:
@@ -182,7 +198,7 @@ def _widened(batch: Batch, found: CurveFit) -> CurveFit:
     smoothed curve is off there by more than its errors say.
     """
     rough = fit_curves(
-        found.tabulated, batch.waveform, found.fit.state, nuisances=_NUISANCES,
+        found.tabulated, batch.waveform, found.fit.state, nuisances=_seen(batch),
         precisions=found.precisions / _ROUGHER, is_learning=False, iterations=_AGAIN,
     )  # fmt: skip
     if rough is None:
@@ -212,7 +228,7 @@ def _judgement(batch: Batch, start: Fit, found: CurveFit, rivals: Sequence[Fit],
         why = "drift"
     if not is_possible:
         with_drift = fit_curves(
-            found.tabulated, batch.waveform, found.fit.state, nuisances=(*_NUISANCES, *DRIFTS),
+            found.tabulated, batch.waveform, found.fit.state, nuisances=(*_seen(batch), *DRIFTS),
             precisions=found.precisions, is_learning=False, iterations=_WITH_DRIFT,
         )  # fmt: skip
         if with_drift is not None and float(with_drift.fit.chi_square.sum()) - count < _HALF * after:
@@ -227,7 +243,7 @@ def held_out_curves(batch: Batch, found: CurveFit, most: int) -> float:
 
     def refit(_model: Fit, others: Batch, state: State) -> Fit | None:
         solved = fit_curves(
-            found.tabulated, others.waveform, _centred(found, state), nuisances=_NUISANCES,
+            found.tabulated, others.waveform, _centred(found, state), nuisances=_seen(others),
             precisions=found.precisions, is_learning=False, iterations=_AGAIN,
         )  # fmt: skip
         return None if solved is None else _with_sizes(solved)

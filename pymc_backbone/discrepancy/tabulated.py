@@ -65,12 +65,16 @@ class Tabulated:
         Force at the typical amplitude [N].
     reach : float
         Amplitude over which no straight line is left in the odd conservative part [m or rad].
+    has_even : bool
+        Whether the even parts are free. What they do is a second harmonic and an offset; where neither is in the
+        records they are held at zero, for nothing measures them.
     """
 
     layout: Layout
     parts: tuple[Part, ...]
     scale: float
     reach: float
+    has_even: bool = True
 
     @cached_property
     def named(self) -> IntArray:
@@ -108,14 +112,18 @@ class Tabulated:
         return lines
 
     def free_basis(self) -> tuple[FloatArray, dict[str, slice]]:
-        """Return the directions (q, q - 2) in which the shared coordinates are free, and which of them are of a curve.
+        """Return the directions (q, m) in which the shared coordinates are free, and which of them are of a curve.
 
-        What is named comes first; then each curve, without a line in its odd part.
+        What is named comes first; then each curve, without a line in its odd part, and without the even one where that
+        is held.
         """
         q = self.layout.free.size
         blocks, own, first = [np.eye(q)[:, self.named]], {}, int(self.named.size)
         for effect, line in zip((STIFFNESS, DAMPING), self.lines(), strict=True):
-            places = self.places(effect)
+            sides = ("odd", "even") if self.has_even else ("odd",)
+            places = np.concatenate(
+                [part.places for part in self.parts if part.effect == effect and part.side in sides]
+            )
             frame = np.zeros((q, places.size - 1))
             frame[places] = np.linalg.svd(line[None, places] / np.linalg.norm(line))[2][1:].T
             blocks.append(frame)
@@ -134,7 +142,12 @@ class Tabulated:
 
 
 def tabulate(
-    oscillator: Oscillator, batch: Batch, lowest: float, is_sharp: bool = False, scatter: float = SCATTER
+    oscillator: Oscillator,
+    batch: Batch,
+    lowest: float,
+    is_sharp: bool = False,
+    scatter: float = SCATTER,
+    has_even: bool = True,
 ) -> Tabulated:
     """Return the model with both curves added.
 
@@ -150,6 +163,8 @@ def tabulate(
         Whether the damping force may bend close to rest much faster than at speed, as friction does.
     scatter : float
         How much the sizes of effects and curves differ between specimens, relative to their value.
+    has_even : bool
+        Whether the even parts are free.
     """
     model = oscillator
     for name in (STIFFNESS, DAMPING):
@@ -158,7 +173,7 @@ def tabulate(
     layout = make_layout(model, batch.amplitude, batch.angular_frequency, scatter)
     parts = tuple(_part(layout, *part, is_sharp and part == (DAMPING, "odd")) for part in PARTS)
     scale = oscillator.mass * batch.angular_frequency**2 * batch.amplitude
-    return Tabulated(layout, parts, scale, lowest)
+    return Tabulated(layout, parts, scale, lowest, has_even)
 
 
 def _part(layout: Layout, effect: str, side: str, is_sharp: bool) -> Part:

@@ -14,7 +14,7 @@ from ..discrepancy.curve_records import Band, ForceCurves
 from .style import COLUMN, MEASURED, QUIET, SIMULATED, engineering, layout, legend_below, parameter_axis
 
 _HEIGHT = 4.6
-_PANELS = ((("whole", MEASURED),), (("odd part", MEASURED), ("even part", SIMULATED)))
+_WHOLE, _PARTS = (("whole", MEASURED),), (("odd part", MEASURED), ("even part", SIMULATED))
 
 
 def plot_force(curves: ForceCurves, which: str, amplitude_unit: str = "m") -> Figure:
@@ -45,7 +45,9 @@ def plot_force(curves: ForceCurves, which: str, amplitude_unit: str = "m") -> Fi
     rate = "" if which == "conservative" else "/s"
     line = curves.parameters["viscous_damping"][0] if which == "damping" else 0.0
     beyond = replace(odd, force=odd.force - line * odd.at, low=odd.low - line * odd.at, high=odd.high - line * odd.at)
-    for axis, panel, shown in zip(axes, _PANELS, ((whole,), (beyond, even)), strict=True):
+    parts = (beyond, even) if curves.has_even else (beyond,)
+    panels = ((_WHOLE, (whole,)), (_PARTS[: len(parts)], parts))
+    for axis, (panel, shown) in zip(axes, panels, strict=True):
         factor, label = parameter_axis("force", np.concatenate([np.abs(band.force) for band in shown]), {"force": unit})
         for (name, colour), band in zip(panel, shown, strict=True):
             _draw(axis, band, scale, factor, colour, name)
@@ -59,10 +61,12 @@ def plot_force(curves: ForceCurves, which: str, amplitude_unit: str = "m") -> Fi
         factor, _ = parameter_axis("force", np.abs(whole.force), {"force": unit})
         axes[0].plot(whole.at * scale, line * whole.at * factor, color=QUIET, linestyle="--", linewidth=1.0)
         axes[0].set_title("Damping force; dashed: the viscous damper in it", fontsize=9, loc="left")
-        axes[1].set_title("Odd part beyond the viscous damper, and even part", fontsize=9, loc="left")
+        also = ", and even part" if curves.has_even else "; an even part is not measured"
+        axes[1].set_title(f"Odd part beyond the viscous damper{also}", fontsize=9, loc="left")
     else:
         axes[0].set_title("Conservative force beyond the linear spring", fontsize=9, loc="left")
-        axes[1].set_title("Its odd and its even part", fontsize=9, loc="left")
+        also = "Its odd and its even part" if curves.has_even else "Its odd part; an even part is not measured"
+        axes[1].set_title(also, fontsize=9, loc="left")
     legend_below(axes[1], 2)
     return figure
 

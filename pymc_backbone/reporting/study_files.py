@@ -262,6 +262,7 @@ def force_curve_entries(curves: ForceCurves) -> dict[str, Any]:
         "is_possible": curves.is_possible,
         "sentence": curves.sentence,
         "beside": list(curves.beside),
+        "has_even": curves.has_even,
         "share_left": curves.share_left,
         "p_value": curves.p_value,
         "range": {name: [float(at[0]), float(at[-1])] for name, at in whole.items()},
