@@ -805,6 +805,28 @@ def test_what_adds_nothing_ends_where_the_smaller_set_did(cubic):
     assert all(alone - 15.0 < cost < alone + 1.0 for cost in larger)
 
 
+def test_a_single_effect_that_a_linear_step_promises_little_of_is_fitted_all_the_same():
+    """A slider between two slips of the grid: the step from the base tells a third of what it explains."""
+    rng, model = np.random.default_rng(4), Oscillator(MASS, ["jenkins"])
+    slider = {"slider_stiffness": 0.0008 * STIFFNESS, "slip_force": 0.72 * 0.0008 * STIFFNESS * AMPLITUDE}
+    truth, records = truth_of(()) | slider, []
+    for release in (AMPLITUDE, 0.8 * AMPLITUDE):
+        vector = [truth[name] for name in model.parameter_names]
+        exact = simulate_waveform(model, vector, TIME - RELEASE_TIME, release).displacement
+        records.append(noisy(rng, f"from {release}", TIME, np.where(TIME < RELEASE_TIME, release, exact)))
+    search = Search(batch_of(records), Oscillator(MASS), ("jenkins",), 1)
+    base = search.fit_set(())
+    layout = search.layout(("jenkins",))
+    promised = starts.by_score(layout, "jenkins", base, search.batch)
+    assert 1.0 < promised[0].gain < 2.0
+    one_step = search._noted(layout, promised[0], base)
+    eta = layout.coordinates(np.array([slider[name] for name in layout.names]))
+    true = search.descent.from_near(layout, [start_state(layout, eta, base.state.own[:, :5])])
+    found = search.fit_set(("jenkins",))
+    assert found.cost < true.cost + 0.5
+    assert one_step.cost > found.cost + 2.0  # negative control: what was noted before
+
+
 @pytest.mark.parametrize(("tolerance", "is_enough"), [(0.5, True), (0.0, False), (1e-5, False)])
 def test_search_ends_where_what_is_missing_does_not_matter(cubic, tolerance, is_enough):
     limits = dict.fromkeys(("frequency", "damping"), tolerance)
