@@ -98,8 +98,8 @@ def _remainder(study: Study) -> str:
     between = span(first.amplitude_low, first.amplitude_high, _amplitude_unit(study))
     note = (
         f"What the most probable set leaves from {between}, beyond its own frequency and damping; over the base's gap "
-        "as root mean squares. Here a smooth departure is fitted beside it; the figures above show the set as the samples "
-        "alone place it, which may leave more."
+        "as root mean squares. Here a smooth departure is fitted beside it; the figures above show the set as the "
+        "samples alone place it, which may leave more."
     )
     return table(columns, rows) + paragraph(note, "soft")
 
