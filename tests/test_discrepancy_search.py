@@ -626,6 +626,21 @@ def test_a_mode_that_is_gone_long_before_the_motion_is_seen_where_it_was(left, s
         assert float(check.message.split(" Hz")[0].split()[-1]) == pytest.approx(7.3, rel=0.03)
 
 
+@pytest.mark.parametrize(("left", "passes"), [(3.0, False), (1.0, True)])
+def test_a_mode_that_decays_soon_is_seen_beside_a_name_that_leaves_more(left, passes, linear, monkeypatch, rng):
+    """Over the whole record its tenth of the motion is less than 2 %: the beginning tells."""
+    time = np.arange(3000) / (30.0 * 5.0)
+    values = np.exp(-0.1 * time) * np.cos(OMEGA * time)
+    line = 0.1 * np.exp(-time / 0.8) * np.cos(2.7 * OMEGA * time)
+    monkeypatch.setattr(evidence, "residuals_of", lambda *_: line + 3e-4 * rng.standard_normal(time.size))
+    term = replace(linear.batch.waveform[0], time=time, values=values, size=time.size)
+    batch = replace(linear.batch.subset([0]), waveform=(term,))
+    check = second_mode_check(batch, SimpleNamespace(chi_square=[left * term.size]))
+    assert check.passed is passes
+    if not passes:
+        assert float(check.message.split(" Hz")[0].split()[-1]) == pytest.approx(13.5, rel=0.03)
+
+
 @pytest.mark.parametrize(("ratio", "share", "passes"), [(0.6, 0.015, False), (0.6, 0.007, True), (1.6, 0.015, True)])
 def test_a_smaller_line_counts_below_the_frequency_of_the_mode(ratio, share, passes, linear, monkeypatch, rng):
     """As that of a liquid that moves along; above, a percent may be anything."""

@@ -44,8 +44,9 @@ class Line(NamedTuple):
 def second_mode_check(batch: Batch, best: Fit, *, is_adequate: bool = False) -> Check:
     """Look for a line beside the harmonics in what the best model leaves, and for one close to a harmonic.
 
-    Where nothing is said to be missing (``is_adequate``), in the beginning of the records, too, and of smaller ones
-    where that leaves more than noise: something has to be there. Below the frequency of the mode a smaller line counts:
+    In the beginning of the records, too, where nothing is said to be missing (``is_adequate``) or where what is leaves
+    more than noise: something has to be there, and a mode of a higher frequency has mostly decayed soon. Where nothing
+    is said to be missing all the same, smaller lines count. Below the frequency of the mode a smaller line counts:
     a single mode has none there, and a mass that moves along, as of a liquid, bends the backbones.
     """
     name = "no second mode"
@@ -57,8 +58,9 @@ def second_mode_check(batch: Batch, best: Fit, *, is_adequate: bool = False) -> 
         plain = replace(term, whiten=lambda columns: columns)
         left = evidence.residuals_of(plain, best, r)
         between = frequencies_of(batch.levels[r], batch.records[r].frequency)
-        least = _SEEN if is_adequate and best.chi_square[r] > _NO_NOISE * term.size else _BEATING
-        for part in _parts(left.size, term.cycles if is_adequate else 0.0):
+        is_left = best.chi_square[r] > _NO_NOISE * term.size
+        least = _SEEN if is_adequate and is_left else _BEATING
+        for part in _parts(left.size, term.cycles if is_adequate or is_left else 0.0):
             time, motion = term.time[: left.size][part], float(np.std(term.values[: left.size][part]))
             below = line_below(time, left[part], between), min(least, _SEEN if is_adequate else _BELOW)
             beside = line_beside(time, left[part], between), least
@@ -78,10 +80,7 @@ def second_mode_check(batch: Batch, best: Fit, *, is_adequate: bool = False) -> 
 
 
 def _parts(size: int, cycles: float) -> list[slice]:
-    """Return the parts of a record that are looked at: all of it, and of so many cycles its beginning.
-
-    A mode of a higher frequency mostly decays sooner, and over the whole record it is not seen.
-    """
+    """Return the parts of a record that are looked at: all of it, and of so many cycles its beginning."""
     early = [slice(0, size // share) for share in _EARLY if cycles > _FEWEST_CYCLES * share]
     return [slice(0, size), *early]
 
