@@ -584,6 +584,32 @@ def test_backbones_are_asked_beside_drifts_where_a_drift_explains_half(cubic, mo
     assert bool(asked) == is_asked
 
 
+def test_a_drift_that_explains_the_records_by_itself_ends_the_search_early():
+    """Of records whose stiffness changes many laws come near, each at the price of a long fit."""
+    batch = batch_of(drifting_records(np.random.default_rng(3), 0.1))
+    candidates = ("bilinear_stiffness", *CANDIDATES, "freeplay", "iwan", "quadratic_stiffness", "quintic_stiffness")
+    told, untold = (
+        Search(batch, Oscillator(MASS), candidates, 2, is_drifting=asked) for asked in (rivals.is_drift_enough, None)
+    )
+    told.run()
+    assert told.is_told and not told._is_explained() and not untold.is_told
+    assert not any(told._is_costly(names) for names in told.fits)
+    untold.run()
+    assert told.descent.effort < 0.5 * untold.descent.effort
+    found = rivals.drifting_sets(told)
+    assert evidence.leaves_noise(batch, found[()].fit)
+    known = len(told.fits)
+    told.resume()  # as where a drift beside the base turns out not to be enough
+    assert not told.is_told and len(told.fits) > known
+
+
+def test_a_drift_is_not_enough_where_an_effect_is_missing(cubic):
+    search = Search(cubic.batch, Oscillator(MASS), CANDIDATES, 1, is_drifting=rivals.is_drift_enough)
+    search.run()
+    assert not search.is_told and search.best() == ("cubic_stiffness",)
+    assert not rivals.is_drift_enough(search)
+
+
 def test_no_drift_is_seen_where_there_is_none(cubic):
     found = rivals.drifting_sets(cubic)
     assert list(found) == [()]  # a single effect leaves noise: nothing for a drift to explain beside it

@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from . import evidence
+from .as_good import odds_of_as_good
 from .compensation import compensation
 from .corrected_evidence import Corrected, corrections
 from .curves import level_chi_square
@@ -116,6 +117,10 @@ def _weighed(search: Search, drifting: Mapping[Set, Drifting]) -> Decision:
     odds = odds_behind_bands(search.batch, fits)
     arguments = (fits, search.batch, len(search.candidates), bonus, search.variants, odds)
     evidences = evidence.probabilities(*arguments)
+    if raised := odds_of_as_good(search.batch, fits, evidences, search.variants):
+        odds = {names: odds.get(names, 0.0) + raised.get(names, 0.0) for names in {**odds, **raised}}
+        arguments = (*arguments[:-1], odds)
+        evidences = evidence.probabilities(*arguments)
     corrected = _corrected(search, fits, evidences, p_missing)
     if corrected.sets:
         leading = max(evidences, key=lambda names: evidences[names].log_posterior)
@@ -298,12 +303,15 @@ def _backbones_disagree(search: Search, names: Set) -> bool:
     return not batch.is_behind_filter and level_chi_square(batch, search.fits[names]) >= AGREE
 
 
-def mind_second_mode(decision: Decision) -> Decision:
+def mind_second_mode(search: Search, decision: Decision, drifting: Fit | None) -> Decision:
     """Return what can be said of records in which a second mode beats.
 
     Its line is no effect of a single mode, and the estimate of the noise holds it: "nothing is missing" is not true,
-    and a name rests on a misfit that the second mode may have made.
+    and a name rests on a misfit that the second mode may have made. So does a drift in time of the base (``drifting``)
+    that leaves more than noise: then it is the line that is told.
     """
+    if drifting is not None and not evidence.leaves_noise(search.batch, drifting):
+        decision = replace(decision, drift_probability=0.0)
     if decision.verdict is Verdict.ADEQUATE:
         return replace(decision, has_second_mode=True, verdict=Verdict.UNEXPLAINED, adequate_by=None)
     if decision.verdict is Verdict.FOUND:

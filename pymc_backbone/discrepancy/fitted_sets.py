@@ -68,6 +68,10 @@ class FittedSets:
         it returns is kept in ``halted``, and the search ends there; None lets it go on.
     halted : object, optional
         What ended the search early.
+    is_drifting : callable, optional
+        Asked once, early, where nothing explains the records: whether the model as it is does with a drift in time.
+    is_told : bool
+        Whether it does: then few sets more are asked, and none that costs much.
     refuted : set of tuple of str
         Sets that were not fitted to the samples, because the turning points leave no doubt.
     scatter : float
@@ -98,6 +102,8 @@ class FittedSets:
     scatter: float = SCATTER
     is_disturbed: Callable[[FittedSets], object | None] | None = None
     halted: object | None = None
+    is_drifting: Callable[[FittedSets], bool] | None = None
+    is_told: bool = False
 
     def __post_init__(self) -> None:
         self.descent = Descent(self.batch, limit=_LIMIT * self.budget)
@@ -158,7 +164,7 @@ class FittedSets:
         if best is None:
             return np.inf
         if not self.explains(best):
-            return self.descent.unheard_of
+            return self.descent.hopeless(None) if self.is_told else self.descent.unheard_of
         if best is not self.limited[0]:
             self.limited = (best, self.descent.hopeless(best))
         return self.limited[1]

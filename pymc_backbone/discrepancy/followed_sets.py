@@ -60,6 +60,7 @@ class FollowedSets(VariedSets):
             fit_side_by_side(self, few)
             if so_far.fitted >= _FIRST and self._is_halted():
                 return
+            most = min(most, FEW_FOLLOWED) if self._is_drift_told() else most
             for names in few:
                 if names not in self.fits:
                     continue
@@ -77,6 +78,13 @@ class FollowedSets(VariedSets):
             self.halted = asked(self)
         return self.halted is not None
 
+    def _is_drift_told(self) -> bool:
+        """Return whether nothing explains the records but the model as it is with a drift in time."""
+        if self.is_drifting is not None and not self._is_explained():
+            asked, self.is_drifting = self.is_drifting, None
+            self.is_told = asked(self)
+        return self.is_told
+
     def _is_followed(self, names: Set, proposal: Proposal, so_far: _Followed) -> bool:
         """Return whether a set is fitted, after what was; one that adds to what explains is noted as left."""
         if any(set(known) < set(names) for known in so_far.explained):
@@ -85,6 +93,8 @@ class FollowedSets(VariedSets):
         if proposal.log_evidence < so_far.reach:
             return False
         if proposal.log_evidence < so_far.likeliest - REACH and self._is_floor():
+            return False
+        if self.is_told and self._is_costly(names):
             return False
         if so_far.fitted >= _LEAST_FOLLOWED and not self._is_affordable(names):
             return False

@@ -18,6 +18,7 @@ from .drift_course import DRIFT
 from .drift_kinds import drift_bonus
 from .drift_proposals import sets_beside_drifts, single_beside_drifts
 from .evidence import Drifting
+from .fitted_sets import FittedSets
 from .joint_fit import Fit, fit
 from .layout import Layout
 from .normal_equations import DRIFTS, NUISANCES, State
@@ -71,6 +72,15 @@ def drifting_sets(search: Search) -> dict[Set, Drifting]:
         elif not any(evidence.leaves_noise(search.batch, item.fit) for item in found.values()):
             _ask_backbones(search, found)
     return found
+
+
+def is_drift_enough(search: FittedSets) -> bool:
+    """Return whether the model as it is leaves noise with a drift in time beside it; asked before larger sets are."""
+    if not search.batch.has_open_records:
+        return False
+    base = search.fits[()]
+    found = drift_fit(search.batch, base.layout, base.state)
+    return found is not None and evidence.leaves_noise(search.batch, found)
 
 
 def _ask_plain(search: Search, found: dict[Set, Drifting], limit: float) -> None:
@@ -295,4 +305,5 @@ __all__ = [
     "drift_check",
     "drift_fit",
     "drifting_sets",
+    "is_drift_enough",
 ]  # fmt: skip

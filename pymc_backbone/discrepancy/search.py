@@ -59,7 +59,7 @@ class Search(FollowedSets):
                     self._vary()
                     return
             self._follow_backbones(_MOST_FOLLOWED)
-            if self.halted is not None:
+            if self.halted is not None or (self.is_told and not self._is_explained()):
                 return
             self._ask_plain_effects()
             self._look_wider()
@@ -78,9 +78,9 @@ class Search(FollowedSets):
         self._settle()
 
     def resume(self) -> None:
-        """Go on to the end with a search that was halted."""
-        if self.halted is not None:
-            self.halted = None
+        """Go on to the end with a search that was halted, or short because a drift explains the records."""
+        if self.halted is not None or self.is_told:
+            self.halted, self.is_told = None, False
             self.run()
 
     def _ask_single_effects(self) -> None:

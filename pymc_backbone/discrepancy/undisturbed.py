@@ -97,11 +97,17 @@ def undisturbed(
     leaves nothing else then. A bent sensor and another mode's line are taken out where a set leaves noise then; what
     was found with the noise of disturbed records is found again without it. Where a set leaves noise with a drift in
     time beside it, which is likelier, no cycle is left out, and sensors are straightened only where clearly less noise
-    is left then: an estimate of the noise that holds the disturbance hides it.
+    is left then: an estimate of the noise that holds the disturbance hides it. Where the model as it is needs a drift
+    in time and nothing else, nothing else is asked.
     """
     asked = _Asked(question, measuring, searched)
     if (halted := _halted(asked, search, records)) is not None:
         return halted
+    if search.is_told:
+        told = _with_drifts(Undisturbed(question, search), drifting)
+        if told.is_drifting:
+            return told
+        search.resume()
     is_of_rates = bool(records) and all(record.quantity != "displacement" for record in records)
     if not is_of_rates and (steady := _steadied(Undisturbed(question, search), measuring, searched)) is not None:
         return steady

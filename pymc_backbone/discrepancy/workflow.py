@@ -183,7 +183,8 @@ def find_missing_effect(
         question = ask(
             oscillator, data, candidates=candidates, max_effects=max_effects, tolerance=tolerance, measuring=measuring
         )
-        search = _searched(question, quick, say, early_high_pass if is_of_records(data) else None)
+        early = (early_high_pass, rivals.is_drift_enough) if is_of_records(data) else ()
+        search = _searched(question, quick, say, *early)
         known = Undisturbed(question, search)
         if is_of_records(data):
             say("looking for what disturbs the records", 0.0)
@@ -239,13 +240,17 @@ def _curves(
 
 
 def _searched(
-    question: Question, quick: bool, say: Progress, is_disturbed: Callable[[FittedSets], object | None] | None = None
+    question: Question,
+    quick: bool,
+    say: Progress,
+    is_disturbed: Callable[[FittedSets], object | None] | None = None,
+    is_drifting: Callable[[FittedSets], bool] | None = None,
 ) -> Search:
     """Return the search over sets of effects: finished, or halted by what disturbs the records."""
     search = Search(
         question.batch, question.base, question.candidates, question.max_effects, say,
         budget=BUDGET * (_QUICK_BUDGET if quick else 1.0), own=question.own,
-        variants=question.variants, tolerance=question.tolerance, is_disturbed=is_disturbed,
+        variants=question.variants, tolerance=question.tolerance, is_disturbed=is_disturbed, is_drifting=is_drifting,
     )  # fmt: skip
     search.run()
     if () not in search.fits:
@@ -260,15 +265,16 @@ def _decided(known: Undisturbed) -> Outcome:
     question, search = known.question, known.search
     drifting = rivals.drifting_sets(search) if known.drifting is None else known.drifting
     decision = decide(search, drifting, question.tolerance)
+    base_drifting = drifting[()].fit if () in drifting else None
     second_mode = Check("no second mode", True, "not testable without records")
     if question.batch.has_records:
         is_adequate = decision.verdict is Verdict.ADEQUATE
         second_mode = second_mode_check(question.batch, search.fits[decision.model], is_adequate=is_adequate)
         if not second_mode.passed:
-            decision = mind_second_mode(decision)
+            decision = mind_second_mode(search, decision, base_drifting)
     if known.is_bent:
         decision = mind_bent_sensor(search, decision)
-    return Outcome(search, decision, drifting[()].fit if () in drifting else None, second_mode)
+    return Outcome(search, decision, base_drifting, second_mode)
 
 
 def _checks(question: Question, outcome: Outcome, verification: Verification) -> tuple[Check, ...]:
