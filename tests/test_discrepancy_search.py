@@ -584,6 +584,25 @@ def test_backbones_are_asked_beside_drifts_where_a_drift_explains_half(cubic, mo
     assert bool(asked) == is_asked
 
 
+def test_a_stop_on_one_side_is_asked_where_a_play_off_the_middle_is_the_best():
+    """Its other side is not reached: both are variants of the same play and say the same of the records."""
+    rng, model = np.random.default_rng(7), Oscillator(MASS, ["one_sided_stiffness"])
+    truth = truth_of(()) | {"stop_stiffness": 0.2 * STIFFNESS, "stop_gap": 0.4 * AMPLITUDE}
+    vector, records = [truth[name] for name in model.parameter_names], []
+    for release in (AMPLITUDE, 0.8 * AMPLITUDE):
+        exact = simulate_waveform(model, vector, TIME - RELEASE_TIME, release).displacement
+        records.append(noisy(rng, f"from {release}", TIME, np.where(TIME < RELEASE_TIME, release, exact)))
+    search = Search(
+        batch_of(records), Oscillator(MASS), ("freeplay",), 1, variants=("offset_freeplay", "one_sided_stiffness")
+    )
+    for names in ((), ("freeplay",), ("offset_freeplay",)):
+        search.fit_set(names)
+    assert search.best() == ("offset_freeplay",) and search.explains(search.fits[search.best()])
+    search._vary()
+    assert search.fits[("one_sided_stiffness",)].cost < search.fits[("offset_freeplay",)].cost + 1.0
+    assert ("offset_freeplay",) in search.fits  # neither is a variant of the other
+
+
 def test_a_drift_that_explains_the_records_by_itself_ends_the_search_early():
     """Of records whose stiffness changes many laws come near, each at the price of a long fit."""
     batch = batch_of(drifting_records(np.random.default_rng(3), 0.1))

@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 
 import pymc_backbone as pb
 from pymc_backbone._common.text import capitalised, in_words
-from pymc_backbone.discrepancy import candidate_table, decide, evidence, inexact, rivals, shares, verdict_words, words
+from pymc_backbone.discrepancy import candidate_table, decide, inexact, rivals, shares, verdict_words, words
 from pymc_backbone.discrepancy.batch import batch_of_backbones
 from pymc_backbone.discrepancy.decision import Decision
 from pymc_backbone.discrepancy.evidence import Evidence
@@ -802,19 +802,17 @@ def test_the_table_says_how_much_less_probable_a_set_is():
 def test_a_second_mode_takes_back_names_and_leaves_the_decision_as_it_was(before, after, listed):
     given = (("a",), ("b",)) if before == "ambiguous" else ()
     decision = decision_of(before, listed=given, adequate_by=AdequateBy.STATISTICS if before == "adequate" else None)
-    minded = decide.mind_second_mode(SimpleNamespace(batch=None), decision, None)
+    minded = decide.mind_second_mode(decision)
     assert (minded.verdict, minded.listed, minded.adequate_by) == (after, listed, None)
     assert minded.has_second_mode and not decision.has_second_mode and decision.verdict == before
     with pytest.raises(dataclasses.FrozenInstanceError):
         decision.verdict = Verdict.FOUND
 
 
-@pytest.mark.parametrize(("is_noise", "told"), [(False, "a second mode beats with it"), (True, "a drift with time")])
-def test_a_line_is_told_before_a_drift_that_leaves_more_than_noise(is_noise, told, monkeypatch):
-    monkeypatch.setattr(evidence, "leaves_noise", lambda *_: is_noise)
+@pytest.mark.parametrize(("is_beside", "told"), [(True, "a second mode beats with it"), (False, "a drift with time")])
+def test_a_line_that_is_there_beside_a_drift_is_told_before_it(is_beside, told):
     decision = decision_of("unexplained", drift_probability=0.9)
-    minded = decide.mind_second_mode(SimpleNamespace(batch=None), decision, SimpleNamespace())
-    assert told in verdict_words.sentence(minded)
+    assert told in verdict_words.sentence(decide.mind_second_mode(decision, is_beside_drift=is_beside))
 
 
 @pytest.mark.parametrize("p_value", [1e-12, 1e-4, 0.01, 0.2, 0.6])

@@ -303,14 +303,14 @@ def _backbones_disagree(search: Search, names: Set) -> bool:
     return not batch.is_behind_filter and level_chi_square(batch, search.fits[names]) >= AGREE
 
 
-def mind_second_mode(search: Search, decision: Decision, drifting: Fit | None) -> Decision:
+def mind_second_mode(decision: Decision, *, is_beside_drift: bool = False) -> Decision:
     """Return what can be said of records in which a second mode beats.
 
     Its line is no effect of a single mode, and the estimate of the noise holds it: "nothing is missing" is not true,
-    and a name rests on a misfit that the second mode may have made. So does a drift in time of the base (``drifting``)
-    that leaves more than noise: then it is the line that is told.
+    and a name rests on a misfit that the second mode may have made. So may a drift in time of the base: where the line
+    is beside that, too, it is the line that is told.
     """
-    if drifting is not None and not evidence.leaves_noise(search.batch, drifting):
+    if is_beside_drift:
         decision = replace(decision, drift_probability=0.0)
     if decision.verdict is Verdict.ADEQUATE:
         return replace(decision, has_second_mode=True, verdict=Verdict.UNEXPLAINED, adequate_by=None)

@@ -22,14 +22,15 @@ class VariedSets(RevisitedSets):
     def _vary(self) -> None:
         """Fit the best set with variants in the place of its effects, and keep no variant that explains no more.
 
-        What explains no more than the effect that it varies is said by that one.
+        What explains no more than the effect that it varies is said by that one. In the place of a variant stand the
+        others of what it varies: a stop on one side for a play that lies off the middle.
         """
         best = self.best()
         for name in best if not self.is_refuted(best) else ():
             for variant in self.variants:
                 names = tuple(sorted({*(other for other in best if other != name), variant}))
-                is_asked = name in LIBRARY[variant].variant_of and len(names) == len(best) and names not in self.fits
-                if not is_asked or (self._is_costly(names) and not self._is_costly(best)):
+                is_new = variant != name and len(names) == len(best) and names not in self.fits
+                if not (is_new and _is_akin(name, variant)) or (self._is_costly(names) and not self._is_costly(best)):
                     continue
                 if self._is_spent and (self._is_costly(names) or not self.explains(self.fits[best])):
                     continue  # of what explains the records, the few that are soon fitted are asked all the same
@@ -114,6 +115,12 @@ class VariedSets(RevisitedSets):
             looks = propose(self.batch, self.base, names, len(names), self.own)
             self.varied[names] = next(item for item in looks if set(item.names) == set(names))
         return None if self._is_far(names) else self.fit_set(names)
+
+
+def _is_akin(name: str, variant: str) -> bool:
+    """Return whether a variant is one of an effect, or of what that effect is a variant of."""
+    of_effect = LIBRARY[name].variant_of if name in LIBRARY else ()
+    return not {name, *of_effect}.isdisjoint(LIBRARY[variant].variant_of)
 
 
 __all__ = ["NEEDED", "VariedSets"]

@@ -271,7 +271,8 @@ def _decided(known: Undisturbed) -> Outcome:
         is_adequate = decision.verdict is Verdict.ADEQUATE
         second_mode = second_mode_check(question.batch, search.fits[decision.model], is_adequate=is_adequate)
         if not second_mode.passed:
-            decision = mind_second_mode(search, decision, base_drifting)
+            is_beside = base_drifting is not None and not second_mode_check(question.batch, base_drifting).passed
+            decision = mind_second_mode(decision, is_beside_drift=is_beside)
     if known.is_bent:
         decision = mind_bent_sensor(search, decision)
     return Outcome(search, decision, base_drifting, second_mode)
