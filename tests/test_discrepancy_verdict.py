@@ -602,6 +602,28 @@ def test_words_of_each_verdict():
         (
             "ambiguous",
             {
+                "listed": (("iwan",), ("freeplay",)),
+                "is_approximate": True,
+                "mechanisms": (HYSTERESIS,),
+                "unfinished": (("jenkins",),),
+            },
+            "Friction-like hysteresis is missing (99.6 %, 93 % of the gap). No set is exact. Fits of sets that could "
+            "explain the backbones did not come to rest: Jenkins.",
+        ),
+        (
+            "ambiguous",
+            {
+                "listed": (("iwan",), ("freeplay",)),
+                "is_approximate": True,
+                "mechanisms": (SPRING, CLEARANCE),
+                "unfinished": (("jenkins",),),
+            },
+            "Something is missing; no fit explains the records. Fits of sets that could explain the backbones did not "
+            "come to rest: Jenkins.",
+        ),
+        (
+            "ambiguous",
+            {
                 "listed": (("cubic_stiffness",), ("freeplay",)),
                 "is_approximate": True,
                 "is_single_valued": False,

@@ -22,6 +22,7 @@ _PER_CYCLE = 0.1  # events in a cycle: more of them are no chance
 _SCALE = 1.2  # of the residuals, robust, up to which the set explains the other samples
 _NORMAL = 1.4826  # median absolute deviation to standard deviation, for a normal distribution
 _WIDEST = 5  # values of an event
+_FIRST = 2  # values, one of which is off where a record begins with what is no free motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,12 +36,18 @@ class DropOuts:
     step : mapping of str to float
         Time [s] from one value to the next.
     events : int
-        Number of events.
+        Number of events, but for those with which a record begins.
+    jumping : tuple of str
+        Specimens with such events.
+    beginnings : tuple of str
+        Specimens whose first samples are off: how they were held and released is in them.
     """
 
     by_specimen: dict[str, tuple[FloatArray, FloatArray]]
     step: dict[str, float]
     events: int
+    jumping: tuple[str, ...]
+    beginnings: tuple[str, ...]
 
     def undisturbed(self, records: Iterable[Record]) -> list[Record]:
         """Return the records with wild samples put where the set has them."""
@@ -55,8 +62,21 @@ class DropOuts:
     @property
     def sentence(self) -> str:
         """What was found, in one sentence."""
+        begun = ""
+        if self.beginnings:
+            which = "one record" if len(self.beginnings) == 1 else f"{len(self.beginnings)} records"
+            begun = (
+                f"the first samples of {which} ({', '.join(self.beginnings)}) are off the free motion by how it was "
+                "held and released, and do not count"
+            )
+        if not self.events:
+            return begun
+        return f"{self._jumps}; {begun}" if begun else self._jumps
+
+    @property
+    def _jumps(self) -> str:
         times = "once" if self.events == 1 else f"{self.events} times"
-        names = sorted(self.by_specimen)
+        names = sorted(self.jumping)
         which = "one record" if len(names) == 1 else f"{len(names)} records"
         return (
             f"warning: {which} ({', '.join(names)}) {'jumps' if len(names) == 1 else 'jump'} {times} off all motion "
@@ -72,6 +92,8 @@ def drop_outs(search: Search) -> DropOuts | None:
     best = search.fits[search.best()]
     found: dict[str, tuple[FloatArray, FloatArray]] = {}
     steps: dict[str, float] = {}
+    jumping: list[str] = []
+    beginnings: list[str] = []
     events = 0
     for r, (name, term) in enumerate(zip(batch.specimens, batch.waveform, strict=True)):
         left = evidence.residuals_of(term, best, r)
@@ -86,8 +108,11 @@ def drop_outs(search: Search) -> DropOuts | None:
         step = float(np.median(np.diff(time)))
         near = np.abs(time - instants[_nearest(time, instants)]) <= (0.5 * term.averaged + 1e-6) * step
         found[name], steps[name] = (time[near], plain[near]), step
-        events += count
-    return DropOuts(found, steps, events) if events else None
+        is_begun = bool(wild[:_FIRST].any())
+        beginnings += [name] if is_begun else []
+        jumping += [name] if count > is_begun else []
+        events += count - is_begun
+    return DropOuts(found, steps, events, tuple(jumping), tuple(beginnings)) if found else None
 
 
 def _nearest(time: FloatArray, places: FloatArray) -> IntArray:

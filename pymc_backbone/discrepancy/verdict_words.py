@@ -107,7 +107,7 @@ def _of_inexact(decision: Decision, others: Sequence[str]) -> str:
     """Return the sentence where no set is exact and what is certain is not all; the sets stand in the list below it."""
     beside = f" {' and '.join(others).capitalize()} may be there, too." if others else ""
     certain = _certain_mechanisms(decision)
-    is_told = 0 < len(certain) < len(decision.mechanisms)
+    is_told = len(certain) > 0 and (bool(decision.unfinished) or len(certain) < len(decision.mechanisms))
     left = [item for item in decision.mechanisms if not (is_told and item in certain)]
     kinds = ", ".join(f"{MECHANISMS[item.mechanism]} {_chance(item.probability)}" for item in left)
     if not is_told:
@@ -118,6 +118,8 @@ def _of_inexact(decision: Decision, others: Sequence[str]) -> str:
         f"{100.0 * item.share_of_gap:.0f} % of the gap)."
         for item in certain
     )
+    if not left:
+        return f"{known} No set is exact.{beside}"
     return f"{known} What else is, these records do not tell, and no set is exact: {kinds}.{beside}"
 
 
@@ -149,8 +151,8 @@ def _of_ambiguous(decision: Decision) -> str:
     told = [*listed, "a drift with time"] if is_drift_possible(decision) else listed
     if decision.has_second_mode:
         told = [*told, "a second mode"]
-    if decision.is_approximate and not decision.unfinished:
-        return _of_inexact(decision, told[len(listed) :])
+    if decision.is_approximate and (not decision.unfinished or _certain_mechanisms(decision)):
+        return f"{_of_inexact(decision, told[len(listed) :])}{_unfinished(decision)}"
     if not np.isnan(decision.against):
         left = f"leaves the backbones at a reduced chi-square of {decision.against:.3g}"
         if np.isinf(decision.against):
@@ -165,15 +167,20 @@ def _of_ambiguous(decision: Decision) -> str:
             f"but with a probability of {_of_best(decision)} it is too uncertain for a name.{_none_of_these(decision)}"
         )
     if decision.unfinished:
-        return (
-            "Something is missing; no fit explains the records, but those of sets that could explain the backbones "
-            f"did not come to rest: {'; '.join(named(names) for names in decision.unfinished[:_SPOKEN])}."
-        )
+        return f"Something is missing; no fit explains the records.{_unfinished(decision)}"
     # as the list below writes them, which holds the others
     rest = f"; and {len(told) - _HEADED} more" if len(told) > _HEADED else ""
     sets = "; ".join(told[:_HEADED])
     told_apart = f"Something is missing, but these records do not tell apart: {sets}{rest}."
     return f"{told_apart}{_none_of_these(decision)}{_certain(decision)}"
+
+
+def _unfinished(decision: Decision) -> str:
+    """Return a sentence on the sets whose fits did not come to rest; empty where there are none."""
+    if not decision.unfinished:
+        return ""
+    sets = "; ".join(named(names) for names in decision.unfinished[:_SPOKEN])
+    return f" Fits of sets that could explain the backbones did not come to rest: {sets}."
 
 
 def _of_unexplained(decision: Decision) -> str:
