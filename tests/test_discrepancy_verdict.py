@@ -618,6 +618,12 @@ def test_words_of_each_verdict():
                 "mechanisms": (SPRING, CLEARANCE),
                 "unfinished": (("jenkins",),),
             },
+            "do not tell mechanisms apart: hardening or softening of the spring 70 %, clearance or contact 30 %. Fits "
+            "of sets that could explain the backbones did not come to rest: Jenkins.",
+        ),
+        (
+            "ambiguous",
+            {"listed": (("iwan",),), "is_approximate": True, "unfinished": (("jenkins",),)},
             "Something is missing; no fit explains the records. Fits of sets that could explain the backbones did not "
             "come to rest: Jenkins.",
         ),

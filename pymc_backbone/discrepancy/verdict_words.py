@@ -151,7 +151,7 @@ def _of_ambiguous(decision: Decision) -> str:
     told = [*listed, "a drift with time"] if is_drift_possible(decision) else listed
     if decision.has_second_mode:
         told = [*told, "a second mode"]
-    if decision.is_approximate and (not decision.unfinished or _certain_mechanisms(decision)):
+    if decision.is_approximate and (decision.mechanisms or not decision.unfinished):
         return f"{_of_inexact(decision, told[len(listed) :])}{_unfinished(decision)}"
     if not np.isnan(decision.against):
         left = f"leaves the backbones at a reduced chi-square of {decision.against:.3g}"
