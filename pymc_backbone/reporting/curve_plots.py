@@ -50,7 +50,7 @@ def plot_force(curves: ForceCurves, which: str, amplitude_unit: str = "m") -> Fi
     for axis, (panel, shown) in zip(axes, panels, strict=True):
         factor, label = parameter_axis("force", np.concatenate([np.abs(band.force) for band in shown]), {"force": unit})
         for (name, colour), band in zip(panel, shown, strict=True):
-            _draw(axis, band, scale, factor, colour, name)
+            _draw(axis, band, scale, factor, colour, name, is_split=which == "damping")
         axis.axhline(0.0, color="black", linewidth=0.6)
         axis.set_ylabel(label)
         axis.spines[["top", "right"]].set_visible(False)
@@ -71,9 +71,9 @@ def plot_force(curves: ForceCurves, which: str, amplitude_unit: str = "m") -> Fi
     return figure
 
 
-def _draw(axis: Any, band: Band, scale: float, factor: float, colour: str, name: str) -> None:
-    """Draw one curve with its band; friction jumps at rest and is not joined across it."""
-    for held in _sides(band.at):
+def _draw(axis: Any, band: Band, scale: float, factor: float, colour: str, name: str, *, is_split: bool) -> None:
+    """Draw one curve with its band; friction jumps at rest and is not joined across it (``is_split``)."""
+    for held in _sides(band.at) if is_split else [np.ones(band.at.size, dtype=bool)]:
         x, low, high = band.at[held] * scale, band.low[held] * factor, band.high[held] * factor
         axis.fill_between(x, low, high, color=colour, alpha=0.25, linewidth=0)
         axis.plot(x, band.force[held] * factor, color=colour, linewidth=1.4, label=name if held[-1] else None)
