@@ -282,7 +282,7 @@ def data_terms_check(
     ``is_explained`` says whether it names anything, ``is_drifting`` whether that is a drift with time alone: backbones
     take what goes with the time for what goes with the amplitude.
     """
-    name = "data terms agree"
+    name = "samples and backbones agree"
     if not batch.has_records:
         return Check(name, True, "backbones only: there is one data term")
     if not is_explained:
@@ -293,9 +293,12 @@ def data_terms_check(
         said = "not compared: the backbones are those of records behind a filter, as the samples are compared"
         return Check(name, True, said)
     if np.isfinite(reduced) and reduced < limit:
-        said = f"the set the waveforms want fits the backbones too (reduced chi-square {reduced:.2f})"
+        said = f"the set that the samples want fits the backbones too (reduced chi-square {reduced:.2f})"
         return Check(name, True, said)
-    said = f"the waveforms want this set, but it leaves the backbones at a reduced chi-square of {reduced:.3g}"
+    said = (
+        f"the samples want this set, but it leaves the backbones at a reduced chi-square of {reduced:.3g}: another mode, "
+        "a drift with time or a release that is not free bends these; `band` and `start` leave modes and releases out"
+    )
     return Check(name, False, said)
 
 
