@@ -389,7 +389,7 @@ class FittedSets:
     def _has_minima(self, layout: Layout) -> bool:
         """Return whether the shapes of a single effect, or of one that the model holds, may leave several minima."""
         is_shape, has_base = ~layout.is_strength, not self.layout(()).is_strength.all()
-        return np.count_nonzero(is_shape) > (0 if has_base else 1)
+        return int(np.count_nonzero(is_shape)) > (0 if has_base else 1)
 
     def _without_base(self, layout: Layout, proposal: Proposal, rival: float | None, ways: list[Way]) -> list[Fit]:
         """Return the fit of a set from where the effects of the model as it is are absent: they may imitate the set."""
