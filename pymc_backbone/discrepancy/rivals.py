@@ -297,8 +297,8 @@ def data_terms_check(
         return Check(name, True, said)
     said = (
         f"the samples want this set, but it leaves the backbones at a reduced chi-square of {reduced:.3g}: another "
-        "mode, a drift with time or a release that is not free bends these; `band` and `start` leave modes and releases "
-        "out"
+        "mode, a drift with time or a release that is not free bends these; `band` and `start` leave out modes and "
+        "releases"
     )
     return Check(name, False, said)
 
