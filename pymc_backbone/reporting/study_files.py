@@ -52,8 +52,9 @@ DIAGNOSIS_KEYS = {
     "amplitude_high [m or rad], and the curve: amplitude, values, errors; empty where a law is exact",
     "force_curves": "what no law explains as forces, beside the effects in 'beside' (where nothing is named or "
     "certain, beside the base); null where a law is exact, where the verdict is adequate, and without records: "
-    "is_possible (whether forces of displacement and speed can be it), sentence, share_left (of the gap), p_value (of "
-    "what they leave being noise), range (displacement and speed visited: low, high), curves (conservative, "
+    "is_possible (whether forces of displacement and speed can be it), sentence, has_even (false where a band keeps "
+    "out what measures even parts: these are zero), share_left (of the gap), p_value (of what they leave being "
+    "noise), range (displacement and speed visited: low, high), curves (conservative, "
     "conservative_odd, conservative_even, beyond the linear spring, over displacement [m or rad]; damping, "
     "damping_odd, damping_even, the viscous damper included, over speed [m/s or rad/s]; each at, force [N or N m], "
     "low, high (a band that holds all of the curve with 95 %), standard_error), families (curve, family, probability, "
