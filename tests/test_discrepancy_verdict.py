@@ -623,6 +623,17 @@ def test_words_of_each_verdict():
         ),
         (
             "ambiguous",
+            {
+                "listed": (("iwan",), ("freeplay",)),
+                "is_approximate": True,
+                "has_second_mode": True,
+                "mechanisms": (HYSTERESIS, CLEARANCE),
+            },
+            "do not tell mechanisms apart: friction-like hysteresis 99.6 %, clearance or contact 30 %. A second mode may "
+            "be there, too.",
+        ),
+        (
+            "ambiguous",
             {"listed": (("iwan",),), "is_approximate": True, "unfinished": (("jenkins",),)},
             "Something is missing; no fit explains the records. Fits of sets that could explain the backbones did not "
             "come to rest: Jenkins.",
