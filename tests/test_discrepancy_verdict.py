@@ -629,8 +629,8 @@ def test_words_of_each_verdict():
                 "has_second_mode": True,
                 "mechanisms": (HYSTERESIS, CLEARANCE),
             },
-            "do not tell mechanisms apart: friction-like hysteresis 99.6 %, clearance or contact 30 %. A second mode may "
-            "be there, too.",
+            "do not tell mechanisms apart: friction-like hysteresis 99.6 %, clearance or contact 30 %. A second mode "
+            "may be there, too.",
         ),
         (
             "ambiguous",
