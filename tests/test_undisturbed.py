@@ -25,7 +25,7 @@ def test_a_drift_is_asked_before_cycles_are_left_out_and_noise_is_weighed(is_dri
     monkeypatch.setattr(module.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
     monkeypatch.setattr(module.evidence, "leaves_noise", lambda _, found: left[found])
     monkeypatch.setattr(module, "_over_motion", lambda *_: 1e-3)
-    search = SimpleNamespace(halted=None, batch=None, fits={(): "base"}, best=tuple)
+    search = SimpleNamespace(halted=None, is_told=False, batch=None, fits={(): "base"}, best=tuple)
 
     def drifting(_):
         asked.append("drift")
@@ -43,7 +43,7 @@ def test_of_velocities_and_accelerations_a_filter_is_asked_before_the_zero(monke
         monkeypatch.setattr(module, name, lambda *_, name=name: asked.append(name))
     monkeypatch.setattr(module.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
     monkeypatch.setattr(module.evidence, "leaves_noise", lambda *_: False)
-    search = SimpleNamespace(halted=None, batch=None, fits={(): "base"}, best=tuple)
+    search = SimpleNamespace(halted=None, is_told=False, batch=None, fits={(): "base"}, best=tuple)
     records = [SimpleNamespace(quantity="acceleration"), SimpleNamespace(quantity="velocity")]
     module.undisturbed(SimpleNamespace(), search, records, None, lambda _: search, lambda _: {})
     assert asked[:4] == ["drop_outs", "sensor_filter", "drifting_zero", "earlier"]
@@ -62,7 +62,8 @@ def test_sensors_are_straightened_beside_a_drift_where_less_noise_is_left(quiete
     monkeypatch.setattr(module.evidence, "leaves_noise", lambda _, found: found != "base")
     monkeypatch.setattr(module, "_over_motion", lambda _, found: left[found])
     search, straight = (
-        SimpleNamespace(halted=None, batch=None, fits={(): name}, best=tuple) for name in ("base", "straight")
+        SimpleNamespace(halted=None, is_told=False, batch=None, fits={(): name}, best=tuple)
+        for name in ("base", "straight")
     )
     question = SimpleNamespace(of_records=lambda *_: SimpleNamespace())
     drifting = {(): Drifting("drift", 0.0)}
@@ -82,8 +83,10 @@ def test_a_low_pass_is_kept_where_more_is_explained_behind_it(helps, monkeypatch
     monkeypatch.setattr(module, "sensor_filter", lambda _: behind)
     monkeypatch.setattr(module.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
     monkeypatch.setattr(module.evidence, "leaves_noise", lambda _, found: found == "explained")
-    before = SimpleNamespace(halted=None, batch=None, fits={(): "base"}, best=tuple)
-    after = SimpleNamespace(halted=None, batch=None, fits={(): "explained" if helps else "base"}, best=tuple)
+    before = SimpleNamespace(halted=None, is_told=False, batch=None, fits={(): "base"}, best=tuple)
+    after = SimpleNamespace(
+        halted=None, is_told=False, batch=None, fits={(): "explained" if helps else "base"}, best=tuple
+    )
     asked = []
 
     @dataclass
@@ -112,10 +115,12 @@ def test_a_search_that_a_filter_halted_goes_on_where_nothing_is_explained_behind
         monkeypatch.setattr(module, name, lambda *_, name=name: seen.append(name))
     monkeypatch.setattr(module.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
     monkeypatch.setattr(module.evidence, "leaves_noise", lambda _, found: found == "explained")
-    before = SimpleNamespace(halted=SensorFilter(1, 0.5, "high-pass"), fits={(): "base"}, best=tuple)
+    before = SimpleNamespace(halted=SensorFilter(1, 0.5, "high-pass"), is_told=False, fits={(): "base"}, best=tuple)
     before.batch = SimpleNamespace(records=[SimpleNamespace(frequency=5.0)], waveform=())
     before.resume = lambda: seen.append("resumed")
-    after = SimpleNamespace(halted=None, batch=None, fits={(): "explained" if helps else "base"}, best=tuple)
+    after = SimpleNamespace(
+        halted=None, is_told=False, batch=None, fits={(): "explained" if helps else "base"}, best=tuple
+    )
 
     @dataclass
     class Question:
@@ -140,9 +145,23 @@ def test_a_zero_that_drifts_is_the_answer_where_nothing_is_left_without_the_mid_
         monkeypatch.setattr(module, name, lambda *_, name=name: asked.append(name))
     monkeypatch.setattr(module.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
     monkeypatch.setattr(module.evidence, "leaves_noise", lambda _, found: found == "explained")
-    before = SimpleNamespace(halted=None, batch=None, fits={(): "base"}, best=tuple)
-    after = SimpleNamespace(halted=None, batch=None, fits={(): "explained" if helps else "base"}, best=tuple)
+    before = SimpleNamespace(halted=None, is_told=False, batch=None, fits={(): "base"}, best=tuple)
+    after = SimpleNamespace(
+        halted=None, is_told=False, batch=None, fits={(): "explained" if helps else "base"}, best=tuple
+    )
     question = SimpleNamespace()
     known = module.undisturbed(question, before, [], None, lambda _: after, lambda _: {})
     assert (known.search, known.question) == ((after, "steady") if helps else (before, question))
     assert bool(asked) != helps
+
+
+@pytest.mark.parametrize("is_drifting", [True, False])
+def test_nothing_else_is_asked_where_a_drift_explains_the_records_by_itself(is_drifting, monkeypatch):
+    resumed = []
+    search = SimpleNamespace(halted=None, is_told=True, batch=None, resume=lambda: resumed.append(True))
+    told = SimpleNamespace(is_drifting=is_drifting)
+    monkeypatch.setattr(module, "_with_drifts", lambda *_: told)
+    monkeypatch.setattr(module, "_one_by_one", lambda *_, **__: "asked")
+    monkeypatch.setattr(module, "_steadied", lambda *_: None)
+    found = module.undisturbed(None, search, (), None, None, None)
+    assert (found is told, bool(resumed)) == (is_drifting, not is_drifting)
