@@ -18,7 +18,7 @@ from .joint_fit import Fit
 from .normal_equations import NUISANCES, information
 from .starts import positions
 
-PRIOR_OF_SIZE = (0.38, 0.55, 0.062, 0.008)
+PRIOR_OF_SIZE = (0.38, 0.565, 0.05, 0.005)
 """Prior probability that so many effects are missing, shared evenly among the sets of that size."""
 PRIOR_NONE = 0.05
 """Prior probability that the library does not hold what is missing."""
