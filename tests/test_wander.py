@@ -98,6 +98,12 @@ def test_records_of_one_sensor_are_judged_together():
     assert all(one is not None and one.is_possible for one in together)
     quiet = [condition(record(np.random.default_rng(400 + seed), 0.0)).measured.wander for seed in range(6)]
     assert not any(one is not None and one.is_sure for one in of_one_sensor(quiet))
+    # six records in which it hardly shows tell of it together, and quiet ones of its absence
+    faint = [condition(record(np.random.default_rng(60 + seed), 0.04 * WALK)).measured.wander for seed in range(6)]
+    assert sum(one is None or not one.is_possible for one in faint) >= 3, "the walk is too plain for this test"
+    assert all(one is not None and one.is_possible for one in of_one_sensor(faint))
+    among = of_one_sensor(quiet)
+    assert all(one.probability < alone.probability for one, alone in zip(among, quiet, strict=True))
     # one that is loud among quiet ones stays so
     mixed = of_one_sensor([*quiet, condition(record(np.random.default_rng(1), WALK)).measured.wander])
     assert mixed[-1] is not None and mixed[-1].is_sure

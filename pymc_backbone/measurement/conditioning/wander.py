@@ -28,6 +28,8 @@ _SLOW = 0.025  # damping ratio
 _POSSIBLE = 0.2  # probability below which it is left out
 _SURE = 0.95
 _MOST_MODES = 200
+_QUIET = 0.1  # share of the records of a sensor with slow noise that hold none nevertheless
+_SPREAD = 1.2  # standard deviation of the logarithm of how much the slow noise of one sensor's records is over the other
 _SEEN = 0.1  # share of the other noise from which slow noise counts
 _PLACES = 40  # at which a mid-line is kept
 
@@ -209,26 +211,45 @@ def _slow_noise(middle: FloatArray, shapes: FloatArray, path: Track, spectrum: N
 def of_one_sensor(wanders: Sequence[Wander | None]) -> list[Wander | None]:
     """Return the slow noise of records of one batch, each judged with half an eye on the others.
 
-    Records of one batch mostly come from one sensor: what the others say is half of what is known of each beforehand.
-    A record in whose few cycles slow noise does not stand out is not taken for quiet where that of the others does.
+    Records of one batch mostly come from one sensor. With even odds each stands for itself; or all are as quiet, or
+    as loud, as that sensor is: over the other noise alike up to a spread, for hands and cables differ, and a few of
+    them quiet nevertheless. So many records in which slow noise does not stand out tell of it together, and many that
+    hold none make one that seems to hold some less likely to.
     """
     found = [item for item in wanders if item is not None]
     if len(found) < 2:
         return list(wanders)
-    alone = _alone(len(found[0].asked))
-    each = np.array([item.likelihood + alone for item in found])
-    each -= logsumexp(each, axis=1, keepdims=True)
+    sensors, odds = _sensors(len(found[0].asked))
+    of_sensor = np.array([logsumexp(item.likelihood + sensors, axis=1) for item in found])
     result: list[Wander | None] = []
     for item in wanders:
         if item is None:
             result.append(None)
             continue
-        # a mixture, for the loudness may differ from record to record
-        others = logsumexp(each[[other is not item for other in found]], axis=0) - np.log(len(found) - 1)
-        beforehand = np.logaddexp(alone, others) - np.log(2.0)
+        others = odds + of_sensor[[other is not item for other in found]].sum(axis=0)
+        beforehand = logsumexp(sensors + (others - logsumexp(others))[:, None], axis=0)
         judged = _averaged(item.likelihood, item.asked, item.top, beforehand)
         result.append(replace(judged, mid_line=item.mid_line, of_all=item.of_all))
     return result
+
+
+def _sensors(count: int) -> tuple[FloatArray, FloatArray]:
+    """Return what sensors there are, as logarithms of probabilities: of what a record of each holds (h, 1 + g); each's.
+
+    The first says nothing of its records, the second is quiet, and the others hold one of the ``count`` power laws.
+    """
+    steps = np.arange(_RATIOS.size)
+    apart = (steps[:, None] - steps) * float(np.log(_RATIOS[1] / _RATIOS[0])) / _SPREAD
+    alike = -0.5 * apart**2
+    alike -= logsumexp(alike, axis=1, keepdims=True)
+    quiet = np.full((1, 1 + count), -np.inf)
+    quiet[0, 0] = 0.0
+    loud = np.full((count, 1 + count), -np.inf)
+    loud[:, 0] = np.log(_QUIET)
+    for power in range(len(_POWERS)):
+        block = slice(power * steps.size, (power + 1) * steps.size)
+        loud[block, 1:][:, block] = np.log1p(-_QUIET) + alike
+    return np.vstack([_alone(count), quiet, loud]), np.log(np.r_[0.5, 0.25, np.full(count, 0.25 / count)])
 
 
 def _alone(count: int) -> FloatArray:
