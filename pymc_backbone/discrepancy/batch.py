@@ -70,6 +70,11 @@ class Batch:
         return self.has_records and all(record.band is None for record in self.records)
 
     @property
+    def lacks_mid_line(self) -> bool:
+        """Whether the mid-line of a record is not measured, and so the damping of its backbones may be off."""
+        return self.has_open_records and not all(record.offset_is_measured for record in self.records)
+
+    @property
     def is_behind_filter(self) -> bool:
         """Whether simulations go through a filter that was found; the backbones are those of the filtered records."""
         return any(term.chain is not None for term in self.waveform)

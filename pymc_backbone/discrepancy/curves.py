@@ -20,6 +20,7 @@ from .normal_equations import DRIFTS, NUISANCES, RELEASE_INSTANT, State, lineari
 _NEAR = 2.0  # reduced chi-square
 _GLANCE, _MOST, _LAST = 8, 20, 4  # iterations: of each start, of the best of these, and over all specimens
 _MOST_HEAVY = 3  # specimens that a model which takes long is fitted to first, or held against
+_SIDE = 1e-3
 NO_NUISANCES = np.zeros(5)  # levels see none of them
 
 
@@ -132,6 +133,13 @@ def curve(found: Fit, parameters: FloatArray, levels: FloatArray, release: float
     ``release`` is that of the specimen, for what remembers; 0 where any will do.
     """
     return _simulated(found.layout, parameters, levels, release)
+
+
+def has_mid_line(batch: Batch, found: Fit) -> bool:
+    """Return whether the mid-line of a fitted model is off the middle by more than `_SIDE` of the amplitude."""
+    term = batch.levels[0]
+    offset = curve(found, found.parameters(0), term.levels, term.release)[2] * term.levels
+    return bool(np.nanmax(np.abs(offset), initial=0.0) > _SIDE * term.levels[-1])
 
 
 def frequencies(layout: Layout, parameters: FloatArray, term: LevelTerm) -> FloatArray:

@@ -14,7 +14,7 @@ from . import evidence
 from .batch import Batch
 from .curves import measured
 from .descent import first_limit, is_heavy
-from .drift_course import DRIFT
+from .drift_course import changes_of
 from .drift_kinds import drift_bonus
 from .drift_proposals import sets_beside_drifts, single_beside_drifts
 from .evidence import Drifting
@@ -212,7 +212,8 @@ def drift_check(
     if drifting is None:
         return Check(name, True, "not testable without records: backbones do not say when an amplitude was passed")
     if named is not None and found:
-        said = f"beside the effect the frequency drifts with time ({_rate(named)} over a record), or a second effect"
+        drift = f"frequency and damping drift with time ({_rates(named)} over a record)"
+        said = f"beside the effect {drift}, or a second effect"
         if is_small:
             return Check(name, True, f"{said} imitates that, which is below the tolerance")
         return Check(
@@ -221,7 +222,7 @@ def drift_check(
             f"{said} imitates that: keep the temperature, and release from other amplitudes to tell the two apart",
         )
     if named is not None:
-        said = f"frequency and damping drift with time ({_rate(named)} of the frequency over a record), which explains"
+        said = f"frequency and damping drift with time ({_rates(named)} over a record), which explains"
         if is_small:
             return Check(name, True, f"{said} the records alone, and is below the tolerance")
         return Check(name, False, f"{said} the records alone; keep the temperature")
@@ -229,7 +230,7 @@ def drift_check(
         return Check(
             name,
             False,
-            f"a frequency and damping that drift with time ({_rate(drifting)} of the frequency over a record) "
+            f"a frequency and damping that drift with time ({_rates(drifting)} over a record) "
             f"explain the records as well as an effect of amplitude does (probability {probability:.2f}); release from "
             "other amplitudes to tell the two apart",
         )
@@ -239,9 +240,11 @@ def drift_check(
     return Check(name, True, "the same amplitude has the same frequency and damping whenever it is passed")
 
 
-def _rate(drifting: Fit) -> str:
-    """Return the relative change of frequency over a record, its mean size over the records."""
-    return per_cent(DRIFT * float(np.abs(drifting.state.own[:, DRIFTS[0]]).mean()))
+def _rates(drifting: Fit) -> str:
+    """Return the relative changes of frequency and damping over a record, their mean sizes over the records."""
+    places = list(DRIFTS)
+    changes = changes_of(drifting.state.own[:, places], np.nan_to_num(drifting.own_covariance[:, places]))
+    return f"by {per_cent(changes['frequency'])} and {per_cent(changes['damping'])}"
 
 
 def alike_check(batch: Batch, best: Fit) -> Check:
@@ -275,12 +278,19 @@ def alike_check(batch: Batch, best: Fit) -> Check:
 
 
 def data_terms_check(
-    batch: Batch, reduced: float, limit: float, *, is_explained: bool = True, is_drifting: bool = False
+    batch: Batch,
+    reduced: float,
+    limit: float,
+    *,
+    is_explained: bool = True,
+    is_drifting: bool = False,
+    is_of_two_sides: bool = False,
 ) -> Check:
     """Say whether the backbones agree with what the waveform names.
 
     ``is_explained`` says whether it names anything, ``is_drifting`` whether that is a drift with time alone: backbones
-    take what goes with the time for what goes with the amplitude.
+    take what goes with the time for what goes with the amplitude. ``is_of_two_sides``: what is named moves the
+    mid-line, by which backbones go wrong where that is not measured.
     """
     name = "samples and backbones agree"
     if not batch.has_records:
@@ -291,6 +301,11 @@ def data_terms_check(
         return Check(name, True, "not compared: backbones take a drift with time for a change with amplitude")
     if batch.is_behind_filter:
         said = "not compared: the backbones are those of records behind a filter, as the samples are compared"
+        return Check(name, True, said)
+    if is_of_two_sides and batch.lacks_mid_line:
+        said = (
+            "not compared: the mid-line is not measured, and backbones of a structure of two sides are off without it"
+        )
         return Check(name, True, said)
     if np.isfinite(reduced) and reduced < limit:
         said = f"the set that the samples want fits the backbones too (reduced chi-square {reduced:.2f})"

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from itertools import batched, combinations
 
 import numpy as np
 
+from .._common.threads import in_threads
 from . import evidence
 from .curves import relative_change
 from .descent import is_heavy
@@ -26,8 +28,11 @@ _MOST_FOLLOWED = 24  # sets that are followed from the backbones to the waveform
 _CLEARLY = 5.0  # logarithm of evidence by which wider scatter must be likelier
 _MOST_EXTENDED = 4
 _COSTLY_SETTLED, _COSTLY_REACH = 4, 3.0  # costly sets that are asked although what is simple leaves noise, their reach
+_PROMISING = 3  # simple sets that are asked at a time what they lack
+_WORTH_MORE = 10.0  # reduced chi-square up to which they are
+_MOST = 0.5  # of what such a set leaves beyond the noise, that one more effect has to promise
 _SURELY = 0.5  # share of the tolerance within which further effects would not change the answer
-_OF_TWO_SIDES = "asymmetry"  # mechanism
+_OF_TWO_SIDES, _OF_CONTACT = "asymmetry", "clearance"  # mechanisms
 _WITH_SIDES = 3  # single effects that are asked beside one of these where no mid-line is measured
 _NEAR = 1.5  # reduced chi-square of a fit to the samples from which its backbones were judged wrongly
 
@@ -52,7 +57,7 @@ class Search(FollowedSets):
                 self._follow_backbones(FEW_FOLLOWED)
                 if self.halted is not None:
                     return
-                if self._lacks_mid_line:
+                if self.batch.lacks_mid_line:
                     self._ask_plain_effects()
                 if min(item.cost for item in self.fits.values()) > _NEAR * self.count:
                     self._look_back()
@@ -63,6 +68,7 @@ class Search(FollowedSets):
                 return
             self._ask_plain_effects()
             self._look_wider()
+        self._ask_two_sides()
         self._look_back()
         self._look_forward()  # from the base, where a larger set led it to a better place
         if self._is_answered() or (self.is_cut and self.is_refuted(self.best())):
@@ -106,22 +112,75 @@ class Search(FollowedSets):
                 return
             self.progress("single effects", 0.5)
             fit_side_by_side(self, few)
-        if not self._lacks_mid_line or self.max_effects < 2:
+        if not self.batch.lacks_mid_line or self.max_effects < 2:
             return
         # what differs between the two sides is in the samples, whatever else is missing
         sides = [name for name in self.candidates if self.mechanism_of(name) == _OF_TWO_SIDES]
-        with_side = {tuple(sorted({*names, side})) for names in self.ranked(1)[:_WITH_SIDES] for side in sides}
-        pairs = sorted(names for names in with_side if len(names) == 2 and not self._is_costly(names))
+        single = [names for names in self.ranked(1) if len(names) == 1]
+        with_side = {tuple(sorted({*names, side})) for names in single[:_WITH_SIDES] for side in sides}
+        pairs = sorted(
+            names
+            for names in with_side
+            if len(names) == 2 and (set(single[0]) < set(names) or not self._is_costly(names))
+        )
         for few in batched(pairs, ABREAST):
             fit_side_by_side(self, few)
 
-    @property
-    def _lacks_mid_line(self) -> bool:
-        """Whether the mid-line of a record is not measured, and so the damping of its backbones may be off."""
-        return self.batch.has_open_records and not all(record.offset_is_measured for record in self.batch.records)
+    def _ask_two_sides(self) -> None:
+        """Where no mid-line is measured, fit springs of two sides in the place of what the best set has there.
+
+        Its backbones are far off then, and contacts imitate it: a gap on one side, off the middle, is a spring of two
+        sides but for what it does near zero.
+        """
+        best = self.best()
+        if not (self.batch.lacks_mid_line and self._is_explained()) or self.is_refuted(best):
+            return
+        sides = [name for name in self.candidates if self.mechanism_of(name) == _OF_TWO_SIDES and name not in best]
+        replaced = [name for name in best if self.mechanism_of(name) in (_OF_TWO_SIDES, _OF_CONTACT)]
+        sets = [tuple(sorted({*best, side} - {name})) for name in replaced for side in sides]
+        for few in batched([names for names in sets if not self._is_hopeless(names)], ABREAST):
+            self.progress("springs that differ between the two sides", 0.5)
+            fit_side_by_side(self, few)
+
+    def _ask_promised(self) -> None:
+        """Add to simple sets near the records what a linear step promises most of, while none leaves noise.
+
+        A law of many parameters may come nearer in the backbones than the simple ones of which one is still missing.
+        """
+        asked: set[Set] = set()
+        for _ in range(self.max_effects - 1):
+            near = [
+                names
+                for names in sorted(self.fits, key=lambda item: self.fits[item].cost)
+                if names and len(names) < self.max_effects and names not in asked and self._is_worth_more(names)
+            ][:_PROMISING]
+            if self._is_settled() or self._is_spent or not near:
+                return
+            asked.update(near)
+            self.progress("what simple sets lack", 0.5)
+            wanted = [larger for larger in map(self._promised, near) if larger is not None]
+            for few in batched(dict.fromkeys(wanted), ABREAST):
+                fit_side_by_side(self, few)
+
+    def _is_worth_more(self, names: Set) -> bool:
+        """Return whether a set is simple, and near enough to the records for a linear step from it."""
+        is_near = self.fits[names].cost < _WORTH_MORE * self.count
+        return is_near and not self._is_costly(names) and not self.is_refuted(names)
+
+    def _promised(self, names: Set) -> Set | None:
+        """Return a set with the simple effect that a linear step promises most of; None where that is not most."""
+        others = [name for name in self.candidates if name not in names and not self._is_costly((name,))]
+        for name in others:
+            self.layout(tuple(sorted((*names, name))))
+        gains = dict(zip(others, in_threads([partial(self._score, names, name) for name in others]), strict=True))
+        most = max(others, key=lambda item: gains[item], default=None)
+        if most is None or gains[most] < _MOST * (self.fits[names].cost - self.count):
+            return None
+        return tuple(sorted((*names, most)))
 
     def _enlarge(self) -> None:
         """Fit larger sets around the best, others in the place of its effects, and at last what costs much."""
+        self._ask_promised()
         for size in range(2, self.max_effects + 1):
             before = self.best(size - 1)
             parents = self._parents(size - 1)

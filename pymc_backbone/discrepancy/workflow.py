@@ -23,7 +23,7 @@ from . import plan_words, rivals, verdict_words, words
 from .batch import Batch
 from .candidate_table import candidates_of
 from .curve_records import ForceCurves
-from .curves import simulate
+from .curves import has_mid_line, simulate
 from .decide import decide, is_none_other, mind_bent_sensor, mind_second_mode
 from .decision import AGREE, Decision
 from .descent import is_heavy
@@ -298,6 +298,7 @@ def _checks(question: Question, outcome: Outcome, verification: Verification) ->
             AGREE,
             is_explained=bool(decision.best) or decision.verdict is not Verdict.UNEXPLAINED,
             is_drifting=not decision.model and () in decision.drifts,
+            is_of_two_sides=has_mid_line(batch, outcome.model),
         ),
     )
 
