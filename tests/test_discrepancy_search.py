@@ -11,6 +11,7 @@ import xarray as xr
 from scipy.signal import lfilter
 from scipy.stats import f, kstest, multivariate_normal
 
+from pymc_backbone._common.text import per_cent
 from pymc_backbone.discrepancy import drift_kinds, evidence, rivals, starts, verify
 from pymc_backbone.discrepancy.compensation import compensation
 from pymc_backbone.discrepancy.curves import (
@@ -23,7 +24,7 @@ from pymc_backbone.discrepancy.curves import (
 )
 from pymc_backbone.discrepancy.decide import decide, doubted, is_none_other
 from pymc_backbone.discrepancy.decision import NAMED
-from pymc_backbone.discrepancy.drift_course import DRIFT
+from pymc_backbone.discrepancy.drift_course import DRIFT, changes_of
 from pymc_backbone.discrepancy.drift_proposals import beside_drifts, single_beside_drifts
 from pymc_backbone.discrepancy.joint_fit import fit
 from pymc_backbone.discrepancy.layout import make_layout
@@ -1026,7 +1027,10 @@ def test_laws_of_one_mechanism_compete_with_a_drift_beside_them():
     assert ("cubic_stiffness",) in decision.drifts
     assert decision.best == ("cubic_stiffness",)
     named = search.fits[decision.best]
-    assert not rivals.drift_check(found[()].fit, 0.0, True, named).passed
+    check = rivals.drift_check(found[()].fit, 0.0, True, named)
+    changes = changes_of(named.state.own[:, list(DRIFTS)], named.own_covariance[:, list(DRIFTS)])
+    assert not check.passed
+    assert f"(by {per_cent(changes['frequency'])} and {per_cent(changes['damping'])} over a record)" in check.message
     below = rivals.drift_check(found[()].fit, 0.0, True, named, is_small=True)
     assert below.passed and "below the tolerance" in below.message
     rate = DRIFT * float(np.abs(named.state.own[:, DRIFTS[0]]).mean())

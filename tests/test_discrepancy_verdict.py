@@ -695,6 +695,15 @@ def test_words_of_each_verdict():
             },
             "which law these records do not tell: cubic stiffness 60 %, quintic stiffness 40 %.",
         ),
+        (
+            "found",
+            {
+                "named_level": NamedLevel.MECHANISM,
+                "mechanisms": (mechanism_of("spring", 0.99, 0.9, cubic_stiffness=0.6, quintic_stiffness=0.6),),
+                "is_approximate": True,
+            },
+            "do not tell: cubic stiffness 60 %, quintic stiffness 60 %, some of them together.",
+        ),
         ("unexplained", {}, "no set of known effects explains it"),
         ("unexplained", {"drift_probability": 0.9}, "a drift with time explains the records better"),
         ("adequate", {"adequate_by": AdequateBy.STATISTICS, "best": ()}, "Nothing is missing"),

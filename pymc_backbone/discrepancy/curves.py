@@ -15,11 +15,12 @@ from .data_term import LevelTerm
 from .drift_course import drifted, levels_before
 from .joint_fit import Fit, fit, parameters_of
 from .layout import Layout
-from .normal_equations import DRIFTS, NUISANCES, RELEASE_INSTANT, State, linearise, start_state
+from .normal_equations import DRIFTS, NUISANCES, RELEASE_INSTANT, ZERO, State, linearise, start_state
 
 _NEAR = 2.0  # reduced chi-square
 _GLANCE, _MOST, _LAST = 8, 20, 4  # iterations: of each start, of the best of these, and over all specimens
 _MOST_HEAVY = 3  # specimens that a model which takes long is fitted to first, or held against
+OFFSET = OBSERVABLES.index("offset")
 _SIDE = 1e-3
 NO_NUISANCES = np.zeros(5)  # levels see none of them
 
@@ -183,7 +184,11 @@ def measured(batch: Batch) -> tuple[FloatArray, FloatArray]:
 
 
 def level_chi_square(batch: Batch, found: Fit) -> float:
-    """Return the reduced chi-square of the backbones at a fit, a drift in time that it holds in them."""
+    """Return the reduced chi-square of the backbones at a fit, a drift in time that it holds in them.
+
+    The zero of the sensor is where the samples want it: what remembers may come to rest off the middle, and the mean of
+    the last samples, from which the mid-line was counted, with it.
+    """
     total, count = 0.0, 0
     for r, term in enumerate(batch.levels):
         if batch.has_records and found.state.own[r, DRIFTS].any():
@@ -192,6 +197,9 @@ def level_chi_square(batch: Batch, found: Fit) -> float:
             left = term.residuals(found.layout.simulator, found.parameters(r), NO_NUISANCES)
         if left is None:
             return float("inf")
+        if batch.has_records:
+            zero = found.state.own[r, ZERO] / term.levels[term.rows[:, 1]]
+            left = left - term.whitening @ np.where(term.rows[:, 0] == OFFSET, zero, 0.0)
         total += float(left @ left)
         count += term.size
     return total / max(count - 2 * len(batch.levels), 1)

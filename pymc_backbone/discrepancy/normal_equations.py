@@ -15,7 +15,7 @@ from .data_term import DataTerm
 from .layout import Layout
 
 NUISANCES = 7  # stiffness, damping, release amplitude, release instant, offset, drift of frequency, of damping
-RELEASE_INSTANT = 3
+RELEASE_INSTANT, ZERO = 3, 4
 DRIFTS = (5, 6)
 _TWO_DECADES = np.log(1e2) / np.sqrt(2.0 * np.pi)  # width of a Gaussian as dense at its middle as log-uniform ones are
 

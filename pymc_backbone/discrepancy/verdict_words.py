@@ -18,6 +18,7 @@ _SPOKEN = 5  # sets or laws that the sentence holds
 _HEADED = 3  # sets in the headline, where a list of them follows
 _REST = 0.1  # probability of no known set from which the sentence speaks of it
 _UNLIKELY = 0.02  # probability of a law below which the sentence does not hold it
+_JOINT = 1.02  # sum of the probabilities of laws over that of their mechanism, beyond which sets hold several
 
 
 def is_drift_possible(decision: Decision) -> bool:
@@ -52,7 +53,8 @@ def _of_mechanism(item: MissingMechanism, is_like: bool) -> str:
         which = f"its laws are {', '.join(together[:-1])} and {together[-1]} together{like}"
     elif len(laws) > 1 and not together:
         told = ", ".join(f"{in_words(law.effect)} {100.0 * law.probability:.0f} %" for law in laws[:_SPOKEN])
-        which = f"which law these records do not tell: {told}"
+        is_joint = sum(law.probability for law in laws) > _JOINT * item.probability
+        which = f"which law these records do not tell: {told}{', some of them together' if is_joint else ''}"
     else:
         known = " or one like it, not exactly" if is_like else f" ({_chance(laws[0].probability)})"
         which = f"its law is {in_words(laws[0].effect)}{known}"
