@@ -25,7 +25,8 @@ _ENOUGH = 0.3  # gain of the logarithm of the evidence below which an iteration 
 _CUTS = (1.0, 0.3, 0.08)
 _FIRST = (5, 2)  # size and noise that the first look begins with
 _MOST_SCATTER = 6.0  # standard deviations that a specimen may differ
-_ROUNDING = 1e-9  # of information scaled to a unit diagonal
+_ROUNDING = 1e-9  # of information scaled to a unit diagonal, where it is singular but for it
+_BORDER = 1e60  # far above what any gradient explains
 
 
 @dataclass(frozen=True, eq=False)
@@ -365,17 +366,25 @@ def _widths(layout: Layout, eta: FloatArray) -> FloatArray:
 def _log_evidence(point: Point, products: FloatArray) -> FloatArray:
     """Return the logarithm of the evidence (g,) without determinants of the noise, from products in prior widths.
 
-    A specimen's own unknowns are taken where they are most probable; the shared ones stay where they are.
+    A specimen's own unknowns are taken where they are most probable; the shared ones stay where they are. One Cholesky
+    factor tells both: of the information, the own unknowns first, with their gradient as a last row.
     """
     q, m = point.layout.free.size, point.widths.size
     information = products[:, :m, :m] + np.eye(m)
-    own = information[:, q:, q:]
-    right = products[:, q:m, m] - point.pull[q:]
-    scale = np.sqrt(np.einsum("gii->gi", own))
-    scaled = own / (scale[:, :, None] * scale[:, None, :]) + _ROUNDING * np.eye(m - q)
-    turned = np.linalg.solve(np.linalg.cholesky(scaled), (right / scale)[..., None])[..., 0]
-    misfit = products[:, m, m] + float((point.pull**2).sum()) - (turned**2).sum(axis=1)
-    determinant = np.linalg.slogdet(information)[1]
+    gradient = products[:, q:m, m] - point.pull[q:]
+    order = np.r_[q:m, :q]
+    scale = 1.0 / np.sqrt(np.einsum("gii->gi", information)[:, order])
+    bordered = np.zeros((len(products), m + 1, m + 1))
+    bordered[:, :m, :m] = information[:, order[:, None], order] * (scale[:, :, None] * scale[:, None, :])
+    bordered[:, m, : m - q] = gradient * scale[:, : m - q]
+    bordered[:, m, m] = _BORDER
+    try:
+        factor = np.linalg.cholesky(bordered)
+    except np.linalg.LinAlgError:
+        bordered[:, range(m), range(m)] += _ROUNDING
+        factor = np.linalg.cholesky(bordered)
+    determinant = 2.0 * (np.log(np.einsum("gii->gi", factor)[:, :m]) - np.log(scale)).sum(axis=1)
+    misfit = products[:, m, m] + float((point.pull**2).sum()) - (factor[:, m, : m - q] ** 2).sum(axis=1)
     logs: FloatArray = -0.5 * (misfit + determinant)
     return np.where(np.isfinite(logs), logs, -np.inf)
 
