@@ -706,6 +706,21 @@ def test_a_smaller_line_counts_below_the_frequency_of_the_mode(ratio, share, pas
         assert float(check.message.split(" Hz")[0].split()[-1]) == pytest.approx(3.0, rel=0.01)
 
 
+def test_a_zero_that_wanders_holds_no_line(rng):
+    """Noise that falls with the square of the frequency is highest in the first bins, which have no neighbours."""
+    time = np.arange(2400) / 40.0
+    false = 0
+    for _ in range(40):
+        walk = np.cumsum(rng.standard_normal(time.size))
+        false += line_beside(time, walk - walk.mean() + 5.0 * rng.standard_normal(time.size), (1.0, 1.0)).height > 0.0
+    assert false <= 2
+    slow = np.cos(2.0 * np.pi * 0.2 * time) + 0.05 * rng.standard_normal(time.size)
+    assert line_beside(time, slow, (1.0, 1.0)).height == 0.0
+    assert line_beside(time, slow, (0.5, 0.5)).frequency == pytest.approx(
+        0.2, abs=0.01
+    )  # no more than three times slower
+
+
 @pytest.mark.parametrize("correlation", [0.0, 0.5, 0.8, 0.9])
 def test_noise_with_a_colour_holds_no_line(correlation, rng):
     time = np.arange(2400) / 40.0

@@ -761,6 +761,15 @@ def test_no_name_is_given_against_the_backbones(left, is_named, monkeypatch):
     assert decide._mind_backbones(search, alone) is alone
 
 
+@pytest.mark.parametrize(("against", "asked"), [(30.0, False), (np.nan, True)])
+def test_what_the_backbones_speak_against_names_no_mechanism_either(against, asked, monkeypatch):
+    known = decision_of("ambiguous", best=("a",), listed=(("a",),), against=against)
+    for name in ("_complete", "_weighed", "_judged", "_mind_backbones"):
+        monkeypatch.setattr(decide, name, lambda *_: known)
+    monkeypatch.setattr(decide, "_by_mechanism", lambda search, decision: replace(decision, mechanisms=(HYSTERESIS,)))
+    assert bool(decide.decide(SimpleNamespace(), {}, {}).mechanisms) == asked
+
+
 def test_what_lies_below_the_tolerance_is_nothing_that_may_be_missing():
     known = {"named_level": NamedLevel.MECHANISM, "mechanisms": (HYSTERESIS, CLEARANCE), "listed": (("iwan",),)}
     assert verdict_words.sentence(decision_of("found", **known)).endswith("clearance or contact (30 %).")

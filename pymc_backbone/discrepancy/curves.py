@@ -197,7 +197,7 @@ def level_chi_square(batch: Batch, found: Fit) -> float:
             left = term.residuals(found.layout.simulator, found.parameters(r), NO_NUISANCES)
         if left is None:
             return float("inf")
-        if batch.has_records:
+        if batch.has_records and not batch.waveform[r].order:  # that of a rate is no displacement
             zero = found.state.own[r, ZERO] / term.levels[term.rows[:, 1]]
             left = left - term.whitening @ np.where(term.rows[:, 0] == OFFSET, zero, 0.0)
         total += float(left @ left)

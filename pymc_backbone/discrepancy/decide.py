@@ -48,6 +48,8 @@ def decide(search: Search, drifting: Mapping[Set, Drifting], tolerance: Mapping[
         decision = replace(decision, listed=(decision.best, *decision.listed))
     if decision.verdict is Verdict.ADEQUATE or decision.mechanisms or decision.is_approximate:
         return decision
+    if not np.isnan(decision.against):  # what does not hold at every amplitude names no mechanism either
+        return decision
     return _by_mechanism(search, decision)
 
 
@@ -240,7 +242,7 @@ def _by_mechanism(search: Search, decision: Decision) -> Decision:
     known = replace(decision, mechanisms=mechanisms)
     is_open = decision.verdict is Verdict.AMBIGUOUS and is_exact and not decision.unfinished
     is_against = best in decision.drifts and _backbones_disagree(search, best)
-    is_doubtful = is_against or not np.isnan(decision.against) or decision.drift_probability >= DRIFT_POSSIBLE
+    is_doubtful = is_against or decision.drift_probability >= DRIFT_POSSIBLE
     if not is_open or is_doubtful or not is_told_apart(mechanisms):
         return known
     return replace(known, verdict=Verdict.FOUND, named_level=NamedLevel.MECHANISM)

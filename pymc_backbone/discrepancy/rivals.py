@@ -290,7 +290,8 @@ def data_terms_check(
 
     ``is_explained`` says whether it names anything, ``is_drifting`` whether that is a drift with time alone: backbones
     take what goes with the time for what goes with the amplitude. ``is_of_two_sides``: what is named moves the
-    mid-line, by which backbones go wrong where that is not measured.
+    mid-line, by which backbones go wrong where that is not measured; where it was restored from a velocity or an
+    acceleration, they are not known well enough.
     """
     name = "samples and backbones agree"
     if not batch.has_records:

@@ -86,9 +86,13 @@ def _parts(size: int, cycles: float) -> list[slice]:
 
 
 def line_beside(time: FloatArray, residuals: FloatArray, between: tuple[float, float]) -> Line:
-    """Return the highest line beside the harmonics of a motion whose frequency was in a range."""
+    """Return the highest line beside the harmonics of a motion whose frequency was in a range.
+
+    But for what is much slower: a zero that wanders has its highest bins there, and no neighbours to hold them against.
+    """
     grid, power = _periodogram(time, residuals)
-    return _highest(grid, power, beside_harmonics(grid, between, _FAR * grid[1]))
+    beside = beside_harmonics(grid, between, _FAR * grid[1])
+    return _highest(grid, power, beside & (grid > _LOWEST * between[0]))
 
 
 def line_below(time: FloatArray, residuals: FloatArray, between: tuple[float, float]) -> Line:

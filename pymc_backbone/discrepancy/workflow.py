@@ -330,7 +330,9 @@ def _study(
         candidates=candidates_of(search, decision),
         ambiguous_sets=decision.listed,
         advice=_advice(question, outcome, plan) if decision.listed else (),
-        reasons=words.reasons(batch, extended, decision.model, scatter) if extended is not None else (),
+        reasons=()
+        if extended is None or not np.isnan(decision.against)  # what the backbones speak against, they do not show
+        else words.reasons(batch, extended, decision.model, scatter),
         below_tolerance=decision.below,
         where=where_different(batch, before),
         missing_p_value=decision.p_missing,
