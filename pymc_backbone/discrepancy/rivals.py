@@ -290,8 +290,7 @@ def data_terms_check(
 
     ``is_explained`` says whether it names anything, ``is_drifting`` whether that is a drift with time alone: backbones
     take what goes with the time for what goes with the amplitude. ``is_of_two_sides``: what is named moves the
-    mid-line, by which backbones go wrong where that is not measured; where it was restored from a velocity or an
-    acceleration, they are not known well enough.
+    mid-line, which is not measured where velocities or accelerations are, or restored and not known well enough.
     """
     name = "samples and backbones agree"
     if not batch.has_records:
@@ -303,10 +302,8 @@ def data_terms_check(
     if batch.is_behind_filter:
         said = "not compared: the backbones are those of records behind a filter, as the samples are compared"
         return Check(name, True, said)
-    if is_of_two_sides and batch.lacks_mid_line:
-        said = (
-            "not compared: the mid-line is not measured, and backbones of a structure of two sides are off without it"
-        )
+    if is_of_two_sides and any(term.order for term in batch.waveform):
+        said = "not compared: no displacement was measured, and without its mid-line backbones of two sides are off"
         return Check(name, True, said)
     if np.isfinite(reduced) and reduced < limit:
         said = f"the set that the samples want fits the backbones too (reduced chi-square {reduced:.2f})"

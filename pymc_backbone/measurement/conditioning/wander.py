@@ -29,9 +29,7 @@ _POSSIBLE = 0.2  # probability below which it is left out
 _SURE = 0.95
 _MOST_MODES = 200
 _QUIET = 0.1  # share of the records of a sensor with slow noise that hold none nevertheless
-_SPREAD = (
-    1.2  # standard deviation of the logarithm of how much the slow noise of one sensor's records is over the other
-)
+_SPREAD = 1.2  # standard deviation of the logarithm of slow noise over the other, in records of one sensor
 _SEEN = 0.1  # share of the other noise from which slow noise counts
 _PLACES = 40  # at which a mid-line is kept
 
