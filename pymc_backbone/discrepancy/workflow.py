@@ -318,6 +318,7 @@ def _study(
     checks = _checks(question, outcome, verification)
     before = simulate(batch, verification.before)
     scatter = None if extended is None or decision.is_approximate else words.scatter_of(extended)
+    shown = extended if np.isnan(decision.against) else None  # what the backbones speak against, they do not show
     # what a run took is told as it was: fewer draws where the model is heavy
     drawn = {key: inference.convergence[key] for key in ("draws", "tune") if key in inference.convergence}
     return Study(
@@ -330,9 +331,7 @@ def _study(
         candidates=candidates_of(search, decision),
         ambiguous_sets=decision.listed,
         advice=_advice(question, outcome, plan) if decision.listed else (),
-        reasons=()
-        if extended is None or not np.isnan(decision.against)  # what the backbones speak against, they do not show
-        else words.reasons(batch, extended, decision.model, scatter),
+        reasons=() if shown is None else words.reasons(batch, shown, decision.model, scatter),
         below_tolerance=decision.below,
         where=where_different(batch, before),
         missing_p_value=decision.p_missing,
