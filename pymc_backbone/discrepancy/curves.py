@@ -20,8 +20,8 @@ from .normal_equations import DRIFTS, NUISANCES, RELEASE_INSTANT, ZERO, State, l
 _NEAR = 2.0  # reduced chi-square
 _GLANCE, _MOST, _LAST = 8, 20, 4  # iterations: of each start, of the best of these, and over all specimens
 _MOST_HEAVY = 3  # specimens that a model which takes long is fitted to first, or held against
-OFFSET = OBSERVABLES.index("offset")
-_SIDE = 1e-3
+_OFFSET = OBSERVABLES.index("offset")
+_SIDE = 1e-3  # share of the largest amplitude from which a mid-line is a model's own
 NO_NUISANCES = np.zeros(5)  # levels see none of them
 
 
@@ -199,7 +199,7 @@ def level_chi_square(batch: Batch, found: Fit) -> float:
             return float("inf")
         if batch.has_records and not batch.waveform[r].order:  # that of a rate is no displacement
             zero = found.state.own[r, ZERO] / term.levels[term.rows[:, 1]]
-            left = left - term.whitening @ np.where(term.rows[:, 0] == OFFSET, zero, 0.0)
+            left = left - term.whitening @ np.where(term.rows[:, 0] == _OFFSET, zero, 0.0)
         total += float(left @ left)
         count += term.size
     return total / max(count - 2 * len(batch.levels), 1)

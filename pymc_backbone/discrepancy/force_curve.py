@@ -19,12 +19,12 @@ from .curve_words import Judgement, sentence
 from .evidence import UNEXPLAINED, lack_of_fit
 from .families import judged
 from .joint_fit import Fit, fit
-from .normal_equations import DRIFTS, NUISANCES, State
+from .normal_equations import DRIFTS, NUISANCES, ZERO, State
 from .scatter import SCATTER
 from .tabulated import DAMPING, STIFFNESS, Tabulated, tabulate
 from .verify import held_out_specimens
 
-_NUISANCES, _OFFSET = (0, 1, 2, 3, 4), 4
+_NUISANCES = (0, 1, 2, 3, 4)
 _RELEASE = (2, 3, 4)
 _WINDOW, _GROWTH, _SLOW_GROWTH = 12, 3, 1.5  # turning points of the first window, and by which factor it grows
 _NEAR_NOISE = 1.3  # of the turning points' reduced chi-square, from which the samples take over
@@ -135,7 +135,7 @@ def is_even_measured(batch: Batch) -> bool:
 def _seen(batch: Batch) -> tuple[int, ...]:
     """Return which of a specimen's own values the samples tell: behind a band no offset is left."""
     has_offset = any(record.band is None for record in batch.records)
-    return _NUISANCES if has_offset else tuple(n for n in _NUISANCES if n != _OFFSET)
+    return _NUISANCES if has_offset else tuple(n for n in _NUISANCES if n != ZERO)
 
 
 def _left(found: CurveFit) -> float:
