@@ -264,6 +264,7 @@ def test_a_base_that_holds_an_effect(rng):
     assert study.verdict == "found" and study.missing_effects == ("coulomb_friction",)
     assert "cubic_stiffness" not in study.settings["candidates"]
     assert {"cubic_stiffness", "coulomb_friction"} <= set(study.parameters)
+    assert not any("is not seen" in reason for reason in study.reasons)  # the model's spring is
 
 
 def test_a_base_whose_effect_is_not_there_is_adequate(rng):
@@ -283,6 +284,9 @@ def test_friction_of_the_base_that_is_not_there_is_adequate(rng):
         make_records(rng, ("cubic_stiffness",)), base=("coulomb_friction",), candidates=("cubic_stiffness",)
     )
     assert hardening.verdict == "found" and hardening.missing_effects == ("cubic_stiffness",)
+    unseen = [reason for reason in hardening.reasons if "is not seen in these records" in reason]
+    assert len(unseen) == 1
+    assert unseen[0].startswith("The model's Coulomb friction") and unseen[0].endswith(" N (95 %).")
 
 
 @pytest.mark.parametrize(

@@ -291,7 +291,10 @@ def _mind_backbones(search: Search, decision: Decision) -> Decision:
     An explanation of the samples has to hold at every amplitude; with a drift in time beside it, it may hold nowhere.
     Without one, backbones that disagree may be at fault: their errors are small and their mid-line may be lost.
     """
-    if decision.named_level is not NamedLevel.LAW or decision.ranked[0] not in decision.drifts:
+    is_name = decision.named_level is NamedLevel.LAW
+    # where nothing else remains, what is too improbable for a name is told as the explanation all the same
+    is_only = decision.verdict is Verdict.AMBIGUOUS and not decision.is_approximate and len(decision.listed) < 2
+    if not (is_name or is_only) or decision.ranked[0] not in decision.drifts:
         return decision
     if not _backbones_disagree(search, decision.ranked[0]):
         return decision

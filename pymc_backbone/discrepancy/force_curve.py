@@ -32,6 +32,7 @@ _LEAST_REACH = 0.3  # of the amplitude: over less the line is not known
 _AMONG = 3  # last turning points of a record, whose amplitude it reaches
 _MOST_LEFT = 0.15  # of the gap, up to which forces of displacement and speed can be what is missing
 _HALF = 0.5  # of what the curves leave: what explains as much is named as the reason
+_CLOSE = 0.05  # of what the model leaves, that curves leave at most which have found their way
 _AS_WELL = 20.0  # chi-square by which a drift with time may leave more than the curves, and explain as much
 _AGAIN, _WITH_DRIFT = 8, 12  # iterations
 _ROUGHER = 10.0  # factor by which bends may be larger in square than inferred, in the errors
@@ -113,7 +114,7 @@ def fit_remainder(batch: Batch, oscillator: Oscillator, start: Fit | None = None
         return None
     state = _released(tabulated, batch, begun.fit.state)
     found = _approached(tabulated, batch, state, begun.precisions)
-    if found is None or lack_of_fit(batch, found.fit).p_value < UNEXPLAINED:
+    if found is None or _has_lost_its_way(batch, found, start):
         patient = _approached(tabulated, batch, state, begun.precisions, is_patient=True)
         found = min((each for each in (found, patient) if each is not None), key=_left, default=None)
     if found is None:
@@ -136,6 +137,20 @@ def _seen(batch: Batch) -> tuple[int, ...]:
     """Return which of a specimen's own values the samples tell: behind a band no offset is left."""
     has_offset = any(record.band is None for record in batch.records)
     return _NUISANCES if has_offset else tuple(n for n in _NUISANCES if n != ZERO)
+
+
+def _has_lost_its_way(batch: Batch, found: CurveFit, start: Fit | None) -> bool:
+    """Return whether curves leave more than noise, and more than the small share of it that no force explains."""
+    if lack_of_fit(batch, found.fit).p_value >= UNEXPLAINED:
+        return False
+    return start is None or _share_left(batch, start, found) > _CLOSE
+
+
+def _share_left(batch: Batch, start: Fit, found: CurveFit) -> float:
+    """Return what curves leave beyond noise over what the model leaves, as sizes; NaN where that is noise already."""
+    count = float(sum(term.size for term in batch.waveform))
+    before, after = float(start.chi_square.sum()) - count, max(_left(found) - count, 0.0)
+    return float(np.sqrt(after / before)) if before > 0.0 else float("nan")
 
 
 def _left(found: CurveFit) -> float:
@@ -220,8 +235,7 @@ def _judgement(batch: Batch, start: Fit, found: CurveFit, rivals: Sequence[Fit],
     """Return whether forces of displacement and speed can be what is missing and, where not, what speaks against it."""
     count = float(sum(term.size for term in batch.waveform))
     lack = lack_of_fit(batch, found.fit)
-    before, after = float(start.chi_square.sum()) - count, max(float(found.fit.chi_square.sum()) - count, 0.0)
-    share = float(np.sqrt(after / before)) if before > 0.0 else float("nan")
+    after, share = max(_left(found) - count, 0.0), _share_left(batch, start, found)
     is_possible = lack.p_value >= UNEXPLAINED or share <= _MOST_LEFT
     why = ""
     if is_possible and drifting is not None and drifting.cost < found.fit.cost + _AS_WELL:

@@ -143,7 +143,7 @@ def sentences(found: Sequence[Disturbed]) -> list[str]:
             "warning: the sensor's reading is not in proportion to the motion: at the largest motion of each record it "
             f"is {_range(np.hypot(even, odd).tolist())} off a straight line, which no effect of the library explains, "
             "and the records were straightened. Look at the sensor's calibration; where that is straight, the inertia "
-            "changes with the displacement, which reads the same"
+            "changes with the displacement, or the damping differs between the two sides, which reads the same"
         )
     lines = [one for item in found for one in item.by_specimen.values() if one.frequency]
     if lines:

@@ -6,11 +6,13 @@ import numpy as np
 
 from .._common.checks import OBSERVABLES, BoolArray, FloatArray, IntArray
 from .._common.text import amplitude, capitalised, in_a_sentence, in_words, span
+from ..effects import BASE_EFFECTS
+from ..oscillator import Oscillator
 from . import starts
 from .batch import Batch
 from .curves import curve, measured, on_levels
 from .decision import Decision
-from .estimates import without
+from .estimates import estimates_of, without
 from .evidence import DETECTED
 from .joint_fit import Fit, parameters_of
 from .normal_equations import State
@@ -22,16 +24,20 @@ from .verdict_words import is_drift_possible, named
 _VANISHING = 0.3  # power of the amplitude below which a departure does not vanish with it
 _OWN = 0.3  # of a departure, that the effect itself brings about as the model has it, from which it is told
 _AT_BOUND = 1.2  # times the narrowest scatter, up to which it is none that is seen
+_NINETY_FIVE = 1.96  # standard errors
 _SEPARATED = 5.0  # logarithm of the odds that decides
 
 
-def reasons(batch: Batch, found: Fit, names: Set, scatter: ScatterOfEffects | None = None) -> tuple[str, ...]:
+def reasons(
+    batch: Batch, found: Fit, names: Set, scatter: ScatterOfEffects | None = None, base: Oscillator | None = None
+) -> tuple[str, ...]:
     """Say for each effect how frequency and damping depart from the model without it, with the power of amplitude.
 
     What the library says an effect does is told where nothing stands out at single levels. Elsewhere it could
     contradict what was measured (a second effect in the set, or another amplitude), so only what the effect is is told.
     What differs between the two sides changes the damping by the mid-line alone: nothing is told of that where the
-    mid-line is not measured. Nor is what the effect itself does not bring about, as the model has it.
+    mid-line is not measured. Nor is what the effect itself does not bring about, as the model has it. Effects of the
+    model as it was, ``base``, that the records do not hold are told as well.
     """
     sentences = []
     brought = on_levels(batch, found)
@@ -50,7 +56,24 @@ def reasons(batch: Batch, found: Fit, names: Set, scatter: ScatterOfEffects | No
         unseen = "the waveforms show it" if batch.has_records else "all levels together show it"
         text = "; ".join(parts) if parts else f"too small to be seen at single levels; {unseen}"
         sentences.append(f"{capitalised(in_words(name))}: {text}.{_said_by_the_library(summaries[name], bool(parts))}")
-    return (*sentences, scatter_sentence(scatter, len(names))) if scatter is not None and names else tuple(sentences)
+    if scatter is not None and names:
+        sentences.append(scatter_sentence(scatter, len(names)))
+    return (*sentences, *([] if base is None else _unseen_in(base, found)))
+
+
+def _unseen_in(base: Oscillator, found: Fit) -> list[str]:
+    """Say which effects of the model as it was are not in the records: their strengths may be zero."""
+    sentences, estimates = [], estimates_of(found)
+    for effect in base.effects:
+        if effect.name in BASE_EFFECTS or not (at := starts.positions(found.layout, effect.name)):
+            continue
+        strength = found.layout.names[at[0]]
+        value, error = estimates[strength]
+        if found.layout.is_strength[at[0]] and abs(value) < _NINETY_FIVE * error:
+            unit = next(parameter.unit for parameter in effect.parameters if parameter.name == strength)
+            most = f"its {in_words(strength)} is at most {abs(value) + _NINETY_FIVE * error:.2g} {unit} (95 %)"
+            sentences.append(f"The model's {in_words(effect.name)} is not seen in these records: {most}.")
+    return sentences
 
 
 def scatter_of(found: Fit) -> ScatterOfEffects | None:

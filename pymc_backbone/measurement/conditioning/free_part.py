@@ -22,6 +22,7 @@ from .plausibility import check_clipping, check_moves, check_per_cycle
 from .release import end_of_drive, end_of_rest, leading_rest
 from .second_release import earlier_decay
 from .spikes import WIDEST, Spike, without_spikes
+from .stuck import constant_tail, is_stuck
 from .time_grid import to_uniform
 from .tracking import dominant_frequency
 
@@ -91,6 +92,7 @@ class FreePart:
         self.reading = float(np.median(values))
         values = values - self.reading
         time, values = self._without_repeats(time, values)
+        time, values = self._without_held_tail(time, values)
         self.samples = to_uniform(time, values, self.name)
         self.notes += self.samples.notes
         self.whole, spikes = without_spikes(self.samples.values, self.step)
@@ -219,6 +221,22 @@ class FreePart:
             f"the motion goes on ({_places(time[at])}): what was written twice was left out; check the logger or camera"
         )
         return np.delete(time, at), np.delete(values, at)
+
+    def _without_held_tail(self, time: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the record without an end in one value that the motion did not come to."""
+        held = constant_tail(values)
+        if not held or time.size - held < MINIMUM_SAMPLES:
+            return time, values
+        rate = (time.size - 1) / float(time[-1] - time[0])
+        moving = values[leading_rest(values) : values.size - held]
+        frequency = dominant_frequency(moving, rate) if moving.size >= MINIMUM_SAMPLES else None
+        if frequency is None or not is_stuck(values, held, rate / frequency, self.step):
+            return time, values
+        self.notes.append(
+            f"warning: the last {held} samples, from {time[-held]:.6g} s on, hold one value although the motion "
+            "had not ended: the sensor or the logger stuck there, or the file was filled up; they were left out"
+        )
+        return time[:-held], values[:-held]
 
     def _clocked(self, values: FloatArray) -> FloatArray:
         """Return the values with samples put in, or taken out, where the motion shows that the clock jumped."""
