@@ -420,6 +420,20 @@ def test_friction_stop_off_centre_is_reported_not_subtracted(sensor: float, rng:
 # ---- velocity and acceleration ------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("force", ["linear", "hardening"])
+def test_a_symmetric_structure_whose_amplitude_halves_each_cycle_shows_neither_second_harmonic_nor_wander(
+    force: str, rng: np.random.Generator
+) -> None:
+    """Means over cycles would leave more than a per cent of such a fundamental beside it."""
+    time, motion = simulated(force, 0.12, 7)
+    for quantity in (0, 1):
+        noisy = motion[quantity] + 1e-3 * np.abs(motion[quantity]).max() * rng.normal(size=time.size)
+        decay = condition(record(time, noisy, ("displacement", "velocity")[quantity]))
+        assert not any("second harmonic" in note or "wanders" in note for note in decay.notes), decay.notes
+        if quantity == 0:
+            assert abs(decay.baseline) < 3.0 * decay.baseline_error < 5e-3
+
+
 @pytest.mark.parametrize("per_cycle", [20, 100])
 @pytest.mark.parametrize("quantity", [1, 2])
 @pytest.mark.parametrize(

@@ -783,7 +783,21 @@ def test_specimens_alike_or_not(cubic, linear, rng):
     search.fit_set(())
     found = search.fit_set(("cubic_stiffness",))
     check = rivals.alike_check(batch, found)
-    assert not check.passed
+    assert not check.passed and check.message.startswith("odd one needs an effect")
+
+
+def test_one_of_specimens_that_scatter_widely_is_no_outlier(rng):
+    """How often the worst of some is told to be off, by the batch's own scatter and what was expected of it."""
+
+    def told(values):
+        apart = values - values.mean()
+        worst = int(np.argmax(np.abs(apart)))
+        return abs(apart[worst]) > 0.4 and rivals._is_outlier(apart, worst, 0.1)
+
+    for count in (5, 8, 20):  # of three, two say little of a scatter that was not expected
+        wide = np.mean([told(rng.normal(0.0, 0.2, count)) for _ in range(400)])
+        odd = np.mean([told(np.append(rng.normal(0.0, 0.05, count - 1), 0.9)) for _ in range(400)])
+        assert wide < 0.09 and odd > 0.9, (count, wide, odd)
 
 
 def test_data_terms_agree_or_not(cubic):

@@ -7,7 +7,9 @@ from functools import partial
 from itertools import batched, combinations
 
 import numpy as np
+from scipy.special import stdtr
 
+from .._common.checks import FloatArray
 from .._common.text import per_cent
 from .._common.threads import in_threads
 from . import evidence
@@ -26,7 +28,9 @@ from .search import Search, Set
 from .side_by_side import ABREAST, fit_side_by_side
 from .study import Check
 
-_ALIKE = 4.0
+_ALIKE = 4.0  # scatters as expected, that a specimen is off at least which is not alike
+_EXPECTED = 8  # specimens that would have told that scatter as well as it is known beforehand
+_RARE = 0.01  # how often the worst specimen of a batch is told where all are alike
 _ASKED = 3  # sets that are asked with a drift beside them where none leaves noise, and with other laws
 _HELPED = 20.0  # fall of chi-square by a drift from which other laws of the same mechanisms are asked
 _FIRST_TURNS = 108  # turning points that may refute a set with a drift, before all are looked at
@@ -254,18 +258,19 @@ def alike_check(batch: Batch, best: Fit) -> Check:
         return Check(name, True, "one specimen only: nothing to compare")
     delta, width = best.state.own[:, NUISANCES:], best.layout.scatter
     if delta.size:
-        with np.errstate(divide="ignore", invalid="ignore"):  # from the middle of the specimens, in units of a scatter
-            delta = np.nan_to_num((best.state.eta * (1.0 + width * delta) / best.centre - 1.0) / width)
-        worst = int(np.argmax(np.abs(delta).max(axis=1)))
-        size = float(np.abs(delta[worst]).max())
-        if size > _ALIKE:
+        with np.errstate(divide="ignore", invalid="ignore"):  # relative to the middle of the specimens
+            apart = np.nan_to_num(best.state.eta * (1.0 + width * delta) / best.centre - 1.0)
+        worst, parameter = np.unravel_index(int(np.argmax(np.abs(apart))), apart.shape)
+        size = float(np.abs(apart[worst, parameter]))
+        if size > _ALIKE * width and _is_outlier(apart[:, parameter], int(worst), width):
             return Check(
                 name,
                 False,
-                f"{batch.specimens[worst]} needs an effect {per_cent(size * width)} off that of the batch; look at its "
+                f"{batch.specimens[worst]} needs an effect {per_cent(size)} off that of the batch; look at its "
                 "record, or treat it apart",
             )
-        spread = width * float(np.sqrt((delta**2).mean()))
+        inferred = best.scatter.value  # what each specimen was found at is drawn to the middle
+        spread = inferred if np.isfinite(inferred) else float(np.sqrt((apart**2).mean()))
         return Check(name, True, f"the effects of the specimens scatter by {per_cent(spread)}")
     observables = [str(item) for item in batch.backbones["observable"].values]
     which = "frequency" if "frequency" in observables else observables[0]
@@ -275,6 +280,19 @@ def alike_check(batch: Batch, best: Fit) -> Check:
         return Check(name, True, "the specimens share no range of amplitude: nothing to compare")
     scatter = float((shared / shared.mean(axis=1, keepdims=True)).std(axis=0).max())
     return Check(name, True, f"the {which} curves agree in shape within {per_cent(scatter)}")
+
+
+def _is_outlier(values: FloatArray, at: int, width: float) -> bool:
+    """Return whether one of some values is off by more than they scatter.
+
+    Of a normal population whose scatter was expected to be ``width``, as so many other specimens would have shown it,
+    each value is off its others' mean by a variable of Student's.
+    """
+    others = np.delete(values, at)
+    freedom = _EXPECTED + others.size - 1
+    scatter = np.sqrt((_EXPECTED * width**2 + ((others - others.mean()) ** 2).sum()) / freedom)
+    apart = abs(values[at] - others.mean()) / (scatter * np.sqrt(1.0 + 1.0 / others.size))
+    return bool(2.0 * stdtr(freedom, -apart) * values.size < _RARE)
 
 
 def data_terms_check(

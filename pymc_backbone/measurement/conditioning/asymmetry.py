@@ -197,6 +197,7 @@ def second_harmonic(values: FloatArray, sampling_rate: float, path: Track, integ
     stamps = np.arange(values.size) / sampling_rate
     samples = make_interp_spline(stamps, values, k=5)(np.clip(path.time_at(grid), 0.0, stamps[-1]))
     box = np.ones(per_cycle) / per_cycle
+    samples = path.without_fundamental(samples, grid)
     z = 2.0 * convolve_inside(samples * np.exp(-2j * grid), np.convolve(box, box))
     amplitude = np.interp(grid[per_cycle - 1 : per_cycle - 1 + z.size], path.phase, path.amplitude)
     z, amplitude = z[::per_cycle], amplitude[::per_cycle]

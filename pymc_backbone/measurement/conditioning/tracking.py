@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.fft import next_fast_len, rfft, rfftfreq
@@ -11,6 +11,8 @@ from scipy.interpolate import make_interp_spline
 from ..._common.checks import FloatArray
 from .convolution import convolve_inside
 
+_STEEP = 0.2
+"""Decrement of a cycle from which means over cycles leave a thousandth of the fundamental."""
 _EDGE_CYCLES = 3.0
 
 
@@ -63,6 +65,31 @@ class Track:
     def time_at(self, phase: FloatArray) -> FloatArray:
         """Return the time at which the phase reaches given values."""
         return _extended(phase, self.phase, self.time, self._edge)
+
+    def without_fundamental(self, samples: FloatArray, phase: FloatArray) -> FloatArray:
+        """Return samples (n,) at phases (n,) without a fundamental that fades fast.
+
+        Means over cycles take it away where its amplitude is a straight line over two of them, as it is with dry
+        friction. Where it halves from one to the next it would leave more than a per cent in a mid-line or at twice its
+        frequency.
+        """
+        if not self._bends:
+            return samples
+        turning = self.amplitude_at(self.time_at(phase)) * np.exp(1j * phase)
+        size = 2.0 * complex(samples @ turning.conj()) / float((np.abs(turning) ** 2).sum())
+        return np.asarray(samples - (size * turning).real)
+
+    @property
+    def _bends(self) -> bool:
+        """Whether the amplitude falls fast, and by shares of itself rather than along a straight line."""
+        amplitude = np.maximum(self.amplitude, 1e-12 * float(self.amplitude.max()) + np.finfo(float).tiny)
+        if np.log(amplitude[0] / amplitude[-1]) < _STEEP * self.cycles:
+            return False
+        straight, decaying = (
+            np.polyval(np.polyfit(self.phase, values, 1), self.phase) for values in (amplitude, np.log(amplitude))
+        )
+        off = [float(((item - amplitude) ** 2).sum()) for item in (straight, np.exp(decaying))]
+        return off[1] < off[0]
 
     @property
     def _edge(self) -> int:
@@ -161,7 +188,9 @@ def track(values: FloatArray, sampling_rate: float, frequency: float) -> Track |
     n = time.size
     if n < 4 or phase[-1] - phase[0] < 2.0 * np.pi:
         return None
-    return Track(time, phase, np.abs(z[:n]), mean[:n], per_cycle)
+    found = Track(time, phase, np.abs(z[:n]), mean[:n], per_cycle)
+    rest = found.without_fundamental(samples, found.phase_at(rough.time_at(grid)))
+    return replace(found, mean=convolve_inside(rest, kernel)[:n])
 
 
 def _monotone(time: FloatArray, phase: FloatArray, frequency: float) -> tuple[FloatArray, FloatArray]:

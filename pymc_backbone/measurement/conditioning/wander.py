@@ -284,6 +284,8 @@ def _mid_line(
     if dense > 1:  # the noise of single samples would pass for that of all
         values = uniform_filter1d(values, dense)
     samples = make_interp_spline(stamps, values, k=3)(np.clip(path.time_at(grid), 0.0, stamps[-1]))
+    first = samples[:per_cycle]
+    samples = path.without_fundamental(samples, grid)
     box = np.ones(per_cycle) / per_cycle
     kernel = np.convolve(box, box)
     middle = convolve_inside(samples, kernel)
@@ -299,7 +301,6 @@ def _mid_line(
     smooth = own @ np.linalg.lstsq(own, middle, rcond=None)[0]
     places = np.argsort(amplitude)[np.linspace(0, middle.size - 1, min(_PLACES, middle.size)).astype(int)]
     size = amplitude * float(path.amplitude.max())
-    first = samples[:per_cycle]
     line = None
     if middle.size:
         side = 1.0 if np.argmax(first) < np.argmin(first) else -1.0
