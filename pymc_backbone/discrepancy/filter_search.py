@@ -107,6 +107,30 @@ def early_high_pass(search: FittedSets) -> SensorFilter | None:
     return min(found, key=lambda item: item.cost + item.price).filter if found else None
 
 
+def settled(search: FittedSets, behind: FittedSets, chosen: SensorFilter) -> SensorFilter | None:
+    """Return the filter that suits what a search behind an early high-pass found; None where that needs none.
+
+    The high-pass was told by sets that lacked something: by the set that leaves noise behind it, it is held against no
+    filter, a high-pass of two poles where it has one, and low-passes where it shows at the release alone, for these
+    settle there, too. ``search`` is that of the records as they are.
+    """
+    batch, best = search.batch, behind.fits[behind.best()]
+    found = [_behind_it(batch, chosen, best)]
+    start = fit(best.layout, batch.waveform, best.state, iterations=_ITERATIONS, nuisances=batch.nuisances)
+    if start is None:
+        return chosen
+    if evidence.leaves_noise(batch, start) and start.cost < found[0].cost + _PRICE:
+        return None
+    frequency = float(np.median([record.frequency for record in batch.records]))
+    if chosen.order == 1:
+        filters = [SensorFilter(2, cut * frequency, "high-pass") for cut in _COUPLED]
+        other = _high_pass(batch, start, filters)
+        found += [] if other is None else [_behind_it(batch, other.filter, other.found)]
+    if chosen.shows_at_release:
+        found += _low_passes(batch, [start], frequency)
+    return min(found, key=lambda item: item.cost - _PRICE * (item.filter == chosen)).filter
+
+
 def _may_be_behind_one(batch: Batch) -> bool:
     """Return whether a filter in front of the records can be seen: harmonics that no band-pass took, and cycles."""
     is_open = batch.has_open_records and not batch.is_behind_filter
@@ -355,4 +379,4 @@ def _rows(term: WaveformTerm, known: WaveformTerm) -> slice:
     return slice(round(_MASKED[0] * each), min(term.size - round(_MASKED[1] * each), known.size))
 
 
-__all__ = ["early_high_pass", "sensor_filter"]
+__all__ = ["early_high_pass", "sensor_filter", "settled"]

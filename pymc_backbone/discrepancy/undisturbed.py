@@ -15,7 +15,7 @@ from .drifting_zero import drifting_zero
 from .drop_outs import drop_outs
 from .earlier_release import Earlier, earlier
 from .evidence import Drifting
-from .filter_search import sensor_filter
+from .filter_search import sensor_filter, settled
 from .first_cycles import begun
 from .joint_fit import Fit
 from .motion_noise import MotionNoise, motion_noise
@@ -161,16 +161,28 @@ def _one_by_one(
 def _halted(asked: _Asked, search: Search, records: Sequence[Record]) -> Undisturbed | None:
     """Return the question behind the filter for which a search was halted, where it leaves noise.
 
-    Else that search is taken to its end.
+    Else that search is taken to its end, and so where what was found behind the filter needs none.
     """
-    if not isinstance(search.halted, SensorFilter):
+    chosen = search.halted
+    if not isinstance(chosen, SensorFilter):
         return None
-    asked.sensor_filter = search.halted
-    tried = asked.of(records, (search.halted.sentence(search.batch),))
-    if _is_exact(tried.search):
+    asked.sensor_filter = chosen
+    tried = asked.of(records, (chosen.sentence(search.batch),))
+    is_exact = _is_exact(tried.search)
+    better = settled(search, tried.search, chosen) if is_exact else None
+    if better is not None and better != chosen:
+        asked.sensor_filter = better
+        again = asked.of(records, (better.sentence(search.batch),))
+        if _is_exact(again.search):
+            return again
+        asked.sensor_filter = chosen
+    if better is not None:
         return tried
     asked.sensor_filter = None
     search.resume()
+    if is_exact and not _is_exact(search):
+        asked.sensor_filter = chosen
+        return tried
     return None
 
 
