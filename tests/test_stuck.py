@@ -1,4 +1,4 @@
-"""Records that end in one value: stuck sensors are cut, motion that friction or a coarse converter ended is kept."""
+"""Records that hold one value, at their end or in between: what stuck or was lost is left out, what stopped is kept."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import pytest
 from pymc_backbone._common.checks import FloatArray
 from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.measurement.conditioning.conditioned import ConditionedRecord
+from pymc_backbone.measurement.conditioning.time_grid import to_uniform
 from pymc_backbone.measurement.reading.record import Record
 from pymc_backbone.oscillator import Oscillator
 from pymc_backbone.simulation.decay import simulate_waveform
@@ -56,3 +57,39 @@ def test_a_motion_that_fades_below_the_step_of_the_converter_is_no_sensor_that_s
     values = np.round(_decay(0.0) * np.exp(-1.0 * TIME) / step) * step
     assert np.sum(values[-60:] == values[-1]) == 60
     assert not any("hold one value" in note for note in _conditioned(values).notes)
+
+
+@pytest.mark.parametrize("filling", ["zero", "last"])
+@pytest.mark.parametrize("at", [407, 413, 506, 733])
+def test_samples_that_were_lost_in_between_are_left_out_and_told(filling: str, at: int) -> None:
+    """Three of forty in a cycle, at any phase; what is put in is near the noise."""
+    whole = _decay()
+    values = whole.copy()
+    values[at : at + 3] = 0.0 if filling == "zero" else values[at - 1]
+    found = _conditioned(values)
+    (told,) = (note for note in found.notes if "hold one value while the motion goes on" in note)
+    assert f"{TIME[at + 1]:.6g}" in told
+    expected = _conditioned(whole)
+    assert found.displacement.size == expected.displacement.size
+    off = np.abs((found.displacement + found.baseline) - (expected.displacement + expected.baseline))
+    assert off.max() < 2e-5 and np.delete(off, np.arange(at - 3, at + 6)).max() < 1e-6
+
+
+def test_samples_that_a_coarse_converter_repeats_are_kept() -> None:
+    """At turning points of a converter of few steps, and where a sensor clips, the same value comes again and again."""
+    for step in (1e-5, 4e-5):
+        values = np.round(_decay(0.0) / step) * step
+        assert np.any(np.diff(values[:600]) == 0.0)
+        assert not any("hold one value" in note for note in _conditioned(values).notes)
+
+
+@pytest.mark.parametrize(("rate", "missing"), [(480.0, ()), (810.0, ()), (480.0, (700,)), (700.0, (300, 301))])
+def test_stamps_of_few_digits_are_those_of_an_even_clock(rate: float, missing: tuple[int, ...]) -> None:
+    """In milliseconds the steps of 480 samples a second are 2, 2, 2, 2, 2 and 3 ms: no sixth sample is missing."""
+    instants = np.arange(2000) / rate
+    kept = np.setdiff1d(np.arange(2000), missing)
+    values = np.cos(2.0 * np.pi * 9.0 * instants)
+    grid = to_uniform(np.round(instants, 3)[kept], values[kept])
+    assert grid.sampling_rate == pytest.approx(rate, rel=1e-5) and grid.values.size == 2000
+    np.testing.assert_allclose(grid.values, values, atol=1e-3)
+    assert any("missing" in note for note in grid.notes) == bool(missing)

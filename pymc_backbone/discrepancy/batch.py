@@ -40,6 +40,8 @@ class Batch:
         Typical [rad/s].
     notes : tuple of str
         What was left out and why.
+    is_relaxed : bool
+        Whether what remembers holds no force at the release, instead of being loaded from rest up to there.
     """
 
     backbones: xr.Dataset
@@ -53,6 +55,7 @@ class Batch:
     amplitude: float
     angular_frequency: float
     notes: tuple[str, ...] = ()
+    is_relaxed: bool = False
 
     @property
     def deciding(self) -> Sequence[DataTerm]:

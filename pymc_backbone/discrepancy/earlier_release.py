@@ -1,7 +1,7 @@
 """Records that begin after the release by more than half a cycle: what remembers was released a turning point earlier.
 
 A record without its release is taken for one that begins in the first half cycle. Where nothing remembers that is no
-assumption: every turning point is a release. What remembers begins unstressed at the true one only.
+assumption: every turning point is a release. What remembers begins as the release left it at the true one only.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from .batch import Batch
 from .joint_fit import Fit, fit
 from .normal_equations import NUISANCES, State
 from .record_term import before
+from .relaxed_release import remembers
 from .search import Search
 
 _ASKED = 3  # likeliest sets that remember, which are asked
@@ -55,16 +56,12 @@ def earlier(search: Search) -> Earlier | None:
     batch = search.batch
     if not batch.has_open_records or evidence.leaves_noise(batch, search.fits[search.best()]):
         return None
-    asked = [names for names in search.ranked() if _remembers(search.fits[names])][:_ASKED]
+    asked = [names for names in search.ranked() if remembers(search.fits[names])][:_ASKED]
     found = [item for item in (_released(batch, search.fits[names]) for names in asked) if item is not None]
     if not found:
         return None
     turns = min(found, key=lambda item: item[0])[1]
     return Earlier(turns) if turns else None
-
-
-def _remembers(found: Fit) -> bool:
-    return any(effect.has_memory or effect.n_states for effect in found.layout.oscillator.effects)
 
 
 def _released(batch: Batch, found: Fit) -> tuple[float, dict[str, int]] | None:

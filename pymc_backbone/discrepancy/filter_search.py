@@ -18,6 +18,7 @@ from .descent import is_heavy
 from .fitted_sets import FittedSets
 from .joint_fit import Fit, fit
 from .normal_equations import State, derivatives
+from .relaxed_release import relaxed_fit, remembers
 from .search import Search
 from .sensor_filter import GIBBS, Chain, SensorFilter, first_values, with_past
 from .telling import Telling, most_telling
@@ -107,7 +108,7 @@ def early_high_pass(search: FittedSets) -> SensorFilter | None:
     return min(found, key=lambda item: item.cost + item.price).filter if found else None
 
 
-def settled(search: FittedSets, behind: FittedSets, chosen: SensorFilter) -> SensorFilter | None:
+def settled(search: Search, behind: Search, chosen: SensorFilter) -> SensorFilter | None:
     """Return the filter that suits what a search behind an early high-pass found; None where that needs none.
 
     The high-pass was told by sets that lacked something: by the set that leaves noise behind it, it is held against no
@@ -121,6 +122,13 @@ def settled(search: FittedSets, behind: FittedSets, chosen: SensorFilter) -> Sen
         return chosen
     if evidence.leaves_noise(batch, start) and start.cost < found[0].cost + _PRICE:
         return None
+    eased = relaxed_fit(batch, start) if chosen.shows_at_release and remembers(start) else None
+    if eased is not None and evidence.leaves_noise(batch, eased) and eased.cost < found[0].cost + _PRICE:
+        return None
+    if chosen.shows_at_release:
+        free = sum(first_values(term).shape[1] for term in batch.waveform)
+        if _left_by(start, batch, _free_at_first(batch)) + free < found[0].cost + _PRICE:
+            return None  # it is something at the release
     frequency = float(np.median([record.frequency for record in batch.records]))
     if chosen.order == 1:
         filters = [SensorFilter(2, cut * frequency, "high-pass") for cut in _COUPLED]

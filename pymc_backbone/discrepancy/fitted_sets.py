@@ -178,8 +178,9 @@ class FittedSets:
         if names not in self.layouts:
             extended = self.base + [self.own.get(name, name) for name in names]
             self.layouts[names] = make_layout(
-                extended, self.batch.amplitude, self.batch.angular_frequency, self.scatter
-            )
+                extended, self.batch.amplitude, self.batch.angular_frequency, self.scatter,
+                is_relaxed=self.batch.is_relaxed,
+            )  # fmt: skip
         return self.layouts[names]
 
     def mechanism_of(self, name: str) -> str:

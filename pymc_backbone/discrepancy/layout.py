@@ -145,8 +145,18 @@ class Layout:
         return np.clip(eta, self.low, self.high)
 
 
-def make_layout(oscillator: Oscillator, amplitude: float, angular_frequency: float, scatter: float = SCATTER) -> Layout:
-    """Return the layout of an oscillator for records of this amplitude and frequency, ``scatter`` between specimens."""
+def make_layout(
+    oscillator: Oscillator,
+    amplitude: float,
+    angular_frequency: float,
+    scatter: float = SCATTER,
+    *,
+    is_relaxed: bool = False,
+) -> Layout:
+    """Return the layout of an oscillator for records of this amplitude and frequency, ``scatter`` between specimens.
+
+    With ``is_relaxed`` what remembers holds no force at the release.
+    """
     bounds = oscillator.default_bounds(amplitude, angular_frequency)
     template = np.zeros(len(oscillator.parameter_names))
     free: list[int] = []
@@ -188,7 +198,7 @@ def make_layout(oscillator: Oscillator, amplitude: float, angular_frequency: flo
     table = np.array(rows, dtype=np.float64).reshape(-1, 3)
     return Layout(
         oscillator=oscillator,
-        simulator=Simulator(oscillator),
+        simulator=Simulator(oscillator, is_relaxed=is_relaxed),
         free=np.array(free, dtype=np.int64),
         template=template,
         low=table[:, 0].copy(),

@@ -148,7 +148,9 @@ class SetFits:
             oscillator = self.base
             if names:
                 oscillator = self.base + [self.own_effects.get(name) or LIBRARY[name] for name in names]
-            self.layouts[names] = make_layout(oscillator, self.batch.amplitude, self.batch.angular_frequency)
+            self.layouts[names] = make_layout(
+                oscillator, self.batch.amplitude, self.batch.angular_frequency, is_relaxed=self.batch.is_relaxed
+            )
         return self.layouts[names]
 
     def at_atoms(self, names: Set, atoms: Any, strengths: FloatArray, defect: FloatArray) -> Point:

@@ -170,7 +170,7 @@ def tabulate(
     for name in (STIFFNESS, DAMPING):
         if name not in {effect.name for effect in model.effects}:
             model = model + name
-    layout = make_layout(model, batch.amplitude, batch.angular_frequency, scatter)
+    layout = make_layout(model, batch.amplitude, batch.angular_frequency, scatter, is_relaxed=batch.is_relaxed)
     parts = tuple(_part(layout, *part, is_sharp and part == (DAMPING, "odd")) for part in PARTS)
     scale = oscillator.mass * batch.angular_frequency**2 * batch.amplitude
     return Tabulated(layout, parts, scale, lowest, has_even)

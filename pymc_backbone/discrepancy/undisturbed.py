@@ -21,6 +21,8 @@ from .joint_fit import Fit
 from .motion_noise import MotionNoise, motion_noise
 from .question import Question
 from .readings import Disturbed, disturbed, sentences
+from .relaxed_release import SENTENCE as RELAXED
+from .relaxed_release import is_relaxed_at_release
 from .search import Search, Set
 from .sensor_filter import SensorFilter
 
@@ -63,12 +65,15 @@ class _Asked:
     measuring: Measuring
     searched: Callable[[Question], Search]
     release: Earlier | None = None
+    is_relaxed: bool = False
     sensor_filter: SensorFilter | None = None
     noise: MotionNoise | None = None
 
     def of(self, records: Sequence[Record], said: Sequence[str]) -> Undisturbed:
         """Return the question of these records and its search; ``said`` is what is different in them."""
         other = self.question.of_records(records, self.measuring, said)
+        if self.is_relaxed:
+            other = replace(other, batch=replace(other.batch, is_relaxed=True))
         if self.release is not None:
             other = replace(other, batch=self.release.released(other.batch))
         if self.sensor_filter is not None:
@@ -101,8 +106,18 @@ def undisturbed(
     in time and nothing else, nothing else is asked.
     """
     asked = _Asked(question, measuring, searched)
-    if (halted := _halted(asked, search, records)) is not None:
-        return halted
+    behind, is_needed = _halted(asked, search, records)
+    if behind is not None and is_needed:
+        return behind
+    found = _without_filter_at_first(asked, search, records, drifting)
+    return found if behind is None or _is_exact(found.search) else behind
+
+
+def _without_filter_at_first(
+    asked: _Asked, search: Search, records: Sequence[Record], drifting: Callable[[Search], Mapping[Set, Drifting]]
+) -> Undisturbed:
+    """Return the question and search of records without what disturbs them, if that is no filter that is seen early."""
+    question, measuring, searched = asked.question, asked.measuring, asked.searched
     if search.is_told:
         told = _with_drifts(Undisturbed(question, search), drifting)
         if told.is_drifting:
@@ -123,8 +138,11 @@ def _one_by_one(
     is_of_rates: bool,
 ) -> Undisturbed:
     """Return the question and search of records without what disturbs them, asked one after the other."""
-    known, records, said = _without_drop_outs(asked, Undisturbed(asked.question, search), records)
-    again = known.search
+    # before first samples are left out, which say how what remembers was released
+    eased = _eased(asked, search, records)
+    known = Undisturbed(asked.question, search) if eased is None else eased.found
+    known, records, said = _without_drop_outs(asked, known, records)
+    said, again = (said if eased is None else (eased.said, *said)), known.search
     if (behind := _filtered(asked, again, records, said)) is not None:
         said, known, again = (*said, behind.said), behind.found, behind.found.search
     if is_of_rates and (steady := _steadied(known, asked.measuring, asked.searched)) is not None:
@@ -158,14 +176,14 @@ def _one_by_one(
     return straight if left < _QUIETER * known.noise_beside_drift else known
 
 
-def _halted(asked: _Asked, search: Search, records: Sequence[Record]) -> Undisturbed | None:
-    """Return the question behind the filter for which a search was halted, where it leaves noise.
+def _halted(asked: _Asked, search: Search, records: Sequence[Record]) -> tuple[Undisturbed | None, bool]:
+    """Return the question behind the filter for which a search was halted, and whether what was found there needs it.
 
-    Else that search is taken to its end, and so where what was found behind the filter needs none.
+    None where it leaves more than noise. Unless it is needed, the search is taken to its end.
     """
     chosen = search.halted
     if not isinstance(chosen, SensorFilter):
-        return None
+        return None, False
     asked.sensor_filter = chosen
     tried = asked.of(records, (chosen.sentence(search.batch),))
     is_exact = _is_exact(tried.search)
@@ -173,17 +191,11 @@ def _halted(asked: _Asked, search: Search, records: Sequence[Record]) -> Undistu
     if better is not None and better != chosen:
         asked.sensor_filter = better
         again = asked.of(records, (better.sentence(search.batch),))
-        if _is_exact(again.search):
-            return again
-        asked.sensor_filter = chosen
-    if better is not None:
-        return tried
-    asked.sensor_filter = None
-    search.resume()
-    if is_exact and not _is_exact(search):
-        asked.sensor_filter = chosen
-        return tried
-    return None
+        tried = again if _is_exact(again.search) else tried
+    if better is None:
+        asked.sensor_filter = None
+        search.resume()
+    return tried if is_exact else None, better is not None
 
 
 def _without_drop_outs(
@@ -221,6 +233,18 @@ def _filtered(asked: _Asked, again: Search, records: Sequence[Record], said: Seq
     if _is_better(tried.search, again):
         return _Found(sentence, tried)
     asked.sensor_filter = None
+    return None
+
+
+def _eased(asked: _Asked, search: Search, records: Sequence[Record]) -> _Found | None:
+    """Return the question of releases at which what remembers holds no force, where it is clearly better then."""
+    if not is_relaxed_at_release(search):
+        return None
+    asked.is_relaxed = True
+    tried = asked.of(records, (RELAXED,))
+    if _is_better(tried.search, search):
+        return _Found(RELAXED, tried)
+    asked.is_relaxed = False
     return None
 
 

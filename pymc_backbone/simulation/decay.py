@@ -183,11 +183,14 @@ class Simulator:
     ----------
     oscillator : Oscillator
         What to simulate.
+    is_relaxed : bool, default False
+        Whether hysteretic states always start relaxed at the release, never loaded from rest.
     """
 
-    def __init__(self, oscillator: Oscillator) -> None:
+    def __init__(self, oscillator: Oscillator, *, is_relaxed: bool = False) -> None:
         define()
         self.oscillator = oscillator
+        self.is_relaxed = is_relaxed
         table, stiffness, damping, n_states, has_regime, users = describe_effects(oscillator.effects)
         self.user = compose_user_effects(users)
         self.needs_decay = n_states > 0
@@ -238,7 +241,7 @@ class Simulator:
         integers[layout.BY_DECAY] = layout.BY_JUMPS if self.needs_decay else layout.BY_CYCLES
         if whole and release > 0.0:
             integers[layout.BY_DECAY] = layout.BY_WHOLE_DECAY
-        integers[layout.VIRGIN] = virgin
+        integers[layout.VIRGIN] = virgin and not self.is_relaxed
         if rows != ALL_ROWS:
             integers[layout.ROWS] = sum(1 << row for row in rows)
         count = 0 if levels is None else levels.size

@@ -22,11 +22,12 @@ from .plausibility import check_clipping, check_moves, check_per_cycle
 from .release import end_of_drive, end_of_rest, leading_rest
 from .second_release import earlier_decay
 from .spikes import WIDEST, Spike, without_spikes
-from .stuck import constant_tail, is_stuck
+from .stuck import constant_tail, held_between, is_stuck
 from .time_grid import to_uniform
 from .tracking import dominant_frequency
 
 _MOST_PLACES = 5
+_MOST_HELD = 0.1  # of a record, that is left out where a value is held: of more, nothing is known
 _JUMP = 3  # widest spikes after a release within which what stands out is its jump behind a filter against aliases
 
 
@@ -92,7 +93,7 @@ class FreePart:
         self.reading = float(np.median(values))
         values = values - self.reading
         time, values = self._without_repeats(time, values)
-        time, values = self._without_held_tail(time, values)
+        time, values = self._without_held(time, values)
         self.samples = to_uniform(time, values, self.name)
         self.notes += self.samples.notes
         self.whole, spikes = without_spikes(self.samples.values, self.step)
@@ -222,21 +223,30 @@ class FreePart:
         )
         return np.delete(time, at), np.delete(values, at)
 
-    def _without_held_tail(self, time: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the record without an end in one value that the motion did not come to."""
-        held = constant_tail(values)
-        if not held or time.size - held < MINIMUM_SAMPLES:
+    def _without_held(self, time: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the record without values that were held while the motion went on, at its end or in between."""
+        tail = constant_tail(values)
+        if time.size - tail < MINIMUM_SAMPLES or not (tail or np.any(np.diff(values) == 0.0)):
             return time, values
         rate = (time.size - 1) / float(time[-1] - time[0])
-        moving = values[leading_rest(values) : values.size - held]
+        moving = values[leading_rest(values) : values.size - tail]
         frequency = dominant_frequency(moving, rate) if moving.size >= MINIMUM_SAMPLES else None
-        if frequency is None or not is_stuck(values, held, rate / frequency, self.step):
+        if frequency is None:
+            return time, values
+        if tail and is_stuck(values, tail, rate / frequency, self.step):
+            self.notes.append(
+                f"warning: the last {tail} samples, from {time[-tail]:.6g} s on, hold one value although the motion "
+                "had not ended: the sensor or the logger stuck there, or the file was filled up; they were left out"
+            )
+            time, values = time[:-tail], values[:-tail]
+        held = held_between(values, rate / frequency, self.step, rough_noise(values))
+        if not 0 < held.size < _MOST_HELD * time.size:
             return time, values
         self.notes.append(
-            f"warning: the last {held} samples, from {time[-held]:.6g} s on, hold one value although the motion "
-            "had not ended: the sensor or the logger stuck there, or the file was filled up; they were left out"
+            f"warning: {_counted(held.size, 'sample')} {'holds' if held.size == 1 else 'hold'} one value while the "
+            f"motion goes on ({_places(time[held])}): what the sensor or the logger lost there was left out"
         )
-        return time[:-held], values[:-held]
+        return np.delete(time, held), np.delete(values, held)
 
     def _clocked(self, values: FloatArray) -> FloatArray:
         """Return the values with samples put in, or taken out, where the motion shows that the clock jumped."""

@@ -1,10 +1,10 @@
-"""A record that ends in one value while the motion goes on: a sensor or a logger that stuck, a file filled up."""
+"""Records that hold one value while the motion goes on: sensors or loggers that stuck or lost it, files filled up."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from ..._common.checks import FloatArray
+from ..._common.checks import FloatArray, IntArray
 
 _LEAST = 16
 """Samples of one value from which a tail is looked at."""
@@ -12,6 +12,10 @@ _SHARE = 0.5
 """Of a cycle, that it lasts at least: at a turning point a coarse converter holds one value as well."""
 _COME_TO_REST = 2.0
 """Falls of the swing per cycle: a motion of more than so many was not about to stop."""
+_WIDEST = 1.0 / 6.0
+"""Of a cycle, that what is held in between lasts at most: over more, what is beside it does not tell the motion."""
+_NOISY, _CUBIC = 8.0, 4.0 * 5.0 / 384.0
+"""Standard deviations of the noise, and of what a cubic leaves of a sine, by which a held value is off at least."""
 _STEPS = 6.0
 """Steps of the converter that the last swing has at least: what is smaller may hide within one step."""
 
@@ -50,4 +54,40 @@ def is_stuck(values: FloatArray, held: int, per_cycle: float, step: float) -> bo
     return swing > max(_COME_TO_REST * fall, _STEPS * step)
 
 
-__all__ = ["constant_tail", "is_stuck"]
+def held_between(values: FloatArray, per_cycle: float, step: float, noise: float) -> IntArray:
+    """Return the samples (k,) that hold the value beside them, or the same wrong one, while the motion goes on.
+
+    Parameters
+    ----------
+    values : (n,) array
+        Samples as they were read.
+    per_cycle, step, noise : float
+        Samples in a cycle, step of the converter (0 where none is seen), standard deviation of the noise.
+
+    Notes
+    -----
+    Of two or more equal samples one has to be off the cubic through two on either side, by more than noise, steps,
+    and what a cubic leaves of a sine over such a gap. The first of them is kept where it is not off itself. Where a
+    sensor clips it holds its largest value: that is no loss of a few samples.
+    """
+    is_same = np.diff(values) == 0.0
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], is_same, [False]]).astype(np.int8)))
+    around, found = max(round(0.5 * per_cycle), 4), []
+    for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        gap = last - first + 2
+        if first < 2 or last > values.size - 3 or gap > _WIDEST * per_cycle + 2.0:
+            continue
+        if values[first] in (values.max(), values.min()):
+            continue
+        at = np.array([first - 2, first - 1, last + 1, last + 2])
+        run = np.arange(first, last + 1)
+        off = np.abs(values[run] - np.polyval(np.polyfit(at - first, values[at], 3), run - first))
+        beside = np.delete(values[max(first - around, 0) : last + 1 + around], run - max(first - around, 0))
+        unknown = 0.5 * float(np.ptp(beside)) * _CUBIC * (2.0 * np.pi * gap / per_cycle) ** 4
+        is_off = off > unknown + max(_STEPS * step, _NOISY * noise)
+        if is_off.any():  # the first may be the last one that was measured
+            found += run[0 if is_off[0] else 1 :].tolist()
+    return np.array(found, dtype=np.int64)
+
+
+__all__ = ["constant_tail", "held_between", "is_stuck"]

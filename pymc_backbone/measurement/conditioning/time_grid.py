@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import make_interp_spline
 
 from ..._common.checks import FloatArray, InputError
 
@@ -13,6 +13,8 @@ _SNAP = 0.05
 """Largest deviation of a time stamp from the uniform grid, in samples, that is put down to the clock."""
 _LARGEST_GAP = 1.0 / 6.0
 """Longest pause between samples, in cycles, across which a spline may carry the motion."""
+_PART, _MANY = 0.75, 0.05
+"""Of a step, that the last printed digit is at most, or of all steps, that are long at least, where none is missing."""
 _LARGEST_GROWTH = 50.0
 """Most samples of the uniform grid, over those measured: a single wrong time stamp can ask for any number."""
 
@@ -58,11 +60,11 @@ def to_uniform(time: FloatArray, values: FloatArray, name: str = "record") -> Un
 
     Stamps within 5 % of a sample of the grid, or as far from it as rounding to printed digits
     explains, are put on it. Others are true jitter: the samples are interpolated by a cubic spline.
-    Missing samples are interpolated too.
+    Missing samples are interpolated too, by one of order 5 where the stamps lie on the grid.
     """
     steps = np.diff(time)
-    typical = float(np.median(steps))
-    counts = _counts(time, typical)
+    typical = _typical(steps)
+    counts = np.ones(steps.size) if _is_all_there(time, steps) else _counts(time, typical)
     index = np.concatenate([[0.0], np.cumsum(counts)])
     if not index[-1] <= _LARGEST_GROWTH * time.size:
         widest = int(np.argmax(steps))
@@ -99,10 +101,11 @@ def to_uniform(time: FloatArray, values: FloatArray, name: str = "record") -> Un
         notes.append(
             f"{missing} missing {'sample' if missing == 1 else 'samples'} in {count} "
             f"{'gap' if count == 1 else 'gaps'} of the times, {first}, {'was' if missing == 1 else 'were'} "
-            f"interpolated by a cubic spline"
+            f"interpolated by a spline"
         )
     grid = start + interval * np.arange(round((stamps[-1] - start) / interval) + 1)
-    resampled = CubicSpline(stamps, values)(np.clip(grid, stamps[0], stamps[-1]))
+    # over a gap of three samples a cubic is a thousandth of the motion off
+    resampled = make_interp_spline(stamps, values, k=5 if is_on_grid else 3)(np.clip(grid, stamps[0], stamps[-1]))
     return UniformSamples(start, 1.0 / interval, resampled, gaps, tuple(notes))
 
 
@@ -112,6 +115,30 @@ def _line(index: FloatArray, time: FloatArray) -> tuple[float, float]:
     offset = index - middle
     slope = float(offset @ (time - centre)) / float(offset @ offset)
     return slope, centre - slope * middle
+
+
+def _is_all_there(time: FloatArray, steps: FloatArray) -> bool:
+    """Return whether stamps of few digits are those of evenly spaced samples none of which is missing.
+
+    At 480 samples per second every sixth step is 3 ms long, and the others 2 ms, where stamps are printed in
+    milliseconds. A sample that is missing moves all later ones off such a grid; one of few steps that are twice as long
+    as the others is missing all the same.
+    """
+    typical = float(np.median(steps))
+    wide = float(np.mean(steps > 1.5 * typical - 1e-6 * typical))
+    quantum = _quantum(steps)
+    if quantum == 0.0 or not (quantum < _PART * typical or wide > _MANY):
+        return False
+    interval, start = _line(np.arange(float(time.size)), time)
+    return _is_rounding(steps, time - (start + interval * np.arange(time.size)))
+
+
+def _typical(steps: FloatArray) -> float:
+    """Return the sampling interval: the median step, or the mean of the two nearest where stamps have few digits."""
+    typical, quantum = float(np.median(steps)), _quantum(steps)
+    near = np.abs(steps - typical) < 1.01 * quantum
+    is_coarse = quantum > 0.0 and float(np.mean(near & (steps > 1.5 * typical - 1e-6 * typical))) > _MANY
+    return float(steps[near].mean()) if is_coarse else typical
 
 
 def _counts(time: FloatArray, typical: float) -> FloatArray:
@@ -135,9 +162,12 @@ def _counts(time: FloatArray, typical: float) -> FloatArray:
 
 def _is_rounding(steps: FloatArray, deviation: FloatArray) -> bool:
     """Return whether stamps deviate from the grid only because they were printed with few digits."""
+    quantum = _quantum(steps)
+    return quantum > 0.0 and bool(np.max(np.abs(deviation)) <= 0.6 * quantum)
+
+
+def _quantum(steps: FloatArray) -> float:
+    """Return the least difference of steps that take few values, as printed stamps do; 0 where one or many."""
     typical = float(np.median(steps))
     distinct = np.unique(np.round(steps / typical, 6))
-    if distinct.size < 2 or distinct.size > 4:
-        return False
-    quantum = float(np.min(np.diff(distinct))) * typical
-    return bool(np.max(np.abs(deviation)) <= 0.6 * quantum)
+    return float(np.min(np.diff(distinct))) * typical if 2 <= distinct.size <= 4 else 0.0
