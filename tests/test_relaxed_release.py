@@ -12,12 +12,14 @@ import pymc_backbone as pb
 from pymc_backbone.discrepancy import evidence
 from pymc_backbone.discrepancy.relaxed_release import is_relaxed_at_release
 from pymc_backbone.discrepancy.search import Search
+from pymc_backbone.measurement.reading.record import Record
 from pymc_backbone.simulation.decay import Simulator
 
-from .discrepancy_cases import AMPLITUDE, DAMPING, MASS, STIFFNESS, TIME, batch_of, noisy
+from .discrepancy_cases import AMPLITUDE, DAMPING, FREQUENCY, MASS, STIFFNESS, batch_of
 
 SLIDER = {"slider_stiffness": 0.2 * STIFFNESS, "slip_force": 0.05 * STIFFNESS * AMPLITUDE}
 PARAMETERS = {"linear_stiffness": STIFFNESS, "viscous_damping": DAMPING} | SLIDER
+TIME = np.arange(25 * 60) / (60.0 * FREQUENCY)
 BASE = pb.Oscillator(MASS, ["jenkins"])
 
 
@@ -27,8 +29,8 @@ def searched(rng, virgin):
     for r in range(2):
         release = AMPLITUDE * (1.0 - 0.15 * r)
         exact = pb.simulate_waveform(BASE, PARAMETERS, TIME, release, virgin=virgin, quantity="acceleration")
-        shown = noisy(rng, f"specimen {r + 1}", TIME, exact.values, 50.0)
-        records.append(replace(shown, quantity="acceleration", unit="m/s^2"))
+        values = exact.values + 0.003 * np.abs(exact.values).max() * rng.standard_normal(TIME.size)
+        records.append(Record(f"specimen {r + 1}", TIME, values, "acceleration", "m/s^2"))
     search = Search(batch_of(records), BASE, ("cubic_stiffness",), 1, lambda _stage, _share: None)
     search.fit_set(())
     return search
@@ -42,7 +44,7 @@ def test_a_slider_without_force_at_the_release_is_told_from_one_that_was_loaded(
     found = again.fit_set(())
     assert evidence.leaves_noise(again.batch, found)
     for name, value in SLIDER.items():
-        assert found.value_of(name) == pytest.approx(value, rel=0.01)
+        assert found.value_of(name) == pytest.approx(value, rel=0.03)
     assert not is_relaxed_at_release(again)
     loaded = searched(rng, virgin=True)
     assert evidence.leaves_noise(loaded.batch, loaded.fits[()])
