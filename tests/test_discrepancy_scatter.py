@@ -12,6 +12,7 @@ from scipy.optimize import least_squares
 from pymc_backbone._common.checks import OBSERVABLES
 from pymc_backbone.discrepancy import joint_fit, normal_equations
 from pymc_backbone.discrepancy.batch import Batch, batch_of_backbones
+from pymc_backbone.discrepancy.estimates import estimates_of
 from pymc_backbone.discrepancy.joint_fit import Fit, fit
 from pymc_backbone.discrepancy.layout import make_layout
 from pymc_backbone.discrepancy.normal_equations import start_state
@@ -96,6 +97,21 @@ def test_a_newton_step_stands_for_the_fit_with_another_scatter():
     assert again.penalty < 0.5 * found.penalty  # negative control: it is another fit
     whole = joint_fit._log_likelihood(again, 1.0) - joint_fit._log_likelihood(found, 1.0)
     assert predicted == pytest.approx(whole, abs=0.1)
+
+
+@pytest.mark.parametrize("scatter", [0.02, 0.25])
+def test_a_value_over_the_batch_is_known_as_specimens_that_scatter_so_tell_it(scatter):
+    """Intervals hold the value about which specimens were drawn, and are no wider than these tell it."""
+    values, errors = [], []
+    for seed in range(60):
+        drawn = np.random.default_rng(700 + seed).standard_normal(5)
+        value, error = estimates_of(fitted(backbones(1.0 + scatter * drawn)))["cubic_stiffness"]
+        values.append(value / CUBIC - 1.0)
+        errors.append(error / CUBIC)
+    off = np.abs(values) / np.array(errors)
+    assert 0.88 <= np.mean(off < 1.96) <= 1.0
+    # the assumed scatter of a tenth had made that 0.045 for either
+    assert 0.8 < np.mean(errors) / (scatter / np.sqrt(5.0)) < 1.8
 
 
 def test_no_scatter_is_inferred_from_one_specimen_or_without_effects():

@@ -13,12 +13,12 @@ from .normal_equations import State
 
 
 def estimates_of(found: Fit) -> dict[str, tuple[float, float]]:
-    """Return value over the batch and standard error of the effects' parameters."""
+    """Return value over the batch and standard error of the effects' parameters, specimens scattering as they do."""
     q = found.layout.free.size
     if q == 0:
         return {}
     values, slopes = found.layout.physical(found.centre, np.zeros(q), 0.0)
-    variance = slopes @ np.nan_to_num(found.covariance) @ slopes.T
+    variance = slopes @ np.nan_to_num(found.population_covariance) @ slopes.T
     errors = np.sqrt(np.maximum(np.diag(variance), 0.0))
     rows = zip(found.layout.names, values, errors, strict=True)
     return {name: (float(value), float(error)) for name, value, error in rows}

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..._common.checks import FloatArray
 
@@ -13,7 +12,7 @@ WIDEST = 3
 """Samples of the widest spike."""
 MOST = 5
 """Spikes of a record: more of them are physics (a part that strikes another) or a broken sensor, and are left alone."""
-_BLOCK = 64
+_BLOCK, _SIDE = 64, 3
 _FAR = 12.0
 _NORMAL = 1.4826  # median absolute deviation to standard deviation, for a normal distribution
 _STEPS = 3.0  # of the converter
@@ -37,7 +36,7 @@ class Spike:
 
 
 def without_spikes(values: FloatArray, step: float = 0.0) -> tuple[FloatArray, list[Spike]]:
-    """Return values with spikes bridged by cubics, and the spikes.
+    """Return values with spikes bridged by polynomials through three samples on either side, and the spikes.
 
     Parameters
     ----------
@@ -58,28 +57,42 @@ def without_spikes(values: FloatArray, step: float = 0.0) -> tuple[FloatArray, l
     that does not happen. A sample is a spike only where it lies beyond both neighbours by about as much: the corner of
     an impact, the jump of a friction force and the top of a swing do not.
     """
-    wild = np.zeros(values.size, dtype=np.bool_)
+    result, count = values.copy(), 0
+    spikes: list[Spike] = []
+    left_alone = np.zeros(values.size, dtype=np.bool_)
+    # the largest first: beside a wild sample the next ones stand out as well, until it is bridged
+    while (wild := _all_wild(result, step) * ~left_alone).any():
+        begin = end = int(np.argmax(wild))
+        while begin > 0 and wild[begin - 1]:
+            begin -= 1
+        while end < values.size and wild[end]:
+            end += 1
+        length = end - begin
+        count += length
+        if count > MOST * WIDEST or len(spikes) == MOST:
+            return values, []
+        if length > WIDEST or begin < _SIDE or end > values.size - _SIDE:
+            left_alone[begin:end] = True
+            continue
+        between = np.arange(begin, end)
+        at = np.concatenate([np.arange(begin - _SIDE, begin), np.arange(end, end + _SIDE)])
+        result[between] = np.polyval(np.polyfit(at - begin, result[at], 2 * _SIDE - 1), between - begin)
+        left_alone[between] = True
+        spikes.append(Spike(begin, length, float(np.max(np.abs(values[between] - result[between])))))
+    return (result, sorted(spikes, key=lambda spike: spike.first)) if spikes else (values, [])
+
+
+def _all_wild(values: FloatArray, step: float) -> FloatArray:
+    """Return by how much each sample stands out of its neighbours next to it or three away; 0 where it does not."""
+    size = np.zeros(values.size)
     for stride in (1, WIDEST):
         if values.size > 4 * stride + _BLOCK:
-            wild |= _wild(values, stride, step)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], wild, [False]]).astype(np.int8)))
-    first, count = edges[::2], edges[1::2] - edges[::2]
-    inside = (count <= WIDEST) & (first >= 2) & (first + count <= values.size - 2)
-    if not inside.any() or np.count_nonzero(count) > MOST:
-        return values, []
-    result = values.copy()
-    spikes = []
-    for begin, length in zip(first[inside].tolist(), count[inside].tolist(), strict=True):
-        at = np.array([begin - 2, begin - 1, begin + length, begin + length + 1])
-        between = np.arange(begin, begin + length)
-        curve = np.polyfit(at - begin, result[at], 3)
-        result[between] = np.polyval(curve, between - begin)
-        spikes.append(Spike(begin, length, float(np.max(np.abs(values[between] - result[between])))))
-    return result, spikes
+            size = np.maximum(size, _wild(values, stride, step))
+    return size
 
 
-def _wild(values: FloatArray, stride: int, step: float) -> NDArray[np.bool_]:
-    """Return which samples stand out of their neighbours ``stride`` samples away."""
+def _wild(values: FloatArray, stride: int, step: float) -> FloatArray:
+    """Return by how much samples stand out of their neighbours ``stride`` samples away; 0 where they do not."""
     centre = values[2 * stride : -2 * stride]
     before, after = values[stride : -3 * stride], values[3 * stride : -stride]
     away = centre - (4.0 * (before + after) - values[: -4 * stride] - values[4 * stride :]) / 6.0
@@ -98,6 +111,6 @@ def _wild(values: FloatArray, stride: int, step: float) -> NDArray[np.bool_]:
         & (down * away > 0.5 * size**2)
         & (np.maximum(np.abs(up), np.abs(down)) < 2.0 * size)
     )
-    found = np.zeros(values.size, dtype=np.bool_)
-    found[2 * stride : -2 * stride] = beyond & (size > limit[place])
+    found = np.zeros(values.size)
+    found[2 * stride : -2 * stride] = np.where(beyond & (size > limit[place]), size, 0.0)
     return found
