@@ -746,6 +746,23 @@ def test_clipping(side: str, per_cycle: int, rng: np.random.Generator) -> None:
     assert condition(record(time, np.clip(noisy, low, high)), start=again).amplitude < 0.82
 
 
+@pytest.mark.parametrize("side", ["upper", "lower", "both"])
+def test_clipping_in_front_of_the_noise(side: str, rng: np.random.Generator) -> None:
+    """A sensor saturates, and what follows it adds noise: no two tops are equal."""
+    time, (x, _, _) = simulated("linear", 0.005, 40, 40)
+    low, high = {"upper": (-2.0, 0.8), "lower": (-0.8, 2.0), "both": (-0.8, 0.8)}[side]
+    refuses(time, np.clip(x, low, high) + 3e-3 * rng.normal(size=x.size), "clipped at", "start=")
+
+
+@pytest.mark.parametrize("decrement", [1e-3, 0.03])
+def test_flat_tops_that_decay_are_not_clipping(decrement: float, rng: np.random.Generator) -> None:
+    """An acceleration on a spring that softens is as flat at its top: its third harmonic is a ninth, against it."""
+    turns = np.arange(40 * 60) / 60.0
+    shape = np.cos(2.0 * np.pi * turns) - np.cos(6.0 * np.pi * turns) / 9.0
+    values = np.exp(-decrement * turns) * shape
+    condition(record(turns / FREQUENCY, values + 1e-3 * rng.normal(size=turns.size)))
+
+
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_a_model_that_is_held_beside_a_step_of_the_converter_is_not_clipping(
     side: float, rng: np.random.Generator

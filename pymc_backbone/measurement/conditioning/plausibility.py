@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from ..._common.checks import BoolArray, FloatArray, InputError, IntArray
+from ..rough_turning import rough_noise
 from .tracking import Track
 
 MINIMUM_PER_CYCLE = 8.0
 MINIMUM_CYCLES = 4.0
 MINIMUM_FALL = 0.02
 _CLIPPED_PEAKS = 3
+_WITHIN, _FLAT, _FLAT_SHARE = 3.0, 20.0, 0.02
+"""Noise about a flat top; by how much more the cosine falls beside it, in noise and as a share of the amplitude."""
 _FINE = 1e-5
 _SMALLEST = 1e-30
 _REST_CYCLES = 4.0
@@ -64,6 +67,8 @@ def check_clipping(
             cut |= length >= 1
         # a model held at rest is one long run, not a peak
         cut &= length < 0.6 * sampling_rate / frequency
+        if np.count_nonzero(cut) < _CLIPPED_PEAKS:
+            at, first, cut = _noisy_tops(values, extreme, middle, amplitude, sampling_rate / frequency)
         if np.count_nonzero(cut) >= _CLIPPED_PEAKS:
             last = min(int(np.flatnonzero(at)[-1]) + 1, time.size - 1)
             side = "upper" if extreme > middle else "lower"
@@ -73,6 +78,32 @@ def check_clipping(
                 f"first at {time[first[cut][0]]:.6g} s; widen the range, or use what follows with "
                 f"`start={time[last]:.6g}`."
             )
+
+
+def _noisy_tops(
+    values: FloatArray, extreme: float, middle: float, amplitude: float, per_cycle: float
+) -> tuple[BoolArray, IntArray, BoolArray]:
+    """Return what lies at an extreme but for noise, where peaks begin to, and which of these are cut off there.
+
+    A sensor that saturates adds its noise behind the limit. Its peaks are flat for longer than a cosine is, and as high
+    as each other though the motion decays: the peaks after them say by how much it would have.
+    """
+    noise, side = rough_noise(values), 1.0 if extreme > middle else -1.0
+    # the highest of many samples of a flat top is some three deviations above it
+    at = side * (values - extreme) > -2.0 * _WITHIN * noise
+    first, length = _runs_of_peaks(at, side * (values - middle) > 0.0)
+    fall = amplitude * (1.0 - np.cos(np.minimum(np.pi * (length - 1) / per_cycle, np.pi)))
+    cut = (fall > _FLAT * noise) & (fall > _FLAT_SHARE * amplitude) & (length < 0.6 * per_cycle)
+    count = int(np.count_nonzero(cut))
+    if count < _CLIPPED_PEAKS:
+        return at, first, cut
+    after = side * (values[int(first[cut][-1]) + round(1.5 * per_cycle) :] - middle)
+    cycles = int(after.size / per_cycle)
+    if cycles < 2:
+        return at, first, np.zeros_like(cut)
+    tops = np.array([part.max() for part in np.array_split(after[: round(cycles * per_cycle)], cycles)])[: 2 * count]
+    expected = side * (extreme - middle) * (1.0 - (tops[-1] / tops[0]) ** (count / max(tops.size - 1, 1)))
+    return at, first, cut & bool(expected > _FLAT * noise)
 
 
 def _runs_of_peaks(at: BoolArray, beyond: BoolArray) -> tuple[IntArray, IntArray]:
