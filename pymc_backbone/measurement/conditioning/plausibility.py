@@ -97,7 +97,7 @@ def _noisy_tops(
     count = int(np.count_nonzero(cut))
     if count < _CLIPPED_PEAKS:
         return at, first, cut
-    after = side * (values[int(first[cut][-1]) + round(1.5 * per_cycle) :] - middle)
+    after = side * (values[int(first[-1]) + round(0.5 * per_cycle) :] - middle)
     cycles = int(after.size / per_cycle)
     if cycles < 2:
         return at, first, np.zeros_like(cut)
