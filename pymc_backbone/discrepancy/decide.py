@@ -77,6 +77,9 @@ def _judged(search: Search, weighed: Decision, tolerance: Mapping[str, float], d
         return replace(named, verdict=Verdict.UNEXPLAINED, below=())
     if named.probability >= NAMED and named.drift_probability < DRIFT_POSSIBLE:
         return replace(named, verdict=Verdict.FOUND, named_level=NamedLevel.LAW)
+    if named.simulated is not None:
+        # the set without what is below the tolerance is no explanation: what remains is told with it
+        named = replace(weighed, below=named.below)
     chances = {names: named.evidences[names].probability for names in named.ranked}
     # what the sets do not hold of the probability is the drift's
     return replace(named, listed=listed(chances, 1.0 - sum(chances.values())))

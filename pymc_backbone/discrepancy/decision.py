@@ -115,6 +115,11 @@ class Decision:
         """The set that is simulated, verified and sampled; what it is named for is ``best``."""
         return self.best if self.simulated is None else self.simulated
 
+    @property
+    def above(self) -> Set:
+        """What of ``best`` changes the backbones by more than the tolerance."""
+        return tuple(name for name in self.best if name not in self.below)
+
 
 def listed(chances: Mapping[Set, float], total: float) -> tuple[Set, ...]:
     """Return the most probable sets that together with ``total`` hold most of the probability."""

@@ -170,7 +170,8 @@ def _of_ambiguous(decision: Decision) -> str:
     if len(told) == 1 and decision.best and not decision.unfinished:
         return (
             f"Something is missing; of the known effects {named(decision.best)} is the only explanation that remains, "
-            f"but with a probability of {_of_best(decision)} it is too uncertain for a name.{_none_of_these(decision)}"
+            f"but with a probability of {_of_best(decision)} it is too uncertain for a name.{_small(decision)}"
+            f"{_none_of_these(decision)}"
         )
     if decision.unfinished:
         return f"Something is missing; no fit explains the records.{_unfinished(decision)}"
@@ -178,7 +179,16 @@ def _of_ambiguous(decision: Decision) -> str:
     rest = f"; and {len(told) - _HEADED} more" if len(told) > _HEADED else ""
     sets = "; ".join(told[:_HEADED])
     told_apart = f"Something is missing, but these records do not tell apart: {sets}{rest}."
-    return f"{told_apart}{_none_of_these(decision)}{_certain(decision)}"
+    return f"{told_apart}{_small(decision)}{_none_of_these(decision)}{_certain(decision)}"
+
+
+def _small(decision: Decision) -> str:
+    """Return a sentence on what the records need and the tolerance would forgive; empty where there is nothing."""
+    if not decision.below or not set(decision.below) <= set(decision.best):
+        return ""
+    changed = "changes" if len(decision.below) == 1 else "change"
+    what = _below(decision).rpartition(" ")[0]
+    return f" Of these {what} {changed} the backbones by less than the tolerance, and the samples need it."
 
 
 def _unfinished(decision: Decision) -> str:
