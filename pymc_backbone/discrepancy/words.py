@@ -250,7 +250,8 @@ def advice(search: Search, decision: Decision) -> tuple[str, ...]:
     reached = None
     for factor in (1.5, 2.0, 3.0, 5.0, 1 / 1.5, 0.5, 1 / 3.0, 0.2):
         wide = np.sort(levels * factor)
-        outside = wide[(wide > levels[-1]) | (wide < levels[0])]
+        # from where no record was released yet
+        outside = wide[(wide > max(levels[-1], search.batch.amplitude)) | (wide < levels[0])]
         if not outside.size:
             continue
         distance = _distance(search, ours, theirs, outside, errors)
