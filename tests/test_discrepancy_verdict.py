@@ -974,6 +974,38 @@ def test_a_mechanism_is_as_probable_as_all_sets_that_hold_a_law_of_it():
     assert found["hysteresis"].share_of_gap == pytest.approx(0.9) and found["spring"].share_of_gap == 0.0
 
 
+def test_what_may_be_a_spring_and_a_clearance_at_once_is_told_as_either():
+    """Where no law is exact, a contact that closes gradually is imitated by both, or by springs alone."""
+    search = SimpleNamespace(mechanism_of=lambda name: LIBRARY[name].mechanism)
+    springs, both = ("cubic_stiffness", "quintic_stiffness"), ("cubic_stiffness", "freeplay", "quintic_stiffness")
+    chances, gaps = {springs: 0.9, both: 0.1}, {(): 50.0, springs: 5.0, both: 4.0}
+
+    def told(joined):
+        found = shares.missing_mechanisms(search, chances, springs, gaps, {}, joined=frozenset(joined))
+        return {item.mechanism: item.probability for item in found}
+
+    assert told(("spring",)) == pytest.approx({"spring": 1.0, "clearance": 0.1})
+    assert told(("spring", "clearance")) == pytest.approx({"changing_stiffness": 1.0})
+
+
+def test_what_a_larger_set_leaves_far_less_with_is_not_told_to_be_absent():
+    springs, both = ("cubic_stiffness", "quintic_stiffness"), ("cubic_stiffness", "freeplay", "quintic_stiffness")
+    other = ("cubic_stiffness", "iwan")
+
+    def joined(left, refuted=()):
+        search = SimpleNamespace(
+            mechanism_of=lambda name: LIBRARY[name].mechanism, count=1000.0, is_refuted=lambda names: names in refuted,
+            fits={names: SimpleNamespace(cost=1000.0 * reduced) for names, reduced in left.items()},
+        )  # fmt: skip
+        return inexact._joined(search, springs)
+
+    assert joined({springs: 34.8, both: 1.8, other: 1.1}) == {"spring", "clearance"}  # the last holds not all of it
+    assert joined({springs: 34.8, both: 1.8}, refuted=(springs,)) == {"spring", "clearance"}
+    assert joined({springs: 2.0, both: 1.5}) == {"spring"}
+    assert joined({springs: 900.0, both: 12.0}) == {"spring"}  # near nothing
+    assert joined({springs: 34.8, both: 1.8}, refuted=(both,)) == {"spring"}
+
+
 def test_what_imitates_a_law_from_outside_is_half_the_time_of_its_mechanism():
     """0.9 for sets that hold the mechanism in two of three parts; of the other 0.06 half counts, shared out alike."""
     search = SimpleNamespace(mechanism_of=lambda name: LIBRARY[name].mechanism)

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
 
+import numpy as np
+
 from ..effects import EITHER
 from . import evidence
 from .curves import fit_on_levels
@@ -160,7 +162,25 @@ def _on_backbones(search: Search, best: Set, weighed: Weighed) -> Fit | None:
 def _told(search: Search, weighed: Weighed, best: Set) -> tuple[MissingMechanism, ...]:
     """Return the mechanisms with what the laws of one set explain."""
     estimates = estimates_with(search, best, weighed.departing[best])
-    return missing_mechanisms(search, weighed.probabilities, best, weighed.gaps, estimates)
+    return missing_mechanisms(
+        search, weighed.probabilities, best, weighed.gaps, estimates, joined=_joined(search, best)
+    )
+
+
+def _joined(search: Search, best: Set) -> frozenset[str]:
+    """Return the mechanisms of the best set, and what a larger set adds that leaves far less of the samples.
+
+    Backbones with a departure are content with less; but what the samples want as well is not told to be absent.
+    """
+    kinds = {search.mechanism_of(name) for name in best}
+    # what is out of phase leaves more than anything that follows the samples
+    is_lost = best not in search.fits or search.is_refuted(best)
+    left = np.inf if is_lost else search.fits[best].cost - search.count
+    for names, found in search.fits.items():
+        is_larger = set(best) < set(names) and not search.is_refuted(names)
+        if is_larger and found.cost - search.count < min(_MUCH_LESS**2 * left, (_NEAR - 1.0) * search.count):
+            kinds |= {search.mechanism_of(name) for name in names}
+    return frozenset(kinds)
 
 
 def certain_sets(search: Search, mechanisms: Sequence[MissingMechanism], ranked: Sequence[Set]) -> list[Set]:

@@ -251,12 +251,17 @@ def _rates(drifting: Fit) -> str:
     return f"by {per_cent(changes['frequency'])} and {per_cent(changes['damping'])}"
 
 
-def alike_check(batch: Batch, best: Fit) -> Check:
-    """Say whether the specimens share one curve once each has its own stiffness and damping."""
+def alike_check(batch: Batch, best: Fit, *, is_exact: bool = True) -> Check:
+    """Say whether the specimens share one curve once each has its own stiffness and damping.
+
+    Where no law is exact (``is_exact``), what it cannot follow would be taken for differences.
+    """
     name = "specimens alike"
     if len(batch.specimens) < 2:
         return Check(name, True, "one specimen only: nothing to compare")
     delta, width = best.state.own[:, NUISANCES:], best.layout.scatter
+    if delta.size and not is_exact:
+        return Check(name, True, "not compared: what no law follows exactly would be taken for differences")
     if delta.size:
         with np.errstate(divide="ignore", invalid="ignore"):  # relative to the middle of the specimens
             apart = np.nan_to_num(best.state.eta * (1.0 + width * delta) / best.centre - 1.0)

@@ -26,6 +26,7 @@ def missing_mechanisms(
     gaps: Mapping[Set, float],
     estimates: Mapping[str, tuple[float, float]],
     elsewhere: float = 0.0,
+    joined: frozenset[str] = frozenset(),
 ) -> tuple[MissingMechanism, ...]:
     """Return how probable it is of each mechanism that it is missing, and of each law that it is the one.
 
@@ -44,6 +45,9 @@ def missing_mechanisms(
         Parameters of the best set with standard errors.
     elsewhere : float, default 0
         Probability of a law that the library does not hold and these sets imitate: mostly one of their mechanisms.
+    joined : frozenset of str
+        Mechanisms of which no law is exact: two of them that one law may be instead, as a contact that closes gradually
+        is a spring and a clearance at once, are told as either.
     """
     whole = max(sum(probabilities.values()), 1e-300)
     kinds_of = {names: frozenset(search.mechanism_of(name) for name in names) for names in probabilities}
@@ -74,7 +78,9 @@ def missing_mechanisms(
 
     found = {kind: told(kind, (kind,)) for kind in sorted(frozenset().union(*kinds_of.values()))}
     for name, pair in EITHER.items():
-        if all(kind in found and not found[kind].is_certain for kind in pair) and (both := told(name, pair)).is_certain:
+        is_open = all(kind in found and not found[kind].is_certain for kind in pair)
+        is_joined = set(pair) <= joined and any(kind in found for kind in pair)
+        if (is_open or is_joined) and (both := told(name, pair)).is_certain:
             found = {key: item for key, item in found.items() if key not in pair} | {name: both}
     kept = [item for item in found.values() if item.probability >= _TOLD]
     return tuple(sorted(kept, key=lambda item: -item.probability))

@@ -291,7 +291,7 @@ def _checks(question: Question, outcome: Outcome, verification: Verification) ->
             is_small=named is not None and is_drift_small(named, question.tolerance),
         ),
         outcome.second_mode,
-        rivals.alike_check(batch, outcome.model),
+        rivals.alike_check(batch, outcome.model, is_exact=not decision.is_approximate),
         rivals.data_terms_check(
             outcome.judged,
             verification.reduced,
