@@ -974,6 +974,24 @@ def test_a_mechanism_is_as_probable_as_all_sets_that_hold_a_law_of_it():
     assert found["hysteresis"].share_of_gap == pytest.approx(0.9) and found["spring"].share_of_gap == 0.0
 
 
+def test_what_an_effect_changes_by_less_than_the_tolerance_is_no_reason():
+    """A damper changes the frequency by a hundredth of a per cent, too: nobody would find it by that."""
+    limits = {"frequency": 1e-3, "damping": 1e-2, "offset": 1e-2}
+    before = np.array([[[10.0, 10.0], [0.05, 0.05], [0.0, np.nan]]])
+    after = np.array([[[10.001, 10.0], [0.05, 0.08], [0.001, np.nan]]])
+    assert words._that_matter((0, 1, 2), after, before, limits) == (1,)
+    assert words._that_matter((0, 1, 2), after, before, {}) == (0, 1, 2)
+    assert words._that_matter((0, 2), after, before, limits) == (0, 2)
+
+
+def test_a_second_mode_is_told_where_no_fit_came_to_rest():
+    decision = replace(
+        decision_of("ambiguous", best=(), probabilities={(): 0.5}), unfinished=(("iwan",),), has_second_mode=True,
+    )  # fmt: skip
+    assert "a second mode beats in the records" in verdict_words.sentence(decision)
+    assert "second mode" not in verdict_words.sentence(replace(decision, has_second_mode=False))
+
+
 def test_what_may_be_a_spring_and_a_clearance_at_once_is_told_as_either():
     """Where no law is exact, a contact that closes gradually is imitated by both, or by springs alone."""
     search = SimpleNamespace(mechanism_of=lambda name: LIBRARY[name].mechanism)

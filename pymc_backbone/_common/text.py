@@ -12,6 +12,7 @@ _HYPHENATED = ("bouc-wen", "displacement-dependent")
 
 _MICRO, _NANO = "\N{GREEK SMALL LETTER MU}", "n"
 _SPELLED = {_MICRO: "micrometres", _NANO: "nanometres"}
+_NUMBERED = re.compile(r"\([^)]*\)|[+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 _PER_SECOND = {"m": "", "m/s": " per second"}
 
 
@@ -142,6 +143,35 @@ def in_a_sentence(text: str) -> str:
     """
     first = text.split(" ", 1)[0]
     return text if first in _PEOPLE.values() else text[:1].lower() + text[1:]
+
+
+def likewise(notes: Sequence[str], limit: int = 8) -> list[str]:
+    """Return notes of records, those that differ in the record, in numbers and in brackets only as one.
+
+    Parameters
+    ----------
+    notes : sequence of str
+        Sentences; what is about one record begins with its name and a colon.
+    limit : int, default 8
+        Records that are named beside the first.
+
+    Examples
+    --------
+    >>> likewise(["a: warning: 2 lost", "b: warning: 3 lost", "warning: it drifts"])
+    ['a: warning: 2 lost; likewise b', 'warning: it drifts']
+    """
+    groups: dict[str, list[str]] = {}
+    for note in notes:
+        _, colon, said = note.partition(": ")
+        is_own = bool(colon) and said.startswith("warning: ")
+        groups.setdefault(_NUMBERED.sub("#", said) if is_own else note, []).append(note)
+    told = []
+    for first, *others in groups.values():
+        names = [note.partition(": ")[0] for note in others]
+        names = [name for name in dict.fromkeys(names) if name != first.partition(": ")[0]]
+        rest = f" and {len(names) - limit} more" if len(names) > limit else ""
+        told.append(f"{first}; likewise {', '.join(names[:limit])}{rest}" if names else first)
+    return told
 
 
 def natural_key(text: str) -> tuple[tuple[int, int, str], ...]:

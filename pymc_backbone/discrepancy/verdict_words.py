@@ -174,7 +174,8 @@ def _of_ambiguous(decision: Decision) -> str:
             f"{_none_of_these(decision)}"
         )
     if decision.unfinished:
-        return f"Something is missing; no fit explains the records.{_unfinished(decision)}"
+        beats = "a second mode beats in the records, and " if decision.has_second_mode else ""
+        return f"Something is missing; {beats}no fit explains the records.{_unfinished(decision)}"
     # as the list below writes them, which holds the others
     rest = f"; and {len(told) - _HEADED} more" if len(told) > _HEADED else ""
     sets = "; ".join(told[:_HEADED])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from .._common.checks import OBSERVABLES, BoolArray, FloatArray, IntArray
@@ -16,6 +18,7 @@ from .estimates import estimates_of, without
 from .evidence import DETECTED
 from .joint_fit import Fit, parameters_of
 from .normal_equations import State
+from .question import Question
 from .scatter import NARROWEST
 from .search import Search, Set
 from .study import Detectable, ScatterOfEffects
@@ -29,15 +32,16 @@ _SEPARATED = 5.0  # logarithm of the odds that decides
 
 
 def reasons(
-    batch: Batch, found: Fit, names: Set, scatter: ScatterOfEffects | None = None, base: Oscillator | None = None
+    batch: Batch, found: Fit, names: Set, scatter: ScatterOfEffects | None = None, asked: Question | None = None
 ) -> tuple[str, ...]:
     """Say for each effect how frequency and damping depart from the model without it, with the power of amplitude.
 
     What the library says an effect does is told where nothing stands out at single levels. Elsewhere it could
     contradict what was measured (a second effect in the set, or another amplitude), so only what the effect is is told.
     What differs between the two sides changes the damping by the mid-line alone: nothing is told of that where the
-    mid-line is not measured. Nor is what the effect itself does not bring about, as the model has it. Effects of the
-    model as it was, ``base``, that the records do not hold are told as well.
+    mid-line is not measured. Nor is what the effect itself does not bring about, as the model has it. Curves that
+    change by less than the tolerance of what was ``asked`` are told where no other changes by more. Effects of the
+    model as it was that the records do not hold are told as well.
     """
     sentences = []
     brought = on_levels(batch, found)
@@ -47,7 +51,9 @@ def reasons(
     with_it = _curves(batch, brought)
     for name in names:
         without_it = _curves(batch, without(brought, [name]))
-        rows = (0, 2) if name in sides and not has_mid_line else (0, 1, 2)
+        rows: tuple[int, ...] = (0, 2) if name in sides and not has_mid_line else (0, 1, 2)
+        if asked is not None:
+            rows = _that_matter(rows, with_it, without_it, asked.tolerance)
         parts = [
             sentence
             for sentence in (_power_law(batch, without_it, with_it - without_it, row) for row in rows)
@@ -58,7 +64,21 @@ def reasons(
         sentences.append(f"{capitalised(in_words(name))}: {text}.{_said_by_the_library(summaries[name], bool(parts))}")
     if scatter is not None and names:
         sentences.append(scatter_sentence(scatter, len(names)))
-    return (*sentences, *([] if base is None else _unseen_in(base, found)))
+    return (*sentences, *([] if asked is None else _unseen_in(asked.base, found)))
+
+
+def _that_matter(
+    rows: tuple[int, ...], with_it: FloatArray, without_it: FloatArray, tolerance: Mapping[str, float]
+) -> tuple[int, ...]:
+    """Return the observables that an effect changes by more than the tolerance; all where it changes none so."""
+    kept = []
+    for row in rows:
+        scale = 1.0 if OBSERVABLES[row] == "offset" else np.abs(with_it[:, row])
+        with np.errstate(invalid="ignore", divide="ignore"):
+            change = np.abs(with_it[:, row] - without_it[:, row]) / scale
+        if _largest(change) >= tolerance.get(OBSERVABLES[row], 0.0):
+            kept.append(row)
+    return tuple(kept) or rows
 
 
 def _unseen_in(base: Oscillator, found: Fit) -> list[str]:

@@ -331,7 +331,7 @@ def _study(
         candidates=candidates_of(search, decision),
         ambiguous_sets=decision.listed,
         advice=_advice(question, outcome, plan) if decision.listed else (),
-        reasons=() if shown is None else words.reasons(batch, shown, decision.above, scatter, question.base),
+        reasons=() if shown is None else words.reasons(batch, shown, decision.above, scatter, question),
         below_tolerance=decision.below,
         where=where_different(batch, before),
         missing_p_value=decision.p_missing,

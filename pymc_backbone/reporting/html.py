@@ -11,6 +11,7 @@ from urllib.parse import quote
 import numpy as np
 from matplotlib.figure import Figure
 
+from .._common.text import likewise
 from .pictures import png
 
 MOST_RECORDS = 12  # that are told of in the open
@@ -201,7 +202,7 @@ def noted(notes: Sequence[str], names: Sequence[str] = ()) -> str:
     more = f"{len(rows) - MOST_RECORDS} more records"
     folded = details(f"Other notes ({len(others)})", bullets(others), is_open=0 < len(others) <= 5)
     return (
-        (f"<h3>Look at these records</h3>{bullets(loud)}" if loud else "")
+        (f"<h3>Look at these records</h3>{bullets(likewise(loud))}" if loud else "")
         + table(columns, rows[:MOST_RECORDS])
         + details(more, table(columns, rows[MOST_RECORDS:]))
         + folded

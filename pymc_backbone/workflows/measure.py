@@ -12,7 +12,7 @@ import xarray as xr
 
 from .._common.backbone_dataset import FREQUENCY, typical_frequency
 from .._common.checks import InputError, check_choice, check_levels, check_motion
-from .._common.text import printable
+from .._common.text import likewise, printable
 from ..measurement.options import Measuring
 from ..measurement.reading.options import Reading
 from ..reporting.terminal import describe_reading
@@ -149,7 +149,7 @@ def say_reading(measured: Measured, say: Say) -> None:
 def say_warnings(notes: Sequence[str], say: Say) -> None:
     """Say which records were left out and why, what else the notes warn of, and whether records may be repeats."""
     left_out = [note for note in notes if note.startswith("left out: ")]
-    others = [note for note in notes if "warning: " in note and note not in left_out]
+    others = likewise([note for note in notes if "warning: " in note and note not in left_out])
     alike = [note for note in notes if note.startswith("alike: ")]
     for warnings in (left_out, others, alike):
         for note in warnings[:MOST_WARNINGS]:
