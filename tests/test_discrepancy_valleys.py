@@ -151,7 +151,7 @@ def test_intervals_hold_the_truth_from_anywhere_along_the_valley(hardly_slipping
         assert every[-1]["joint_slip_force"].is_high_open and not every[-1]["joint_slip_force"].is_low_open
         assert not every[-1]["joint_exponent"].is_high_open and not every[-1]["joint_exponent"].is_low_open
         # beside the valley they are what the curvature says: the exponent does not bend it
-        value, error = estimates_of(found)["joint_exponent"]
+        value, error = estimates_of(found, found.covariance)["joint_exponent"]
         low, high = every[-1]["joint_exponent"].low, every[-1]["joint_exponent"].high
         assert low == pytest.approx(value - 1.96 * error, abs=0.2 * error)
         assert high == pytest.approx(value + 1.96 * error, abs=0.2 * error)
@@ -183,7 +183,7 @@ def test_a_straight_valley_is_as_long_as_the_curvature_says(monkeypatch):
     monkeypatch.setattr(valleys, "_MIXED", 0.0)
     monkeypatch.setattr(valleys, "_FIRST_STEP", 0.02)
     followed = valleys.ranges(found, batch)
-    for name, (value, error) in estimates_of(found).items():
+    for name, (value, error) in estimates_of(found, found.covariance).items():
         assert followed[name].low == pytest.approx(value - 1.96 * error, abs=0.15 * error)
         assert followed[name].high == pytest.approx(value + 1.96 * error, abs=0.15 * error)
 

@@ -191,6 +191,10 @@ ROWS = {
     "times that repeat": "test_a_bad_line_is_named test_times_that_are_none",
     "a line that stands there twice": "test_lines_written_twice_are_dropped_and_said",
     "samples missing with a gap": "test_gaps_and_jitter_of_the_times_are_counted_and_placed",
+    "an end in one value": (
+        "test_a_sensor_that_sticks_while_the_motion_goes_on_is_cut_and_told "
+        "test_friction_that_stops_a_motion_is_no_sensor_that_sticks"
+    ),
     "samples lost or written twice": "test_lost_samples_are_noticed_said_and_put_in test_a_doubled_sample_is_taken_out",
     "samples or frames that repeat": "test_repeated_frames_are_left_out",
     "NaN, empty": "test_a_bad_line_is_named test_arrays_that_are_no_record",

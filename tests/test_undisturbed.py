@@ -12,6 +12,13 @@ from pymc_backbone.discrepancy.evidence import Drifting
 from pymc_backbone.discrepancy.sensor_filter import SensorFilter
 
 
+@pytest.fixture(autouse=True)
+def _as_released(monkeypatch):
+    """No release without force, and every early high-pass needed, unless a test says otherwise."""
+    monkeypatch.setattr(module, "is_relaxed_at_release", lambda *_: False)
+    monkeypatch.setattr(module, "settled", lambda _search, _behind, chosen: chosen)
+
+
 @pytest.mark.parametrize("is_drifting", [True, False])
 def test_a_drift_is_asked_before_cycles_are_left_out_and_noise_is_weighed(is_drifting, monkeypatch):
     left = {"base": False, "drift": is_drifting}
@@ -20,7 +27,8 @@ def test_a_drift_is_asked_before_cycles_are_left_out_and_noise_is_weighed(is_dri
     def says(name):
         return lambda *_: asked.append(name)
 
-    for name in ("drifting_zero", "drop_outs", "sensor_filter", "earlier", "begun", "motion_noise", "disturbed"):
+    names = ("drifting_zero", "is_relaxed_at_release", "drop_outs", "sensor_filter", "earlier", "begun")
+    for name in (*names, "motion_noise", "disturbed"):
         monkeypatch.setattr(module, name, says(name))
     monkeypatch.setattr(module.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
     monkeypatch.setattr(module.evidence, "leaves_noise", lambda _, found: left[found])
@@ -34,7 +42,9 @@ def test_a_drift_is_asked_before_cycles_are_left_out_and_noise_is_weighed(is_dri
     known = module.undisturbed(SimpleNamespace(), search, [], None, says("searched"), drifting)
     assert known.search is search and known.is_drifting == is_drifting
     between = [] if is_drifting else ["begun", "motion_noise"]
-    assert asked == ["drifting_zero", "drop_outs", "sensor_filter", "earlier", "drift", *between, "disturbed"]
+    # before first samples are left out: these say how what remembers was released
+    first = ["drifting_zero", "is_relaxed_at_release", "drop_outs", "sensor_filter", "earlier"]
+    assert asked == [*first, "drift", *between, "disturbed"]
 
 
 def test_of_velocities_and_accelerations_a_filter_is_asked_before_the_zero(monkeypatch):
@@ -134,6 +144,31 @@ def test_a_search_that_a_filter_halted_goes_on_where_nothing_is_explained_behind
     known = module.undisturbed(question, before, [], None, lambda _: after, lambda _: {})
     assert known.search is (after if helps else before) and (known.question is question) == (not helps)
     assert seen[:1] == ([] if helps else ["resumed"]) and ("sensor_filter" in seen) == (not helps)
+
+
+@pytest.mark.parametrize("explains", [True, False])
+def test_a_high_pass_that_what_was_found_behind_it_needs_not_is_taken_back(explains, monkeypatch):
+    """The search without it is taken to its end; where that leaves more than noise, the one behind it stands."""
+    for name in ("drop_outs", "drifting_zero", "sensor_filter", "earlier", "begun", "motion_noise", "disturbed"):
+        monkeypatch.setattr(module, name, lambda *_: None)
+    monkeypatch.setattr(module, "settled", lambda *_: None)
+    monkeypatch.setattr(module.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
+    monkeypatch.setattr(module.evidence, "leaves_noise", lambda _, found: found == "explained")
+    before = SimpleNamespace(halted=SensorFilter(1, 0.5, "high-pass"), is_told=False, fits={(): "base"}, best=tuple)
+    before.batch = SimpleNamespace(records=[SimpleNamespace(frequency=5.0)], waveform=())
+    before.resume = lambda: before.fits.update({(): "explained" if explains else "base"})
+    after = SimpleNamespace(halted=None, is_told=False, batch=None, fits={(): "explained"}, best=tuple)
+
+    @dataclass
+    class Question:
+        batch: object = None
+
+        def of_records(self, *_):
+            return Question(SimpleNamespace(records=(), waveform=()))
+
+    monkeypatch.setattr(SensorFilter, "passed", lambda _self, batch: batch)
+    known = module.undisturbed(Question(), before, [], None, lambda _: after, lambda _: {})
+    assert known.search is (before if explains else after)
 
 
 @pytest.mark.parametrize("helps", [True, False])

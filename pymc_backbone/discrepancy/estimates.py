@@ -7,18 +7,23 @@ from dataclasses import replace
 
 import numpy as np
 
+from .._common.checks import FloatArray
 from . import starts
 from .joint_fit import Fit
 from .normal_equations import State
 
 
-def estimates_of(found: Fit) -> dict[str, tuple[float, float]]:
-    """Return value over the batch and standard error of the effects' parameters, specimens scattering as they do."""
+def estimates_of(found: Fit, covariance: FloatArray | None = None) -> dict[str, tuple[float, float]]:
+    """Return value over the batch and standard error of the effects' parameters, specimens scattering as they do.
+
+    With a ``covariance`` (q, q) of the shared coordinates, the errors are those.
+    """
     q = found.layout.free.size
     if q == 0:
         return {}
     values, slopes = found.layout.physical(found.centre, np.zeros(q), 0.0)
-    variance = slopes @ np.nan_to_num(found.population_covariance) @ slopes.T
+    known = found.population_covariance if covariance is None else covariance
+    variance = slopes @ np.nan_to_num(known) @ slopes.T
     errors = np.sqrt(np.maximum(np.diag(variance), 0.0))
     rows = zip(found.layout.names, values, errors, strict=True)
     return {name: (float(value), float(error)) for name, value, error in rows}
