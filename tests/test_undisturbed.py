@@ -12,6 +12,16 @@ from pymc_backbone.discrepancy.evidence import Drifting
 from pymc_backbone.discrepancy.sensor_filter import SensorFilter
 
 
+@dataclass
+class Unmeasured:
+    """A question whose records hold nothing."""
+
+    batch: object = None
+
+    def of_records(self, *_):
+        return Unmeasured(SimpleNamespace(records=(), waveform=()))
+
+
 @pytest.fixture(autouse=True)
 def _as_released(monkeypatch):
     """No release without force, and every early high-pass needed, unless a test says otherwise."""
@@ -132,15 +142,8 @@ def test_a_search_that_a_filter_halted_goes_on_where_nothing_is_explained_behind
         halted=None, is_told=False, batch=None, fits={(): "explained" if helps else "base"}, best=tuple
     )
 
-    @dataclass
-    class Question:
-        batch: object = None
-
-        def of_records(self, *_):
-            return Question(SimpleNamespace(records=(), waveform=()))
-
     monkeypatch.setattr(SensorFilter, "passed", lambda _self, batch: batch)
-    question = Question()
+    question = Unmeasured()
     known = module.undisturbed(question, before, [], None, lambda _: after, lambda _: {})
     assert known.search is (after if helps else before) and (known.question is question) == (not helps)
     assert seen[:1] == ([] if helps else ["resumed"]) and ("sensor_filter" in seen) == (not helps)
@@ -159,15 +162,8 @@ def test_a_high_pass_that_what_was_found_behind_it_needs_not_is_taken_back(expla
     before.resume = lambda: before.fits.update({(): "explained" if explains else "base"})
     after = SimpleNamespace(halted=None, is_told=False, batch=None, fits={(): "explained"}, best=tuple)
 
-    @dataclass
-    class Question:
-        batch: object = None
-
-        def of_records(self, *_):
-            return Question(SimpleNamespace(records=(), waveform=()))
-
     monkeypatch.setattr(SensorFilter, "passed", lambda _self, batch: batch)
-    known = module.undisturbed(Question(), before, [], None, lambda _: after, lambda _: {})
+    known = module.undisturbed(Unmeasured(), before, [], None, lambda _: after, lambda _: {})
     assert known.search is (before if explains else after)
 
 
