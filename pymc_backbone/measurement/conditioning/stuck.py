@@ -73,18 +73,22 @@ def held_between(values: FloatArray, per_cycle: float, step: float, noise: float
     is_same = np.diff(values) == 0.0
     edges = np.flatnonzero(np.diff(np.concatenate([[False], is_same, [False]]).astype(np.int8)))
     around, found = max(round(0.5 * per_cycle), 4), []
-    for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+    least = max(_STEPS * step, _NOISY * noise)
+    firsts, lasts = edges[::2], edges[1::2]
+    inside = (firsts >= 2) & (lasts <= values.size - 3) & (lasts - firsts <= _WIDEST * per_cycle)
+    firsts, lasts = firsts[inside], lasts[inside]
+    value = values[firsts]
+    # a coarse converter holds many values, each a step off those beside it
+    is_apart = np.maximum(np.abs(values[firsts - 1] - value), np.abs(values[lasts + 1] - value)) > least
+    is_apart &= (value != values.max()) & (value != values.min())
+    for first, last in zip(firsts[is_apart].tolist(), lasts[is_apart].tolist(), strict=True):
         gap = last - first + 2
-        if first < 2 or last > values.size - 3 or gap > _WIDEST * per_cycle + 2.0:
-            continue
-        if values[first] in (values.max(), values.min()):
-            continue
         at = np.array([first - 2, first - 1, last + 1, last + 2])
         run = np.arange(first, last + 1)
         off = np.abs(values[run] - np.polyval(np.polyfit(at - first, values[at], 3), run - first))
         beside = np.delete(values[max(first - around, 0) : last + 1 + around], run - max(first - around, 0))
         unknown = 0.5 * float(np.ptp(beside)) * _CUBIC * (2.0 * np.pi * gap / per_cycle) ** 4
-        is_off = off > unknown + max(_STEPS * step, _NOISY * noise)
+        is_off = off > unknown + least
         if is_off.any():  # the first may be the last one that was measured
             found += run[0 if is_off[0] else 1 :].tolist()
     return np.array(found, dtype=np.int64)
