@@ -17,7 +17,7 @@ from pymc_backbone.discrepancy.joint_fit import fit, parameters_of
 from pymc_backbone.discrepancy.layout import make_layout
 from pymc_backbone.discrepancy.limits import recentred
 from pymc_backbone.discrepancy.normal_equations import NUISANCES, State, start_state
-from pymc_backbone.discrepancy.record_term import first_turning_point
+from pymc_backbone.discrepancy.record_term import first_turning_point, release_of, waveform_term
 from pymc_backbone.discrepancy.scatter import SCATTER
 from pymc_backbone.effects import BASE_EFFECTS, LIBRARY, Effect, Parameter
 from pymc_backbone.measurement.conditioning.condition import condition
@@ -441,6 +441,39 @@ def test_first_turning_point_knows_whether_the_record_holds_the_release():
         cycles = extract_cycles(cut)
         # a tenth of a half cycle: far more than the error of a turning point, far less than the next one's distance
         assert abs(cycles.turning_times[first_turning_point(cut, cycles)] - first) < 0.05 / FREQUENCY
+
+
+def test_samples_of_a_hard_spring_begin_after_its_release():
+    """Its first swing lasts a third less than the median one: nine tenths of that would begin where it is held."""
+    truth = {"linear_stiffness": STIFFNESS, "viscous_damping": 3.0 * DAMPING}
+
+    def force(x: float, v: float, direction: float) -> float:
+        return truth["linear_stiffness"] * (x + 3.0 * x**3 / AMPLITUDE**2) + truth["viscous_damping"] * v
+
+    record = make_records(np.random.default_rng(6), (), specimens=1)[0]
+    later = record.time >= RELEASE_TIME
+    record = replace(record, time=record.time[later], values=record.values[later])
+    record = replace(record, values=free_decay(force, AMPLITUDE, record.time - record.time[0]))
+    cut = condition(record)
+    cycles = extract_cycles(cut)
+    swing = cycles.turning_times[first_turning_point(cut, cycles)] - record.time[0]
+    assert swing < 0.8 * np.median(np.diff(cycles.turning_times))
+    begins = float(waveform_term(cut, cycles).time[0]) - record.time[0]
+    assert 0.05 * swing < begins < 0.2 * swing
+
+
+@pytest.mark.parametrize(("phase", "skipped"), [(0.25, 1), (0.2, 0), (0.15, 0)])
+def test_what_begins_at_an_impact_is_released_at_its_first_turning_point(phase, skipped):
+    """Loaded for the first time from rest to there, what remembers is as if released from there; not a swing before."""
+    record = make_records(np.random.default_rng(5), (), specimens=1)[0]
+    later = record.time > RELEASE_TIME + (phase - 0.01) / FREQUENCY
+    cut = condition(replace(record, time=record.time[later], values=record.values[later]))
+    cycles = extract_cycles(cut)
+    first = first_turning_point(cut, cycles)
+    assert first == skipped
+    _, begin, release = release_of(cut, cycles)
+    assert begin == pytest.approx(RELEASE_TIME + 0.5 * skipped / FREQUENCY, abs=0.05 / FREQUENCY)
+    assert np.sign(release) == (-1.0 if skipped else 1.0)
 
 
 # the joint fit

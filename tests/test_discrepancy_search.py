@@ -29,7 +29,7 @@ from pymc_backbone.discrepancy.drift_proposals import beside_drifts, single_besi
 from pymc_backbone.discrepancy.joint_fit import fit
 from pymc_backbone.discrepancy.layout import make_layout
 from pymc_backbone.discrepancy.locate import mean_gap, where_different
-from pymc_backbone.discrepancy.normal_equations import DRIFTS, information, start_state
+from pymc_backbone.discrepancy.normal_equations import DRIFTS, State, information, start_state
 from pymc_backbone.discrepancy.scatter import SCATTER
 from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.discrepancy.second_mode import line_beside, line_near, second_mode_check
@@ -1259,3 +1259,25 @@ def test_backbones_tell_a_mirror_image_where_the_mid_line_moves_by_more_than_noi
     assert is_told_apart(batch, found, image, 3.0) == is_told
     unknown = replace(batch, records=tuple(replace(item, offset_is_measured=False) for item in batch.records))
     assert not is_told_apart(unknown, found, image, 3.0)
+
+
+def test_a_slider_that_holds_in_one_specimen_begins_again_from_where_it_just_slips():
+    """Released below the slip displacement of a fit it is a spring there, whatever its slip force."""
+    layout = make_layout(Oscillator(MASS, ("jenkins",)), AMPLITUDE, OMEGA, SCATTER)
+    own = np.tile([STIFFNESS, DAMPING, AMPLITUDE, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], (3, 1))
+    own[1, 2] = -0.5 * AMPLITUDE
+    own[:, 8] = (0.0, 0.2, -0.1)
+    state = State(np.array([0.01 * STIFFNESS * AMPLITUDE, 0.6]), own)
+    lags = np.array([False, True, True])
+    found = starts.slipping_each(layout, state, lags)
+    assert len(found) == 2
+    for share, item in zip((0.9, 0.6), found, strict=True):
+        np.testing.assert_array_equal(item.eta, state.eta)
+        np.testing.assert_array_equal(item.own[[0, 2]], state.own[[0, 2]])  # they slip
+        force, reach = item.eta * (1.0 + SCATTER * item.own[1, 7:])
+        assert reach == pytest.approx(share * 0.5)
+        # the spring of the slider is as stiff as it was
+        assert force / reach == pytest.approx(state.eta[0] / (state.eta[1] * (1.0 + SCATTER * 0.2)))
+    assert not starts.slipping_each(layout, state, np.zeros(3, dtype=bool))  # as well as the others
+    own[:, 2] = 0.5 * AMPLITUDE
+    assert not starts.slipping_each(layout, State(state.eta, own), np.ones(3, dtype=bool))  # it holds in all of them

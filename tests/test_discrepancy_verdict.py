@@ -1022,6 +1022,31 @@ def test_what_a_larger_set_leaves_far_less_with_is_not_told_to_be_absent():
     assert joined({springs: 2.0, both: 1.5}) == {"spring"}
     assert joined({springs: 900.0, both: 12.0}) == {"spring"}  # near nothing
     assert joined({springs: 34.8, both: 1.8}, refuted=(both,)) == {"spring"}
+    # another set leaves less, and does so by its clearance
+    gap, spring = ("freeplay", "power_stiffness"), ("power_stiffness",)
+    assert joined({springs: 1332.0, gap: 158.0, spring: 525.0}) == {"spring", "clearance"}
+    assert joined({springs: 1332.0, gap: 158.0, spring: 200.0}) == {"spring"}
+    assert joined({springs: 200.0, gap: 158.0, spring: 525.0}) == {"spring"}
+    assert joined({springs: 2.5, gap: 1.2, spring: 2.5}) == {"spring"}  # near the noise a larger set has to show it
+
+
+@pytest.mark.parametrize("compensated", [1.5, 2.6])
+def test_laws_of_one_mechanism_that_take_each_other_back_are_one_curve(monkeypatch, compensated):
+    """Two springs of opposite sign add up to any smooth third one: the mechanism is named, the laws are not."""
+    springs = ("magnetic_stiffness", "power_stiffness")
+    search = SimpleNamespace(mechanism_of=lambda name: LIBRARY[name].mechanism)
+    monkeypatch.setattr(decide, "compensation", lambda search, names: compensated)
+    assert decide._is_one_curve(search, springs) == (compensated > 2.0)
+    assert not decide._is_one_curve(search, ("cubic_stiffness", "quadratic_damping"))
+    decision = replace(
+        decision_of("found", named_level=NamedLevel.LAW, best=springs, probability=0.92),
+        mechanisms=(mechanism_of("spring", 0.96, 1.0, magnetic_stiffness=0.92, power_stiffness=0.92),),
+    )
+    said = verdict_words.sentence(decide._without_laws(decision))
+    assert "spring is missing (96 %, 100 % of the gap); its laws are magnetic stiffness and power stiffness" in said
+    assert "together, or ones like them, not exactly" in said
+    open_still = decide._without_laws(replace(decision, mechanisms=()))
+    assert (open_still.verdict, open_still.named_level, open_still.listed) == (Verdict.AMBIGUOUS, None, (springs,))
 
 
 def test_what_imitates_a_law_from_outside_is_half_the_time_of_its_mechanism():

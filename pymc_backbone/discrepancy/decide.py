@@ -243,12 +243,30 @@ def _by_mechanism(search: Search, decision: Decision) -> Decision:
         search, decision.probabilities, best, gaps, estimates_of(search.fits[best]), elsewhere
     )
     known = replace(decision, mechanisms=mechanisms)
+    if decision.named_level is NamedLevel.LAW and _is_one_curve(search, best):
+        return _without_laws(known)
     is_open = decision.verdict is Verdict.AMBIGUOUS and is_exact and not decision.unfinished
     is_against = best in decision.drifts and _backbones_disagree(search, best)
     is_doubtful = is_against or decision.drift_probability >= DRIFT_POSSIBLE
     if not is_open or is_doubtful or not is_told_apart(mechanisms):
         return known
     return replace(known, verdict=Verdict.FOUND, named_level=NamedLevel.MECHANISM)
+
+
+def _is_one_curve(search: Search, names: Set) -> bool:
+    """Return whether laws of one mechanism take each other's doing back: two curves whose sum is any smooth third one.
+
+    Then it is the sum that the records tell, and whether it is of these two laws they do not.
+    """
+    kinds = [search.mechanism_of(name) for name in names]
+    return len(set(kinds)) < len(kinds) and compensation(search, names) > _COMPENSATED
+
+
+def _without_laws(decision: Decision) -> Decision:
+    """Return a decision that named laws with their mechanisms instead, where these are told apart."""
+    if is_told_apart(decision.mechanisms):
+        return replace(decision, named_level=NamedLevel.MECHANISM)
+    return replace(decision, verdict=Verdict.AMBIGUOUS, named_level=None, listed=(decision.best,))
 
 
 def is_none_other(search: Search, names: Set, has_drift: bool = False, compensated: float = 1.0) -> float:
@@ -340,11 +358,8 @@ def mind_bent_sensor(search: Search, decision: Decision) -> Decision:
     records are those of the same law of force in a coordinate of its own.
     """
     kinds = {search.mechanism_of(name) for name in decision.best}
-    if decision.named_level is not NamedLevel.LAW or not kinds & _OF_SPRINGS:
-        return decision
-    if is_told_apart(decision.mechanisms):
-        return replace(decision, named_level=NamedLevel.MECHANISM)
-    return replace(decision, verdict=Verdict.AMBIGUOUS, named_level=None, listed=(decision.best,))
+    is_spring = decision.named_level is NamedLevel.LAW and bool(kinds & _OF_SPRINGS)
+    return _without_laws(decision) if is_spring else decision
 
 
 def _complete(search: Search) -> None:

@@ -20,11 +20,12 @@ from .study import MissingMechanism
 from .varied_sets import NEEDED
 from .verdict import MECHANISM_NAMED, NamedLevel, Verdict
 
-_LITTLE = 0.01  # probability of a set from which it is asked whether each of its effects does anything
+_LITTLE = 0.01  # probability of a set from which its effects are doubted; and of one over the likeliest to tell it
 _NEAR = 3.0  # reduced chi-square up to which the samples say so
 _NOTHING = 0.7  # of the gap, that a set leaves which explains next to nothing
 _MOST_UNFINISHED = 5  # sets that did not come to rest, listed although others are more probable
 _MUCH_LESS = 0.3  # of what the base leaves of the samples, over which a set comes nowhere near them
+_LESS, _NEEDED = 0.5, 3.0  # times what the best set leaves, and of which a set leaves more without an effect it needs
 MOST_OF_THE_GAP = 0.85
 """Share of the gap that named mechanisms explain together: it shrinks at least sevenfold."""
 
@@ -43,7 +44,9 @@ def departing(search: Search, decision: Decision) -> Decision:
     best = next((names for names in ranked if _is_kept(search, weighed, names)), ())
     mechanisms = _told(search, weighed, best)
     certain = certain_sets(search, mechanisms, ranked)
-    simpler = next((names for names in certain if weighed.gaps[names] <= 1.0 - MOST_OF_THE_GAP), None)
+    least = _LITTLE * max((weighed.probabilities[names] for names in certain), default=0.0)
+    probable = [names for names in certain if weighed.probabilities[names] >= least]
+    simpler = next((names for names in probable if weighed.gaps[names] <= 1.0 - MOST_OF_THE_GAP), None)
     simpler = None if simpler is None else _without_what_idles(search, weighed, simpler)
     if simpler is not None and simpler != best and _is_kept(search, weighed, simpler):
         # what is only possible beside the certain takes nothing of what these explain alone
@@ -168,9 +171,10 @@ def _told(search: Search, weighed: Weighed, best: Set) -> tuple[MissingMechanism
 
 
 def _joined(search: Search, best: Set) -> frozenset[str]:
-    """Return the mechanisms of the best set, and what a larger set adds that leaves far less of the samples.
+    """Return the mechanisms of the best set, and what a set adds that leaves far less of the samples.
 
-    Backbones with a departure are content with less; but what the samples want as well is not told to be absent.
+    Backbones with a departure are content with less; but what the samples want as well is not told to be absent: what
+    a larger set adds, or, where the best is far from the noise, what another set needs to leave less than it.
     """
     kinds = {search.mechanism_of(name) for name in best}
     # what is out of phase leaves more than anything that follows the samples
@@ -180,7 +184,23 @@ def _joined(search: Search, best: Set) -> frozenset[str]:
         is_larger = set(best) < set(names) and not search.is_refuted(names)
         if is_larger and found.cost - search.count < min(_MUCH_LESS**2 * left, (_NEAR - 1.0) * search.count):
             kinds |= {search.mechanism_of(name) for name in names}
+    if (_NEAR - 1.0) * search.count < left < np.inf:
+        kinds |= _needed_instead(search, best, _LESS * left)
     return frozenset(kinds)
+
+
+def _needed_instead(search: Search, best: Set, most: float) -> set[str]:
+    """Return the mechanisms that sets which hold not all of the best, and leave less than that, do not do without."""
+    leaves = {names: found.cost - search.count for names, found in search.fits.items()}
+    kinds = set()
+    for names, left in leaves.items():
+        if set(best) <= set(names) or left >= most or search.is_refuted(names):
+            continue
+        for name in names:
+            rest = tuple(item for item in names if item != name)
+            if leaves.get(rest, 0.0) > _NEEDED * left:
+                kinds.add(search.mechanism_of(name))
+    return kinds
 
 
 def certain_sets(search: Search, mechanisms: Sequence[MissingMechanism], ranked: Sequence[Set]) -> list[Set]:

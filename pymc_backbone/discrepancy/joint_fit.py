@@ -114,19 +114,13 @@ class Fit:
     def population_covariance(self) -> FloatArray:
         """Covariance (q, q) of the shared coordinates where specimens scatter as inferred, not as assumed.
 
-        Over the posterior of the scatter, by its median and its 5 % and 95 % points [1]_. Where nothing is known of the
+        Over the posterior of the scatter, by its median and its 5 % and 95 % points. Where nothing is known of the
         scatter, the covariance of the fit.
-
-        References
-        ----------
-        .. [1] Keefer D. L., Bodily S. E. (1983) Three-point approximations for continuous random variables. Management
-           Science 29(5), 595-609. doi:10.1287/mnsc.29.5.595
         """
         if not np.isfinite(self.scatter.value):
             return self.covariance
-        points = ((0.185, self.scatter.low), (0.63, self.scatter.value), (0.185, self.scatter.high))
         total = np.zeros_like(self.covariance)
-        for weight, scatter in points:
+        for weight, scatter in self.scatter.points:
             moved, _ = _with_width(self, scatter / self.layout.scatter)
             total += weight * information(self.layout, moved, self.state, self.active, 1.0)[1]
         return total if np.isfinite(total).all() else self.covariance

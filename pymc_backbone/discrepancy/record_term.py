@@ -25,6 +25,8 @@ _FITTED = 8  # turning points whose course tells those before them
 _FOUR = 4  # turning points that tell the swing before them
 _MOST_LONGER, _MOST_WIDER = 1.5, 1.8  # change of a swing from one cycle to the next
 _AT_RELEASE = 0.3  # of a half cycle: so close to its first sample a record begins at a turning point
+_FIRST_OF_THREE = np.array([5.0, 2.0, -1.0]) / 6.0  # of a line through three values, the first
+_AT_REST = 0.15  # of the first turning point's value: so near the position of rest begins what was struck
 _AROUND = 0.25  # of a half cycle
 _CLEARLY = 4.0  # standard deviations of the noise
 _MOST_LOST = 400
@@ -35,13 +37,17 @@ INSIDE, BETWEEN = 0.6, 0.3
 def first_turning_point(record: ConditionedRecord, cycles: Cycles) -> int:
     """Return which turning point is the first after the release: the second, where the first is the release itself.
 
-    A record that begins at the release, or while the specimen is still held, begins near an extreme value. What a
-    band-pass leaves begins later.
+    A record that begins at the release, or while the specimen is still held, begins near an extreme value. One that
+    begins at an impact begins at the position of rest: what remembers is loaded for the first time up to the first
+    turning point, as if it had been released from there. Where what came before was left out, and behind a band-pass, a
+    record begins later.
     """
     if record.band is not None:
         return 0
     start, extreme = float(record.displacement[:3].mean()), float(cycles.turning_values[0])
-    return int(start * extreme > 0.0 and abs(start) > 0.5 * abs(extreme))
+    begins = float(_FIRST_OF_THREE @ record.displacement[:3]) / extreme
+    is_struck = not record.is_cut and abs(begins) < _AT_REST and cycles.turning_values.size > _FOUR
+    return int(is_struck or (start * extreme > 0.0 and abs(start) > 0.5 * abs(extreme)))
 
 
 def release_of(record: ConditionedRecord, cycles: Cycles) -> tuple[int, float, float]:
@@ -105,7 +111,11 @@ def turning_term(record: ConditionedRecord, cycles: Cycles) -> TurningTerm:
 
 
 def waveform_term(record: ConditionedRecord, cycles: Cycles) -> WaveformTerm:
-    """Return the data term of the samples of one record, from half a cycle before its first turning point on."""
+    """Return the data term of the samples of one record, from shortly after the turning point before its first.
+
+    That is as far back as this swing lasts, not the median one: of a hard spring the first is the shortest, and before
+    its release a structure is held.
+    """
     if record.measured.band_pass is not None:
         return _behind_band_pass(record, record.measured.band_pass, cycles)
     measured, order = record.measured, record.measured.order
@@ -114,7 +124,7 @@ def waveform_term(record: ConditionedRecord, cycles: Cycles) -> WaveformTerm:
         samples, autocovariance = record.displacement, record.noise_autocovariance
     half = float(np.median(np.diff(cycles.turning_times)))
     begin = cycles.turning_times[first_turning_point(record, cycles)]
-    first = int(np.searchsorted(record.time, begin - 0.9 * half))
+    first = int(np.searchsorted(record.time, begin - 0.9 * (begin - release_of(record, cycles)[1])))
     last = int(np.searchsorted(record.time, cycles.turning_times[-1] + 0.9 * half))
     time, values = record.time[first:last], samples[first:last]
     fade = fade_of(cycles.smoothed_amplitude)

@@ -6,6 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
+from .._common.checks import BoolArray
 from . import evidence, starts
 from .curves import frequencies
 from .descent import GLANCE, IN_REACH, is_heavy
@@ -19,6 +20,7 @@ Kept = tuple[dict[Set, Fit], dict[Set, str], set[Set], float]
 """Fits, failures, refuted sets and the scatter that they were made with."""
 CLOSE = 30.0
 """Chi-square within which a smaller set rivals the best."""
+_LAGS = 3.0  # standard deviations of noise
 _LOOKED_BACK = 3
 _SETTLED = 2
 _REFUTED = 100.0  # chi-square above one that explains, beyond which relatives are not asked
@@ -39,18 +41,26 @@ class RevisitedSets(FittedSets):
     def fit_set(self, names: Set) -> Fit | None:
         """Return the best fit of a set, from several starts; kept for the next time.
 
-        Where it came to rest on the plateau of a bed of sliders that does not slip as a whole, it begins again from
-        beyond the edge of that.
+        Where it came to rest on the plateau of a bed of sliders that does not slip as a whole, or of a slider that
+        holds in some specimens, it begins again from beyond the edge of that.
         """
         is_known = names in self.fits
         found = super().fit_set(names)
         if is_known or found is None or not found.is_converged or not found.cost < IN_REACH * self.count:
             return found
-        states = starts.slipping(found.layout, found.state) if self.batch.has_records else []
+        states = []
+        if self.batch.has_records:
+            states = starts.slipping(found.layout, found.state)
+            states += starts.slipping_each(found.layout, found.state, self._lagging(found))
         beyond = self.descent.from_near(found.layout, states, rival=found.cost) if states else None
         if beyond is not None and beyond.cost < found.cost:
             self.fits[names] = beyond
         return self.fits[names]
+
+    def _lagging(self, found: Fit) -> BoolArray:
+        """Return which specimens (r,) a fit leaves more of than noise would, by what it leaves of most of them."""
+        sizes = np.array([term.size for term in self.batch.deciding])
+        return np.asarray(found.chi_square - np.median(found.chi_square / sizes) * sizes > _LAGS * np.sqrt(2.0 * sizes))
 
     def ranked(self, size: int | None = None) -> list[Set]:
         """Return the fitted sets, of one size or all, most probable first."""

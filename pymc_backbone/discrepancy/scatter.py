@@ -36,6 +36,22 @@ class Scatter(NamedTuple):
     high: float
     log_evidence: float
 
+    @property
+    def points(self) -> tuple[tuple[float, float], ...]:
+        """Weights and scatters that stand for the posterior [1]_.
+
+        References
+        ----------
+        .. [1] Keefer D. L., Bodily S. E. (1983) Three-point approximations for continuous random variables. Management
+           Science 29(5), 595-609. doi:10.1287/mnsc.29.5.595
+        """
+        return (0.185, self.low), (0.63, self.value), (0.185, self.high)
+
+    @property
+    def root_mean_square(self) -> float:
+        """The one scatter that gives a mean of specimens the variance it has over the posterior."""
+        return float(np.sqrt(sum(weight * scatter**2 for weight, scatter in self.points)))
+
 
 NO_SCATTER = Scatter(float("nan"), float("nan"), float("nan"), 0.0)
 """Of fits without effects, or of one specimen."""

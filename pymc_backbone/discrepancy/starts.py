@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .._common.checks import FloatArray
+from .._common.checks import BoolArray, FloatArray
 from ..effects import BASE_EFFECTS, Effect
 from . import normal_equations
 from .batch import Batch
@@ -247,6 +247,41 @@ def slipping(layout: Layout, state: State) -> list[State]:
         edge = reach * (1.0 + state.eta[exponent]) / (2.0 + state.eta[exponent])
         if state.eta[strength] > 0.0 and state.eta[slip] > _SLIPPING[-1] * edge:
             found += [_at_slip(layout, state, (strength, slip, exponent), share * edge) for share in _SLIPPING]
+    return found
+
+
+def slipping_each(layout: Layout, state: State, lags: BoolArray) -> list[State]:
+    """Return starts where a slider that holds in some specimens, and slips in others, just slips in these, too.
+
+    One that holds is a spring whatever its slip force: no derivative tells that specimen of the other side.
+
+    Parameters
+    ----------
+    layout : Layout
+        The model.
+    state : State
+        Where a fit ended.
+    lags : (r,) array of bool
+        Specimens that are fitted worse than others.
+    """
+    released = np.abs(state.own[:, 2]) / layout.amplitude
+    beds = {strength for strength, _, _ in layout.beds}
+    found: list[State] = []
+    for strength, slip in layout.slips:
+        if strength in beds or not state.eta[slip] > 0.0:
+            continue
+        columns = [normal_equations.NUISANCES + place for place in (strength, slip)]
+        reach = state.eta[slip] * (1.0 + layout.scatter * state.own[:, columns[1]])
+        moved = lags & (reach >= released)
+        if not moved.any() or not (reach < released).any():
+            continue
+        for share in _SLIPPING:
+            own = state.own.copy()
+            ratio = (share * released / reach)[moved, None]
+            own[np.ix_(moved, columns)] = (
+                (1.0 + layout.scatter * own[np.ix_(moved, columns)]) * ratio - 1.0
+            ) / layout.scatter
+            found.append(State(state.eta.copy(), own))
     return found
 
 

@@ -13,16 +13,17 @@ itself has used up. For a Gaussian all this is what the covariance says.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .._common.checks import BoolArray, FloatArray
 from .batch import Batch
+from .chart import Chart
 from .data_term import DataTerm
-from .joint_fit import Fit
-from .layout import MOST_OPPOSED, Layout
+from .joint_fit import Fit, fit
+from .layout import MOST_OPPOSED
 from .limits import leans, within
 from .normal_equations import DRIFTS, NUISANCES, State, System, eliminate, linearise, prior_width, symmetric
 
@@ -60,56 +61,13 @@ class _Place(NamedTuple):
     cost: float
 
 
-@dataclass(frozen=True, eq=False)
-class _Chart:
-    """Relative coordinates: logarithms of what is positive, ratios to what is opposed, units of prior or value.
-
-    Valleys of forces that follow power laws are straight in these.
-    """
-
-    layout: Layout
-    is_log: BoolArray
-    unit: FloatArray
-
-    @classmethod
-    def around(cls, layout: Layout, eta: FloatArray) -> _Chart:
-        """Return the coordinates around a point."""
-        opposed = np.isin(np.arange(eta.size), [j for j, _ in layout.opposed])
-        is_log = (layout.low >= 0.0) & (eta > 0.0) & ~opposed
-        unit = np.where(layout.is_strength & (eta != 0.0), np.abs(eta), layout.width)
-        unit[opposed] = 1.0
-        return cls(layout, is_log, unit)
-
-    def to(self, eta: FloatArray) -> FloatArray:
-        """Return the relative coordinates (q,) of those of the fit."""
-        place = np.where(self.is_log, np.log(np.where(self.is_log, eta, 1.0)), eta / self.unit)
-        for j, other in self.layout.opposed:
-            place[j] = eta[j] / eta[other]
-        return place
-
-    def back(self, place: FloatArray) -> FloatArray:
-        """Return the coordinates (q,) of the fit."""
-        eta = np.where(self.is_log, np.exp(np.where(self.is_log, place, 0.0)), place * self.unit)
-        for j, other in self.layout.opposed:
-            eta[j] = np.clip(place[j], -1.0, MOST_OPPOSED) * eta[other]
-        return eta
-
-    def slopes(self, eta: FloatArray) -> FloatArray:
-        """Return the derivatives (q, q) of the coordinates of the fit to these."""
-        slopes = np.diag(np.where(self.is_log, eta, self.unit))
-        for j, other in self.layout.opposed:
-            slopes[j, j] = eta[other]
-            slopes[j] += eta[j] / max(eta[other], 1e-300) * slopes[other]
-        return slopes
-
-
 class _Walk:
     """The valley of a fit along one direction, everything else fitted again at each point."""
 
     def __init__(self, found: Fit, terms: Sequence[DataTerm]) -> None:
         self.found, self.layout, self.terms, self.active = found, found.layout, terms, found.active
         self.scatter = found.layout.scatter if found.active[NUISANCES:].any() else 0.0
-        self.chart = _Chart.around(found.layout, found.state.eta)
+        self.chart = Chart.around(found.layout, found.state.eta)
         self.most = _MOST[found.layout.simulator.has_own_equation]
         self.left = 0
         self.widths = prior_width(
@@ -329,12 +287,16 @@ def ranges(found: Fit, batch: Batch) -> dict[str, Range]:
         curvature of the fit says all.
     """
     walk = _Walk(found, batch.deciding)
-    loose = walk.directions() if found.layout.free.size > 1 else []
-    if not loose:
+    if found.layout.free.size < 2 or not walk.directions():
         return {}
     known = linearise(found.layout, batch.deciding, found.state, walk.scatter, found.active)
     if known is None or abs(known.cost - found.cost) > _SETTLED + 1e-6 * found.cost:
         return {}  # a fit to other data
+    found = _scattering(found, batch.deciding)
+    walk = _Walk(found, batch.deciding)
+    loose = walk.directions()
+    if not loose:
+        return {}
     names = ("linear_stiffness", "viscous_damping", *found.layout.names)
     followed = [(along, *walk.follow(along)) for along in loose]
     lowest = min(place.cost for _, ways, _ in followed for way in ways for place in way)
@@ -342,7 +304,7 @@ def ranges(found: Fit, batch: Batch) -> dict[str, Range]:
     for along, ways, opens in followed:
         span = walk.values(ways[0][-1]) - walk.values(ways[1][-1])
         for way, is_open, side in zip(ways, opens, (1.0, -1.0), strict=True):
-            for place in _within(way, lowest):
+            for place in _within(_at_rest(way), lowest):
                 left = float(np.sqrt(max(1.0 - (place.cost - lowest) / RISE, 0.0)))
                 reaches = np.concatenate([_own_errors(found), walk.spread(place, along)]) * np.sqrt(RISE) * left
                 towards = side * span * (is_open and place is way[-1])
@@ -350,6 +312,19 @@ def ranges(found: Fit, batch: Batch) -> dict[str, Range]:
                     new = Range(float(value - reach), float(value + reach), bool(to < -reach), bool(to > reach))
                     ends[name] = new if name not in ends else _joined(ends[name], new)
     return ends
+
+
+def _scattering(found: Fit, terms: Sequence[DataTerm]) -> Fit:
+    """Return the same fit with specimens that scatter as is inferred of them, not as the search assumed."""
+    scatter = found.scatter.root_mean_square
+    if not (np.isfinite(scatter) and found.active[NUISANCES:].any()):
+        return found
+    own = found.state.own.copy()
+    own[:, NUISANCES:] *= found.layout.scatter / scatter
+    nuisances = np.flatnonzero(found.active[:NUISANCES]).tolist()
+    start = State(found.state.eta, own)
+    again = fit(replace(found.layout, scatter=scatter), terms, start, nuisances=nuisances)
+    return found if again is None else again
 
 
 def _own_errors(found: Fit) -> FloatArray:
@@ -363,6 +338,13 @@ def _own_errors(found: Fit) -> FloatArray:
 def _joined(one: Range, other: Range) -> Range:
     low, high = min(one, other, key=lambda item: item.low), max(one, other, key=lambda item: item.high)
     return Range(low.low, high.high, low.is_low_open, high.is_high_open)
+
+
+def _at_rest(way: Sequence[_Place]) -> list[_Place]:
+    """Return a way without points above both of their neighbours: those hang beside the floor of the valley."""
+    costs = np.array([np.inf, *(place.cost for place in way), np.inf])
+    hangs = costs[1:-1] > np.maximum(costs[:-2], costs[2:]) + _SETTLED
+    return [place for place, is_beside in zip(way, hangs, strict=True) if not is_beside]
 
 
 def _within(way: Sequence[_Place], lowest: float) -> list[_Place]:

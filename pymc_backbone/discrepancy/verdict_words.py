@@ -47,7 +47,7 @@ def _chance(probability: float) -> str:
 def _of_mechanism(item: MissingMechanism, is_like: bool) -> str:
     """Return the sentence that names a mechanism, with the laws that it may be, or may be like."""
     laws = [law for law in item.laws if law.probability > _UNLIKELY]
-    together = [in_words(law.effect) for law in laws if law.probability >= MECHANISM_NAMED]
+    together = [in_words(law.effect) for law in laws if law.probability >= MECHANISM_NAMED * item.probability]
     if len(together) > 1:  # not one or the other: every set that explains holds them all
         like = ", or ones like them, not exactly" if is_like else ""
         which = f"its laws are {', '.join(together[:-1])} and {together[-1]} together{like}"

@@ -185,6 +185,7 @@ class _Conditioning:
             source=self.record.source,
             measured=self._measured(before, is_cut, (first, last), path, spectrum, band_pass, wander),
             notes=tuple(self.notes),
+            is_cut=is_cut,
         )
 
     def _filtered(self, values: FloatArray, band_pass: BandPass) -> FloatArray:

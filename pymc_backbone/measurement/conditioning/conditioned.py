@@ -98,6 +98,8 @@ class ConditionedRecord:
         cover the same motion as ``displacement``; with a band, that from which the passed samples stem.
     notes : tuple of str
         What was assumed and done, one sentence each; warnings begin with ``warning:``.
+    is_cut : bool
+        Whether something before the free motion was left out, and a quarter of a cycle or more of it with that.
 
     See Also
     --------
@@ -129,3 +131,4 @@ class ConditionedRecord:
     notes: tuple[str, ...] = field(default=())
     mid_line_error: float = 0.0
     mid_line_shape_error: float = 0.0
+    is_cut: bool = False
