@@ -1049,6 +1049,20 @@ def test_laws_of_one_mechanism_that_take_each_other_back_are_one_curve(monkeypat
     assert (open_still.verdict, open_still.named_level, open_still.listed) == (Verdict.AMBIGUOUS, None, (springs,))
 
 
+def test_a_law_that_wants_another_of_its_mechanism_below_the_tolerance_is_one_like_it():
+    search = SimpleNamespace(mechanism_of=lambda name: LIBRARY[name].mechanism)
+    power, both = ("power_stiffness",), ("cubic_stiffness", "power_stiffness")
+    decision = replace(
+        decision_of("found", named_level=NamedLevel.LAW, best=power, probability=0.93),
+        probabilities={power: 0.12, both: 0.81}, below=("cubic_stiffness",),
+    )  # fmt: skip
+    assert decide._is_inexact_alone(search, decision)
+    assert decide._is_inexact_alone(search, replace(decision, below=("quadratic_stiffness",)))  # the other side differs
+    assert not decide._is_inexact_alone(search, replace(decision, below=("quadratic_damping",)))
+    assert not decide._is_inexact_alone(search, replace(decision, below=("freeplay",)))
+    assert not decide._is_inexact_alone(search, replace(decision, probabilities={power: 0.81, both: 0.12}))
+
+
 def test_what_imitates_a_law_from_outside_is_half_the_time_of_its_mechanism():
     """0.9 for sets that hold the mechanism in two of three parts; of the other 0.06 half counts, shared out alike."""
     search = SimpleNamespace(mechanism_of=lambda name: LIBRARY[name].mechanism)

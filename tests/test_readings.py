@@ -7,6 +7,7 @@ import pytest
 from scipy.signal import butter, sosfilt
 
 import pymc_backbone as pb
+from pymc_backbone.discrepancy import first_cycles
 from pymc_backbone.discrepancy.first_cycles import Begun, begun
 from pymc_backbone.discrepancy.readings import Disturbance, Disturbed, disturbed, line_modes, sentences
 from pymc_backbone.discrepancy.search import Search
@@ -15,6 +16,8 @@ from .discrepancy_cases import (
     AMPLITUDE,
     FREQUENCY,
     MASS,
+    OMEGA,
+    RATIO,
     RELEASE_TIME,
     TIME,
     batch_of,
@@ -147,6 +150,41 @@ def test_first_cycles_that_are_not_free_are_left_out(rng):
         assert 1.5 < (first - RELEASE_TIME) * FREQUENCY < 4.0
         assert cut.starts_free
         np.testing.assert_array_equal(cut.values, record.values[record.time >= first])
+
+
+def test_a_second_blow_in_the_first_cycles_is_left_out(rng):
+    """A linear structure whose motion a blow changes, in amplitude and phase: what comes after it is free."""
+    kept = TIME >= RELEASE_TIME
+    since = np.maximum(TIME[kept] - RELEASE_TIME - 0.4 / FREQUENCY, 0.0)
+    decay, damped = RATIO * OMEGA, OMEGA * np.sqrt(1.0 - RATIO**2)
+    blow = 0.2 * AMPLITUDE * np.exp(-decay * since) * np.sin(damped * since)
+    records = [
+        noisy(rng, record.specimen, TIME[kept], record.values[kept] + blow, 60.0)
+        for record in make_records(rng, (), specimens=3, decibels=200.0, scatter=0.0)
+    ]
+    study = asked(records)
+    assert study.verdict == "adequate"
+    assert any("a second blow" in note for note in study.notes)
+
+
+@pytest.mark.parametrize(
+    ("cycles", "disturbed"),
+    [
+        ((900.0, 3.0, 1.0), 1),
+        ((120.0, 119.0, 4.7), 2),
+        ((300.0, 90.0, 400.0), 3),
+        ((900.0, 300.0, 200.0), 0),  # it fades: a wrong law
+        ((50.0, 2.0, 1.0), 0),  # hardly more than noise
+    ],
+)
+def test_only_the_first_cycles_are_off_where_they_are_not_free(cycles, disturbed):
+    fading = np.geomspace(100.0, 1.0, 10) if cycles[-1] > 100.0 and not disturbed else np.ones(10)
+    squares = np.repeat([*cycles, *fading, *np.ones(20)], 25)
+    assert first_cycles._disturbed(np.sqrt(squares), 25.0, 3) == disturbed
+    quieter = first_cycles._disturbed(
+        0.1 * np.sqrt(squares), 25.0, 3
+    )  # of a noise that was taken for ten times as loud
+    assert quieter == disturbed
 
 
 def test_a_spring_behind_a_filter_that_settles_is_named_and_the_cut_is_said(rng):

@@ -32,6 +32,7 @@ _STANDS_IN = 0.2  # how probable it is that the weakest of several effects stand
 _SMALL = 12.0  # gap that it closes, in standard deviations of the noise, beyond which that is rarer
 _LARGE = 0.01  # share of the motion that this gap is, beyond which that is rarer, too
 _OF_SPRINGS = frozenset(("spring", "asymmetry", "clearance"))  # mechanisms
+_ONE_FORCE = frozenset(("spring", "asymmetry"))  # the odd and the even part of one
 _WEIGHT_OF_NOISE = 0.1  # how much rarer residuals like noise are where the library lacks what is missing
 
 
@@ -243,7 +244,7 @@ def _by_mechanism(search: Search, decision: Decision) -> Decision:
         search, decision.probabilities, best, gaps, estimates_of(search.fits[best]), elsewhere
     )
     known = replace(decision, mechanisms=mechanisms)
-    if decision.named_level is NamedLevel.LAW and _is_one_curve(search, best):
+    if decision.named_level is NamedLevel.LAW and (_is_one_curve(search, best) or _is_inexact_alone(search, decision)):
         return _without_laws(known)
     is_open = decision.verdict is Verdict.AMBIGUOUS and is_exact and not decision.unfinished
     is_against = best in decision.drifts and _backbones_disagree(search, best)
@@ -260,6 +261,17 @@ def _is_one_curve(search: Search, names: Set) -> bool:
     """
     kinds = [search.mechanism_of(name) for name in names]
     return len(set(kinds)) < len(kinds) and compensation(search, names) > _COMPENSATED
+
+
+def _is_inexact_alone(search: Search, decision: Decision) -> bool:
+    """Return whether what is named is likelier with something of its own mechanism that is below the tolerance.
+
+    Then it is a law like that one. A spring that differs a little between the two sides is none of a symmetric law.
+    """
+    kinds = {search.mechanism_of(name) for name in decision.best}
+    kinds |= _ONE_FORCE if kinds & _ONE_FORCE else set()
+    alone = decision.probabilities.get(decision.best, 0.0)
+    return alone < 0.5 * decision.probability and any(search.mechanism_of(name) in kinds for name in decision.below)
 
 
 def _without_laws(decision: Decision) -> Decision:

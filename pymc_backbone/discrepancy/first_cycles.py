@@ -7,13 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .._common.checks import FloatArray
 from ..measurement.reading.record import Record
 from . import evidence
 from .search import Search
 
-_NOT_FREE = 2.2  # cycles that are left out where the first is not free motion
+_MOST = 3  # cycles that are no free motion: of more, something else is wrong
+_BEYOND = 1.2  # cycles that are left out after these
 _FEWEST = 8.0  # cycles that have to remain
-_FIRST_ALONE = 5.0  # chi-square of the first cycle over that of the second, from which it is not
+_FIRST_ALONE = 5.0  # chi-square of the first cycles over that of the one after them, from which it is they alone
 _CLEARLY = 100.0  # and over that of noise
 
 
@@ -34,8 +36,8 @@ class Begun:
         which = "one record" if len(names) == 1 else f"{len(names)} records"
         return (
             f"warning: the first cycles of {which} ({', '.join(names)}) are no free motion that any set of effects "
-            "explains, as where a hand, a trigger or a filter that has to settle is in them; they were left out, and "
-            "what acts in them alone is not looked for"
+            "explains, as where a hand, a trigger, a second blow or a filter that has to settle is in them; they were "
+            "left out, and what acts in them alone is not looked for"
         )
 
 
@@ -48,31 +50,48 @@ def _from(record: Record, begin: float) -> Record:
 
 
 def begun(search: Search) -> Begun | None:
-    """Return where records begin to be free motion, if the best set does not explain their first cycle alone.
+    """Return where records begin to be free motion, if the best set does not explain their first cycles alone.
 
-    A hand, a trigger, a filter that has to settle: a fit is off by hundreds of times the noise there, and by much less
-    in the cycle after it. Where most records show it, one chain has measured them, and all are cut. None where records
-    are compared through a band-pass.
+    A hand, a trigger, a hammer that strikes twice, a filter that has to settle: a fit is off by hundreds of times the
+    noise there, and by much less in the cycle after it. Where most records show it, one chain has measured them, and
+    all are cut. None where records are compared through a band-pass.
     """
     batch, best = search.batch, search.best()
     if not batch.has_open_records:
         return None
-    found = search.fits[best]
-    places: dict[str, float] = {}
-    seen = []
+    seen: dict[str, int] = {}
+    long_enough = []
     for r, (term, record) in enumerate(zip(batch.waveform, batch.records, strict=True)):
-        left = evidence.residuals_of(term, found, r)
+        left = evidence.residuals_of(term, search.fits[best], r)
         cycles = (float(term.time[-1]) - float(term.time[0])) * record.frequency
-        each = left.size / max(cycles, 1.0)
-        if cycles < _FEWEST + _NOT_FREE or each < 4.0:
+        if cycles < _FEWEST + 1.0 + _BEYOND or left.size < 4.0 * cycles:
             continue
-        first, second = (float((left[round(k * each) : round((k + 1) * each)] ** 2).mean()) for k in (0, 1))
-        places[batch.specimens[r]] = float(term.time[0]) + _NOT_FREE / record.frequency
-        if first > _FIRST_ALONE * second and first > _CLEARLY:
-            seen.append(batch.specimens[r])
-    if 2 * len(seen) <= len(places):
-        places = {name: places[name] for name in seen}
+        long_enough.append(r)
+        disturbed = _disturbed(left, left.size / cycles, min(_MOST, int(cycles - _FEWEST - _BEYOND)))
+        if disturbed:
+            seen[batch.specimens[r]] = disturbed
+    usual = int(np.ceil(np.median([*seen.values()]))) if 2 * len(seen) > len(long_enough) else 0
+    places = {}
+    for r in long_enough:
+        name = batch.specimens[r]
+        cut = max(seen.get(name, 0), usual)
+        if cut:
+            places[name] = float(batch.waveform[r].time[0]) + (cut + _BEYOND) / batch.records[r].frequency
     return Begun(places) if places else None
+
+
+def _disturbed(left: FloatArray, each: float, most: int) -> int:
+    """Return how many first cycles of residuals, with so many values each, are no free motion; 0 where none is.
+
+    What is no free motion may have been taken for noise: the later half of the record says how much of it there is.
+    """
+    noise = min(1.0, float((left[left.size // 2 :] ** 2).mean()))
+    squares = [float((left[round(k * each) : round((k + 1) * each)] ** 2).mean()) for k in range(most + 1)]
+    for k in range(1, most + 1):
+        first = float(np.mean(squares[:k]))
+        if first > _FIRST_ALONE * squares[k] and first > _CLEARLY * noise:
+            return k
+    return 0
 
 
 __all__ = ["Begun", "begun"]

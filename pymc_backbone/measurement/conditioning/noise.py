@@ -31,6 +31,7 @@ _MEAN_BELOW_FOUR = 1.0 - 4.0 / np.expm1(4.0)  # of an exponential distribution o
 _MOSTLY = 0.6
 _FLAT = 1.35
 _LESS_IN_BAND = 3.0
+_ENOUGH, _LOUDER = 5, 8.0  # segments from which each bin tells its own median; times that, above which it is no noise
 
 
 @dataclass(frozen=True)
@@ -267,16 +268,23 @@ def _beside(
 
 
 def _pooled(estimates: FloatArray, degrees: FloatArray) -> FloatArray:
-    """Return the typical density of each bin over the segments; bins without a value take their neighbours'."""
+    """Return the typical density of each bin over the segments; bins without a value take their neighbours'.
+
+    Of few segments the one that is far louder than the others throughout holds no noise of the sensor.
+    """
+    if 1 < estimates.shape[0] < _ENOUGH:
+        loudness = np.array([np.nanmedian(row) if np.isfinite(row).any() else np.nan for row in estimates])
+        usual = np.nanmedian(loudness) if loudness.size > 2 else np.nanmin(loudness)
+        estimates = estimates[~(loudness > _LOUDER * usual)]
     filled = np.isfinite(estimates).any(axis=0)
     density = np.full(estimates.shape[1], np.nan)
     for k in np.flatnonzero(filled):
         column = estimates[np.isfinite(estimates[:, k]), k]
-        if column.size < 5:
+        if column.size < _ENOUGH:
             density[k] = column.mean()
             continue
         # glitches lie far above the rest; chance alone passes eight medians once in 250
-        density[k] = column[column <= 8.0 * np.median(column)].mean()
+        density[k] = column[column <= _LOUDER * np.median(column)].mean()
     if not filled.any():
         return np.zeros(density.size)
     where = np.arange(density.size)
