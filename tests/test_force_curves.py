@@ -322,6 +322,21 @@ def test_hysteresis_is_said_where_a_law_with_memory_leaves_less(outside):
     assert "cannot be" in said and "remembers" in said and "60 %" in said
 
 
+@pytest.mark.parametrize("left", [3.96, float("nan")])
+def test_a_fit_that_is_lost_leaves_all_of_the_gap(left):
+    said = sentence(Judgement(False, left, 1e-9, "hysteresis"), (), "m", beside=("freeplay",))
+    assert "the best of them leave all of that rest (p = 1e-09)" in said
+
+
+def test_the_likeliest_number_lies_in_its_own_interval():
+    """The records say ever more towards the end of what is looked at: the interval goes there."""
+    family = SimpleNamespace(name="saturates", number="place")
+    numbers, none = np.linspace(0.1, 1.0, 40), []
+    weighed = families._Weighed(family, None, numbers, numbers, 1.0 * numbers, [np.ones(1)] * 40, none, 0.0)
+    told = weighed.told(STIFFNESS, 0.9, 2.0)
+    assert told.low < told.value == told.high == 2.0
+
+
 def curve_like(found: CurveFit, effect: str, law, precision: float) -> CurveFit:
     """A fit whose records say of one curve that it is this law, and of the other nothing."""
     tabulated, nodes = found.tabulated, NODES[effect]

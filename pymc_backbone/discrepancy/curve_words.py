@@ -67,7 +67,9 @@ def sentence(
     """
     if not judged.is_possible:
         gap = "that rest" if beside else "the gap"
-        left = f"the best of them leave {per_cent(judged.share_left)} of {gap} (p = {judged.p_value:.1g})"
+        # a fit that is lost leaves more than it began with
+        left = f"{per_cent(judged.share_left)} of {gap}" if judged.share_left < 1.0 else f"all of {gap}"
+        left = f"the best of them leave {left} (p = {judged.p_value:.1g})"
         what = "what the named effects leave" if beside else "what is missing"
         said = f"A force of displacement and speed cannot be {what}: {left}, and {WHY[judged.why]}."
         return said + ("" if has_even else _ONE_SIDE)

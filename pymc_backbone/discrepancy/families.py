@@ -315,11 +315,13 @@ class _Weighed:
         """Return what the family says."""
         share = self.share
         below = (np.cumsum(share) - 0.5 * share) / share.sum()
-        low, high = np.interp([_EDGE, 1.0 - _EDGE], below, self.numbers)
         top = int(np.argmax(self.logs))
+        likeliest = self.numbers[top]  # where it lies at an end, the interval goes there
+        low, high = np.interp([_EDGE, 1.0 - _EDGE], below, self.numbers)
+        low, high = min(low, likeliest), max(high, likeliest)
         unit = 1.0 if self.family.number == "exponent" else reach
         return Proposal(
-            curve, self.family.name, chance, self.family.number, float(self.numbers[top]) * unit, float(low) * unit,
+            curve, self.family.name, chance, self.family.number, float(likeliest) * unit, float(low) * unit,
             float(high) * unit, float(self.sizes[top][0]),
         )  # fmt: skip
 
