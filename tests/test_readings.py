@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt
@@ -9,6 +11,7 @@ from scipy.signal import butter, sosfilt
 import pymc_backbone as pb
 from pymc_backbone.discrepancy import first_cycles
 from pymc_backbone.discrepancy.first_cycles import Begun, begun
+from pymc_backbone.discrepancy.promising import is_promising
 from pymc_backbone.discrepancy.readings import Disturbance, Disturbed, disturbed, line_modes, sentences
 from pymc_backbone.discrepancy.search import Search
 
@@ -165,6 +168,22 @@ def test_a_second_blow_in_the_first_cycles_is_left_out(rng):
     study = asked(records)
     assert study.verdict == "adequate"
     assert any("a second blow" in note for note in study.notes)
+
+
+def test_records_without_first_cycles_are_searched_where_sets_gain_by_that(rng):
+    """A filter that settles is in the first cycles alone; a law that no candidate holds is in all of them."""
+    records = settling(rng)
+    search = searched(records)
+    cut = batch_of(begun(search).undisturbed(records))
+    assert is_promising(search, cut, 0.5) and is_promising(search, cut, 0.0)
+    lacking = searched(make_records(rng, ("cubic_stiffness",), specimens=3), ("cubic_damping",))
+    later = [
+        replace(record, time=record.time[kept], values=record.values[kept], starts_free=True)
+        for record in make_records(rng, ("cubic_stiffness",), specimens=3)
+        for kept in [record.time > RELEASE_TIME + 2.0 / FREQUENCY]
+    ]
+    assert not is_promising(lacking, batch_of(later), 0.5)
+    assert is_promising(lacking, batch_of(later[:2]), 0.5)  # other specimens: nothing is known of them
 
 
 @pytest.mark.parametrize(

@@ -196,3 +196,25 @@ def test_nothing_else_is_asked_where_a_drift_explains_the_records_by_itself(is_d
     monkeypatch.setattr(module, "_steadied", lambda *_: None)
     found = module.undisturbed(None, search, (), None, None, None)
     assert (found is told, bool(resumed)) == (is_drifting, not is_drifting)
+
+
+@pytest.mark.parametrize("is_worth_it", [True, False])
+def test_records_without_first_cycles_or_of_weighed_noise_are_searched_where_sets_gain_by_that(
+    is_worth_it, monkeypatch
+):
+    asked = []
+    for name in ("drifting_zero", "drop_outs", "sensor_filter", "earlier", "disturbed"):
+        monkeypatch.setattr(module, name, lambda *_: None)
+    cut = SimpleNamespace(undisturbed=lambda records: ["cut"], sentence="first cycles")
+    noise = SimpleNamespace(sentence="noise", weighed=lambda batch: batch)
+    monkeypatch.setattr(module, "begun", lambda *_: cut)
+    monkeypatch.setattr(module, "motion_noise", lambda *_: noise)
+    monkeypatch.setattr(module, "is_promising", lambda search, batch, less: asked.append(less) or is_worth_it)
+    monkeypatch.setattr(module.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
+    monkeypatch.setattr(module.evidence, "leaves_noise", lambda *_: False)
+    search = SimpleNamespace(halted=None, is_told=False, batch=None, fits={(): "base"}, best=tuple)
+    searches = []
+    module.undisturbed(Unmeasured(), search, [], None, lambda other: searches.append(other) or search, lambda _: {})
+    # without first cycles half of what was left is enough; the noise has to explain all of it
+    assert asked == [0.5, 0.0]
+    assert len(searches) == (2 if is_worth_it else 0)

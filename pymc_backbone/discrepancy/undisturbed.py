@@ -19,6 +19,7 @@ from .filter_search import sensor_filter, settled
 from .first_cycles import begun
 from .joint_fit import Fit
 from .motion_noise import MotionNoise, motion_noise
+from .promising import is_promising
 from .question import Question
 from .readings import Disturbed, disturbed, sentences
 from .relaxed_release import SENTENCE as RELAXED
@@ -28,8 +29,8 @@ from .sensor_filter import SensorFilter
 
 _RARE = 0.05  # p-value of noise up to which a few samples are looked at
 _PASSES = 2  # times that bent sensors and lines are looked for
-_QUIETER = 0.8  # of the noise that a drift leaves over the motion, up to which straightened records explain more
 _LESS = 0.5  # of what the best set left, where first cycles are left out or the release is another
+_QUIETER = 0.8  # of the noise that a drift leaves over the motion, up to which straightened records explain more
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +72,18 @@ class _Asked:
 
     def of(self, records: Sequence[Record], said: Sequence[str]) -> Undisturbed:
         """Return the question of these records and its search; ``said`` is what is different in them."""
+        other = self.question_of(records, said)
+        return Undisturbed(other, self.searched(other))
+
+    def if_promising(
+        self, search: Search, records: Sequence[Record], said: Sequence[str], less: float
+    ) -> Undisturbed | None:
+        """Return the same where a set of an earlier search leaves noise then, or that share of what the best left."""
+        other = self.question_of(records, said)
+        return Undisturbed(other, self.searched(other)) if is_promising(search, other.batch, less) else None
+
+    def question_of(self, records: Sequence[Record], said: Sequence[str]) -> Question:
+        """Return the question of these records."""
         other = self.question.of_records(records, self.measuring, said)
         if self.is_relaxed:
             other = replace(other, batch=replace(other.batch, is_relaxed=True))
@@ -80,7 +93,7 @@ class _Asked:
             other = replace(other, batch=self.sensor_filter.passed(other.batch))
         if self.noise is not None:
             other = replace(other, batch=self.noise.weighed(other.batch))
-        return Undisturbed(other, self.searched(other))
+        return other
 
 
 def undisturbed(
@@ -155,18 +168,17 @@ def _one_by_one(
         else:
             asked.release = None
     known = _with_drifts(known, drifting)
-    first = begun(again) if asked.release is None and not known.is_drifting else None
-    if first is not None:
-        records, said = first.undisturbed(records), (*said, first.sentence)
-        tried = asked.of(records, said)
-        again = tried.search
+    is_asked = asked.release is None and not known.is_drifting
+    cut = _without_first_cycles(asked, again, records, said) if is_asked else None
+    if cut is not None:
+        records, said, again = cut.records, (*said, cut.said), cut.found.search
         if _is_better(again, search):
-            known = tried
+            known = cut.found
         if (behind := _filtered(asked, again, records, said)) is not None:
             said, known, again = (*said, behind.said), behind.found, behind.found.search
     if not known.is_drifting and (weighed := _weighed(asked, again, records, said)) is not None:
         said, known, again = (*said, weighed.said), weighed.found, weighed.found.search
-    if (first is not None or asked.release is not None) and _is_exact(again):
+    if (cut is not None or asked.release is not None) and _is_exact(again):
         return known
     known = _with_drifts(known, drifting)
     straight = _straightened(asked, again, records, said)
@@ -236,6 +248,23 @@ def _filtered(asked: _Asked, again: Search, records: Sequence[Record], said: Seq
     return None
 
 
+class _Cut(NamedTuple):
+    """What is said of records without their first cycles, the question of these, and they themselves."""
+
+    said: str
+    found: Undisturbed
+    records: Sequence[Record]
+
+
+def _without_first_cycles(asked: _Asked, again: Search, records: Sequence[Record], said: Sequence[str]) -> _Cut | None:
+    """Return the question of records without their first cycles, where these alone are off and sets gain by that."""
+    if (first := begun(again)) is None:
+        return None
+    cut = first.undisturbed(records)
+    tried = asked.if_promising(again, cut, (*said, first.sentence), _LESS)
+    return None if tried is None else _Cut(first.sentence, tried, cut)
+
+
 def _eased(asked: _Asked, search: Search, records: Sequence[Record]) -> _Found | None:
     """Return the question of releases at which what remembers holds no force, where it is clearly better then."""
     if not is_relaxed_at_release(search):
@@ -256,8 +285,8 @@ def _weighed(asked: _Asked, again: Search, records: Sequence[Record], said: Sequ
     if (found := motion_noise(again)) is None:
         return None
     asked.noise = found
-    tried = asked.of(records, (*said, found.sentence))
-    if _is_exact(tried.search):
+    tried = asked.if_promising(again, records, (*said, found.sentence), 0.0)
+    if tried is not None and _is_exact(tried.search):
         return _Found(found.sentence, tried)
     asked.noise = None
     return None
