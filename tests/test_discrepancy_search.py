@@ -15,9 +15,11 @@ from pymc_backbone._common.text import per_cent
 from pymc_backbone.discrepancy import drift_kinds, evidence, rivals, starts, verify
 from pymc_backbone.discrepancy.compensation import compensation
 from pymc_backbone.discrepancy.curves import (
+    about_zero,
     curve,
     is_told_apart,
     level_chi_square,
+    measured,
     on_levels,
     prediction_errors,
     simulate,
@@ -464,6 +466,38 @@ def test_held_out_levels(cubic, pair):
     assert held.before > 50.0 * held.after
     alone = verify.held_out_levels(cubic.batch, before, None)
     assert np.isnan(alone.after) and alone.before == pytest.approx(held.before, rel=1e-6)
+
+
+def test_mid_lines_are_counted_from_the_zero_that_the_samples_want(cubic):
+    """What is predicted is a mid-line about it: the same chi-square as where the zero is taken off what is left."""
+    batch, found = cubic.batch, cubic.fits[("cubic_stiffness",)]
+    own = found.state.own.copy()
+    own[:, 4] = 0.01 * AMPLITUDE * np.array([1.0, -1.0, 0.5])
+    off = replace(found, state=State(found.state.eta, own))
+    own = own.copy()
+    own[:, 4] = 0.0
+    seen = about_zero(batch, off)
+    there = replace(found, state=State(found.state.eta, own))
+    middle = level_chi_square(seen, there)
+    assert middle == pytest.approx(level_chi_square(batch, off))
+    assert middle > 1.5 * level_chi_square(batch, there)
+    levels, row = batch.backbones["level"].values, 2
+    moved = (batch.backbones["value"] - seen.backbones["value"]).values
+    np.testing.assert_allclose(moved[1, row], -0.01 * AMPLITUDE / levels, rtol=1e-9)
+    assert not moved[:, :row].any()
+    of_rates = replace(batch, waveform=tuple(replace(term, order=2) for term in batch.waveform))
+    assert not (about_zero(of_rates, off).backbones["value"] - batch.backbones["value"]).values.any()
+
+
+@pytest.mark.parametrize(("is_measured", "is_moved"), [(True, True), (False, False), (False, True)])
+def test_damping_is_not_compared_where_a_lost_mid_line_moves(cubic, monkeypatch, is_measured, is_moved):
+    batch, found = cubic.batch, cubic.fits[("cubic_stiffness",)]
+    batch = replace(batch, records=tuple(replace(item, offset_is_measured=is_measured) for item in batch.records))
+    monkeypatch.setattr(verify, "has_mid_line", lambda *_: is_moved)
+    _, errors = verify._measured(batch, found)
+    known = np.isfinite(measured(batch)[1])
+    known[:, 1] &= is_measured or not is_moved
+    np.testing.assert_array_equal(np.isfinite(errors), known)
 
 
 def test_held_out_specimens(cubic, pair):

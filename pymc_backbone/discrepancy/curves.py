@@ -205,6 +205,24 @@ def level_chi_square(batch: Batch, found: Fit) -> float:
     return total / max(count - 2 * len(batch.levels), 1)
 
 
+def about_zero(batch: Batch, found: Fit) -> Batch:
+    """Return a batch whose mid-lines are counted from where the samples want the zero of the sensor, by a fit to them.
+
+    What rests off the middle has not its zero where its last samples are, and the backbones were counted from these.
+    """
+    data = batch.backbones
+    if not batch.has_records or "offset" not in data["observable"]:
+        return batch
+    values, names = data["value"].copy(), [str(name) for name in data["specimen"].values]
+    terms = []
+    for r, term in enumerate(batch.levels):
+        zero = 0.0 if batch.waveform[r].order else float(found.state.own[r, ZERO])  # of a rate it is no displacement
+        values[names.index(batch.specimens[r])].loc[{"observable": "offset"}] -= zero / data["level"]
+        shift = np.where(term.rows[:, 0] == _OFFSET, zero / term.levels[term.rows[:, 1]], 0.0)
+        terms.append(replace(term, values=term.values - shift))
+    return replace(batch, backbones=data.assign(value=values), levels=tuple(terms))
+
+
 def is_told_apart(batch: Batch, found: Fit, image: State, possible: float) -> bool:
     """Return whether the backbones tell a fit from its mirror image, whose mid-line lies on the other side.
 

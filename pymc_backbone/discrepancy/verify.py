@@ -9,7 +9,17 @@ import numpy as np
 
 from .._common.checks import OBSERVABLES, FloatArray
 from .batch import Batch
-from .curves import curve, level_chi_square, measured, on_levels, one_on_levels, prediction_errors, spread_over
+from .curves import (
+    about_zero,
+    curve,
+    has_mid_line,
+    level_chi_square,
+    measured,
+    on_levels,
+    one_on_levels,
+    prediction_errors,
+    spread_over,
+)
 from .data_term import level_term
 from .descent import is_heavy
 from .joint_fit import Fit, fit, parameters_of
@@ -51,13 +61,14 @@ def verify(
 ) -> Verification:
     """Return what the extended model explains of data that it was not fitted to; ``most`` specimens are left out."""
     say("verifying on held-out data", 0.0)
-    before = on_levels(batch, base, free_effects=base.layout.free.size > 0)
-    after = None if extended is None else on_levels(batch, extended)
+    seen = about_zero(batch, base if extended is None else extended)
+    before = on_levels(seen, base, free_effects=base.layout.free.size > 0)
+    after = None if extended is None else on_levels(seen, extended)
     by_level = by_specimen = None
     if most > 0:
-        by_level = held_out_levels(batch, before, after)
+        by_level = held_out_levels(seen, before, after)
         say("verifying on held-out data", 0.5)
-        by_specimen = held_out_specimens(batch, before, extended, most)
+        by_specimen = held_out_specimens(seen, before, extended, most)
     reduced = level_chi_square(batch, before if after is None else after)
     if extended is not None and extended.state.own[:, DRIFTS].any():
         reduced = min(reduced, level_chi_square(batch, extended))  # with its drift in time
@@ -77,7 +88,7 @@ def held_out_levels(batch: Batch, before: Fit, after: Fit | None) -> HeldOut | N
     Where the extended model takes much longer, some of them, in some specimens.
     """
     levels = np.asarray(batch.backbones["level"])
-    values, errors = measured(batch)
+    values, errors = _measured(batch, before if after is None else after)
     if levels.size < 4:
         return None
     rows = _rows(batch)
@@ -138,7 +149,7 @@ def held_out_specimens(
     if after is not None and is_heavy(after.layout):
         most = min(most, _MOST_HEAVY)
     chosen = np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))
-    values, errors = measured(batch)
+    values, errors = _measured(batch, before if after is None else after)
     levels = np.asarray(batch.backbones["level"])
     rows = _rows(batch)
     results = np.full((2, chosen.size), np.nan)
@@ -197,6 +208,19 @@ def _spread(solved: Fit, count: int, own: FloatArray, levels: FloatArray, releas
 
 def _rows(batch: Batch) -> list[int]:
     return [OBSERVABLES.index(str(name)) for name in batch.backbones["observable"].values]
+
+
+def _measured(batch: Batch, model: Fit) -> tuple[FloatArray, FloatArray]:
+    """Return what predictions are compared with, and its errors; NaN where that is not known.
+
+    The damping of a cycle follows the slope of the mid-line to first order. Where the model moves the mid-line and the
+    sensor does not measure it, the measured damping is off by more than its error, which knows no law.
+    """
+    values, errors = measured(batch)
+    if batch.has_records and batch.lacks_mid_line and has_mid_line(batch, model):
+        is_damping = np.array([str(name) == "damping" for name in batch.backbones["observable"].values])
+        errors = np.where(is_damping[:, None], np.nan, errors)
+    return values, errors
 
 
 def _reduced(difference: FloatArray, errors: FloatArray, own: FloatArray) -> float:
