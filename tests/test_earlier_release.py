@@ -39,7 +39,7 @@ def begun(rng, late, effect="bouc_wen", values=REMEMBERS):
 
 
 def test_what_remembers_tells_that_its_release_was_earlier(rng):
-    late = 0.7
+    late = 0.62  # between a turning point and rest: what begins at rest was struck
     search = begun(rng, (0.2, late))
     assert not evidence.leaves_noise(search.batch, search.fits[()])
     found = earlier(search)
@@ -56,14 +56,14 @@ def test_what_remembers_tells_that_its_release_was_earlier(rng):
 
 
 def test_what_remembers_nothing_is_not_asked(rng):
-    search = begun(rng, (0.2, 0.7), "cubic_stiffness", STEADY)
+    search = begun(rng, (0.2, 0.62), "cubic_stiffness", STEADY)
     assert earlier(search) is None
     # nor does it matter: every turning point is a release
     assert evidence.leaves_noise(search.batch, search.fits[()])
 
 
 def test_a_record_that_holds_the_release_was_not_released_before_it_began(rng):
-    search = begun(rng, (0.2, 0.7))
+    search = begun(rng, (0.2, 0.62))
     held = search.batch.records[1]
     longer = replace(held, measured=replace(held.measured, time=held.measured.time - 2.0 / FREQUENCY))
     search.batch = replace(search.batch, records=(search.batch.records[0], longer))
@@ -72,14 +72,14 @@ def test_a_record_that_holds_the_release_was_not_released_before_it_began(rng):
 
 def test_a_record_that_holds_the_later_of_two_turning_points_is_asked_for_the_earlier(rng, monkeypatch):
     """One that began between them: what it holds is no release, and counts are not mistaken for places in a list."""
-    search = begun(rng, (0.2, 0.7))
+    search = begun(rng, (0.2, 0.62))
     monkeypatch.setattr(module, "_holds", lambda own, count: count == 1)
     monkeypatch.setattr(module, "_left", lambda own, found, specimen, count: {0: 900.0, 2: 100.0}[count])
     assert earlier(search).turns == {"specimen 1": 2, "specimen 2": 2}
 
 
 def test_releases_go_on_from_the_turning_points(rng):
-    search = begun(rng, (0.2, 0.7))
+    search = begun(rng, (0.2, 0.62))
     moved = Earlier({"specimen 1": 2}).released(search.batch)
     assert [term.skipped for term in moved.turning] == [2, 0]
     cycle = 2.0 * np.pi / search.batch.angular_frequency  # which yielding makes longer at the first amplitudes
