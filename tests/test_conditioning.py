@@ -16,6 +16,7 @@ from scipy.signal import butter, lfilter
 from pymc_backbone._common.checks import InputError
 from pymc_backbone.measurement.conditioning.condition import ConditionedRecord, condition
 from pymc_backbone.measurement.conditioning.convolution import convolve_inside
+from pymc_backbone.measurement.conditioning.noise import _pooled
 from pymc_backbone.measurement.conditioning.plausibility import check_per_cycle
 from pymc_backbone.measurement.cycles import extract_cycles, extract_cycles_from_arrays
 from pymc_backbone.measurement.reading.record import Record
@@ -275,6 +276,21 @@ def test_what_a_hammer_still_drives_is_dropped_and_a_held_start_is_not(
         at = decay.measured.time[0] * FREQUENCY - rest
         low, high = (pulse, 0.9) if is_struck else (-1e-9, 0.6)
         assert low <= late <= high and low <= at <= high, (is_struck, late, at)
+
+
+@pytest.mark.parametrize(
+    ("loudness", "typical"),
+    [
+        ((900.0, 1.0, 1.2, 0.8), 1.0),
+        ((900.0, 1.0), 1.0),
+        ((3.0, 1.0), 2.0),
+        ((2.0, 0.0), 1.0),  # quieter than the converter's step for a while: the noise is what it shows
+        ((9.0,), 9.0),
+    ],
+)
+def test_of_few_segments_one_that_is_far_louder_holds_no_noise(loudness, typical) -> None:
+    estimates = np.outer(loudness, np.ones(7))
+    np.testing.assert_allclose(_pooled(estimates, np.full(estimates.shape, 4.0)), typical)
 
 
 def test_held_position_is_dropped_and_first_turning_point_kept() -> None:

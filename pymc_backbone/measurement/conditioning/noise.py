@@ -273,9 +273,10 @@ def _pooled(estimates: FloatArray, degrees: FloatArray) -> FloatArray:
     Of few segments the one that is far louder than the others throughout holds no noise of the sensor.
     """
     if 1 < estimates.shape[0] < _ENOUGH:
-        loudness = np.array([np.nanmedian(row) if np.isfinite(row).any() else np.nan for row in estimates])
-        usual = np.nanmedian(loudness) if loudness.size > 2 else np.nanmin(loudness)
-        estimates = estimates[~(loudness > _LOUDER * usual)]
+        loudness = np.array([np.nanmedian(row) if np.isfinite(row).any() else np.inf for row in estimates])
+        usual = float(np.median(loudness) if loudness.size > 2 else loudness.min())
+        if 0.0 < usual < np.inf:  # where a sensor shows none at times, what it shows at others is its noise
+            estimates = estimates[loudness <= _LOUDER * usual]
     filled = np.isfinite(estimates).any(axis=0)
     density = np.full(estimates.shape[1], np.nan)
     for k in np.flatnonzero(filled):
