@@ -157,6 +157,8 @@ def test_intervals_hold_the_truth_from_anywhere_along_the_valley(hardly_slipping
         value, error = estimates_of(scattering, scattering.covariance)["joint_exponent"]
         low, high = every[-1]["joint_exponent"].low, every[-1]["joint_exponent"].high
         assert low == pytest.approx(value - 1.96 * error, abs=0.2 * error)
+        if ratio == 1.0:
+            assert high == pytest.approx(value + 1.96 * error, abs=0.2 * error)
         assert value + 1.76 * error < high < value + 2.5 * error
     # the same end that the records set, wherever the way begins; it is found to the length of a step
     assert every[0]["joint_slip_force"].low == pytest.approx(every[1]["joint_slip_force"].low, rel=0.25)
