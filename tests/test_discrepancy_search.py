@@ -643,7 +643,7 @@ def test_a_drift_that_explains_the_records_by_itself_ends_the_search_early():
     batch = batch_of(drifting_records(np.random.default_rng(3), 0.1))
     candidates = ("bilinear_stiffness", *CANDIDATES, "freeplay", "iwan", "quadratic_stiffness", "quintic_stiffness")
     told, untold = (
-        Search(batch, Oscillator(MASS), candidates, 2, is_drifting=asked) for asked in (rivals.is_drift_enough, None)
+        Search(batch, Oscillator(MASS), candidates, 2, is_drifting=asked) for asked in (rivals.drift_alone, None)
     )
     told.run()
     assert told.is_told and not told._is_explained() and not untold.is_told
@@ -658,10 +658,10 @@ def test_a_drift_that_explains_the_records_by_itself_ends_the_search_early():
 
 
 def test_a_drift_is_not_enough_where_an_effect_is_missing(cubic):
-    search = Search(cubic.batch, Oscillator(MASS), CANDIDATES, 1, is_drifting=rivals.is_drift_enough)
+    search = Search(cubic.batch, Oscillator(MASS), CANDIDATES, 1, is_drifting=rivals.drift_alone)
     search.run()
     assert not search.is_told and search.best() == ("cubic_stiffness",)
-    assert not rivals.is_drift_enough(search)
+    assert rivals.drift_alone(search) is None
 
 
 def test_no_drift_is_seen_where_there_is_none(cubic):

@@ -18,14 +18,15 @@ import pymc_backbone as pb
 from pymc_backbone._common.text import capitalised, in_words
 from pymc_backbone.discrepancy import candidate_table, decide, inexact, rivals, shares, verdict_words, words
 from pymc_backbone.discrepancy.batch import batch_of_backbones
-from pymc_backbone.discrepancy.decision import Decision
-from pymc_backbone.discrepancy.evidence import Evidence
+from pymc_backbone.discrepancy.decision import Decision, as_one
+from pymc_backbone.discrepancy.evidence import Evidence, LackOfFit
 from pymc_backbone.discrepancy.normal_equations import State
 from pymc_backbone.discrepancy.question import TOLERANCE
 from pymc_backbone.discrepancy.search import Search
-from pymc_backbone.discrepancy.study import LawProbability, MissingMechanism, ScatterOfEffects
+from pymc_backbone.discrepancy.study import Candidate, LawProbability, MissingMechanism, ScatterOfEffects
 from pymc_backbone.discrepancy.verdict import AdequateBy, NamedLevel, Status, Verdict
 from pymc_backbone.effects import BASE_EFFECTS, LIBRARY
+from pymc_backbone.reporting.words import candidate_name
 from pymc_backbone.simulation.backbones import simulate_population
 from pymc_backbone.workflows.diagnose import describe_study
 
@@ -982,6 +983,8 @@ def test_what_an_effect_changes_by_less_than_the_tolerance_is_no_reason():
     assert words._that_matter((0, 1, 2), after, before, limits) == (1,)
     assert words._that_matter((0, 1, 2), after, before, {}) == (0, 1, 2)
     assert words._that_matter((0, 2), after, before, limits) == (0, 2)
+    assert words._that_matter((0, 2), after, before, limits, or_none=True) == ()
+    assert words._that_matter((0, 1, 2), after, before, limits, or_none=True) == (1,)
 
 
 def test_a_second_mode_is_told_where_no_fit_came_to_rest():
@@ -1061,6 +1064,49 @@ def test_a_law_that_wants_another_of_its_mechanism_below_the_tolerance_is_one_li
     assert not decide._is_inexact_alone(search, replace(decision, below=("quadratic_damping",)))
     assert not decide._is_inexact_alone(search, replace(decision, below=("freeplay",)))
     assert not decide._is_inexact_alone(search, replace(decision, probabilities={power: 0.81, both: 0.12}))
+
+
+def test_what_is_told_of_a_set_that_is_not_exact_is_of_that_set(monkeypatch):
+    """What of an exact set was above the tolerance had stayed in the model: another than the one that was told."""
+    other = ("c",)
+    weighed = SimpleNamespace(
+        ranked=lambda: [other], gaps={other: 0.1}, probabilities={other: 0.9}, is_law=True, drift_probability=0.0
+    )
+    for name, value in {
+        "weigh": weighed, "_without_idle": weighed, "_is_kept": True, "_told": (), "remainder_of": (),
+        "certain_sets": [], "_remaining": (other,),
+    }.items():  # fmt: skip
+        monkeypatch.setattr(inexact, name, lambda *_, value=value: value)
+    monkeypatch.setattr(inexact.evidence, "lack_of_fit", lambda *_: LackOfFit(2.0, 1e-9, 0.01))
+    search = SimpleNamespace(mend=lambda _: None, is_refuted=lambda _: False, batch=None, fits={other: None}, count=100)
+    monkeypatch.setattr(inexact, "_nearest", lambda *_: None)
+    pruned = replace(decision_of("ambiguous", best=("a",), below=("b",)), simulated=("a", "b"))
+    said = inexact.departing(search, pruned)
+    assert (said.best, said.model, said.above) == (other, other, other)
+
+
+def test_sets_that_differ_by_what_is_below_the_tolerance_are_one():
+    chances = {("a",): 0.3, ("b",): 0.3, ("a", "c"): 0.2, ("c", "d"): 0.1, (): 0.1}
+    assert as_one(("c",), chances) == {("a",): 0.5, ("b",): 0.3, ("c", "d"): 0.1, (): 0.1}
+    assert as_one((), chances) == chances
+    evidences = {names: Evidence(0.0, float(np.log(chance)), chance) for names, chance in chances.items()}
+    weighed = replace(
+        decision_of(
+            "ambiguous", best=("a", "c"), probability=0.5, p_missing=1e-6, evidences=evidences, ranked=tuple(chances)
+        ),
+        lack=LackOfFit(1.0, 0.4, 0.001),
+    )
+    judged = decide._judged(None, weighed, {}, None)
+    assert ("a", "c") in judged.listed and judged.listed[0] == ("a",)
+    one = replace(weighed, best=("a",), below=("c",))
+    assert decide._judged(None, one, {}, None).listed[:2] == (("a",), ("b",))
+    assert ("a", "c") not in decide._judged(None, one, {}, None).listed
+
+
+def test_a_row_says_that_its_fit_drifts_with_time():
+    row = Candidate((), 0.9, 0.0, 1.0, 1.0, Status.BEST, "", has_drift=True)
+    assert candidate_name(row) == "nothing (base model), with a drift in time"
+    assert candidate_name(replace(row, effects=("iwan",), has_drift=False)) == "Iwan"
 
 
 def test_what_imitates_a_law_from_outside_is_half_the_time_of_its_mechanism():

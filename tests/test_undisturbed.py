@@ -190,12 +190,14 @@ def test_a_zero_that_drifts_is_the_answer_where_nothing_is_left_without_the_mid_
 def test_nothing_else_is_asked_where_a_drift_explains_the_records_by_itself(is_drifting, monkeypatch):
     resumed = []
     search = SimpleNamespace(halted=None, is_told=True, batch=None, resume=lambda: resumed.append(True))
-    told = SimpleNamespace(is_drifting=is_drifting)
-    monkeypatch.setattr(module, "_with_drifts", lambda *_: told)
+    drifting = {(): SimpleNamespace(fit="drift")}
+    monkeypatch.setattr(module.evidence, "leaves_noise", lambda *_: is_drifting)
+    monkeypatch.setattr(module, "_over_motion", lambda *_: 0.01)
     monkeypatch.setattr(module, "_one_by_one", lambda *_, **__: "asked")
     monkeypatch.setattr(module, "_steadied", lambda *_: None)
-    found = module.undisturbed(None, search, (), None, None, None)
-    assert (found is told, bool(resumed)) == (is_drifting, not is_drifting)
+    found = module.undisturbed(None, search, (), None, None, lambda _: drifting)
+    assert bool(resumed) != is_drifting
+    assert found == "asked" if resumed else (found.search is search and found.drifting is drifting)
 
 
 @pytest.mark.parametrize("is_worth_it", [True, False])

@@ -48,6 +48,7 @@ def candidates_of(search: Search, decision: Decision) -> tuple[Candidate, ...]:
                 evidence_shift=float("nan") if shift is None else shift.shift,
                 pareto_k=float("nan") if shift is None else shift.pareto_k,
                 is_bridged=shift is not None and shift.is_bridged,
+                has_drift=names in decision.drifts,
             )
         )
     rows.sort(key=lambda item: -item.probability)

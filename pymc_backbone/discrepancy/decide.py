@@ -13,7 +13,7 @@ from .as_good import odds_of_as_good
 from .compensation import compensation
 from .corrected_evidence import Corrected, corrections
 from .curves import level_chi_square
-from .decision import AGREE, DRIFT_POSSIBLE, NAMED, Decision, listed
+from .decision import AGREE, DRIFT_POSSIBLE, NAMED, Decision, as_one, listed
 from .estimates import estimates_of
 from .evidence import DRIFT, UNEXPLAINED, Drifting, Evidence, is_unexplained
 from .harmonic_odds import odds_behind_bands
@@ -81,7 +81,10 @@ def _judged(search: Search, weighed: Decision, tolerance: Mapping[str, float], d
     if named.simulated is not None:
         # the set without what is below the tolerance is no explanation: what remains is told with it
         named = replace(weighed, below=named.below)
-    chances = {names: named.evidences[names].probability for names in named.ranked}
+    is_one = named.best == named.above  # sets that differ by what is below the tolerance are one
+    chances = as_one(
+        named.below if is_one else (), {names: named.evidences[names].probability for names in named.ranked}
+    )
     # what the sets do not hold of the probability is the drift's
     return replace(named, listed=listed(chances, 1.0 - sum(chances.values())))
 
@@ -97,7 +100,7 @@ def _with_drift(search: Search, decision: Decision, drifting: Fit, tolerance: Ma
     is_small = is_drift_small(drifting, tolerance)
     verdict, by = (Verdict.ADEQUATE, decision.adequate_by) if is_small else (Verdict.UNEXPLAINED, None)
     return replace(
-        decision, verdict=verdict, adequate_by=by, below=(), best=(), probability=chances[()],
+        decision, verdict=verdict, adequate_by=by, below=(), best=(), simulated=None, probability=chances[()],
         probabilities=chances, evidences=evidences,
         ranked=((), *(names for names in decision.ranked if names)), drifts=(*decision.drifts, ()),
         lack=evidence.lack_of_fit(search.batch, drifting),

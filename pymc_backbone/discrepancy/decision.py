@@ -121,6 +121,16 @@ class Decision:
         return tuple(name for name in self.best if name not in self.below)
 
 
+def as_one(below: Set, chances: Mapping[Set, float]) -> dict[Set, float]:
+    """Return the probabilities of sets where those that differ by what is below the tolerance are one."""
+    kept: dict[Set, float] = {}
+    for names, chance in chances.items():
+        rest = tuple(name for name in names if name not in below)
+        one = rest if rest in chances else names
+        kept[one] = kept.get(one, 0.0) + chance
+    return kept
+
+
 def listed(chances: Mapping[Set, float], total: float) -> tuple[Set, ...]:
     """Return the most probable sets that together with ``total`` hold most of the probability."""
     kept: list[Set] = []

@@ -16,6 +16,7 @@ from . import evidence, starts
 from .batch import Batch
 from .curves import is_told_apart, level_chi_square
 from .descent import IN_REACH, Descent, Way
+from .evidence import Drifting
 from .joint_fit import Fit
 from .layout import Layout, make_layout
 from .propose import Proposal, propose
@@ -69,9 +70,9 @@ class FittedSets:
     halted : object, optional
         What ended the search early.
     is_drifting : callable, optional
-        Asked once, early, where nothing explains the records: whether the model as it is does with a drift in time.
-    is_told : bool
-        Whether it does: then few sets more are asked, and none that costs much.
+        Asked once, early, where nothing explains the records: the model as it is with a drift in time, if that does.
+    drift_alone : Drifting, optional
+        That fit and what its evidence gains: then few sets more are asked, and none that costs much.
     refuted : set of tuple of str
         Sets that were not fitted to the samples, because the turning points leave no doubt.
     scatter : float
@@ -102,8 +103,8 @@ class FittedSets:
     scatter: float = SCATTER
     is_disturbed: Callable[[FittedSets], object | None] | None = None
     halted: object | None = None
-    is_drifting: Callable[[FittedSets], bool] | None = None
-    is_told: bool = False
+    is_drifting: Callable[[FittedSets], Drifting | None] | None = None
+    drift_alone: Drifting | None = None
 
     def __post_init__(self) -> None:
         self.descent = Descent(self.batch, limit=_LIMIT * self.budget)
@@ -132,6 +133,11 @@ class FittedSets:
     def has_proposals(self) -> bool:
         """Whether the backbones were asked for proposals."""
         return "proposals" in self.__dict__
+
+    @property
+    def is_told(self) -> bool:
+        """Whether the model as it is explains the records with a drift in time."""
+        return self.drift_alone is not None
 
     def _is_explained(self) -> bool:
         """Return whether a set leaves hardly more than noise."""

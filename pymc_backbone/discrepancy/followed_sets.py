@@ -23,6 +23,7 @@ _LEAST_FOLLOWED = 2  # sets that are followed although a base with a law of its 
 _STILL = 6  # simple sets within reach that are followed although the effort is spent
 _PASSED = 6  # less likely simple sets that are followed before one that costs much
 _FLOOR = 1.1  # ratio of costs within which sets leave the same
+_TOLD = 0.9  # probability of a drift in time beside the base, from which larger sets are not asked
 _NOISE = 0.01  # p-value of the residuals from which they are taken for noise
 
 
@@ -79,11 +80,28 @@ class FollowedSets(VariedSets):
         return self.halted is not None
 
     def _is_drift_told(self) -> bool:
-        """Return whether nothing explains the records but the model as it is with a drift in time."""
-        if self.is_drifting is not None and not self._is_explained():
-            asked, self.is_drifting = self.is_drifting, None
-            self.is_told = asked(self)
+        """Return whether nothing explained the records but the model as it is with a drift in time."""
+        if not self._is_explained():
+            self._ask_drift()
         return self.is_told
+
+    def _ask_drift(self) -> None:
+        """Ask, once, whether the model as it is explains the records with a drift in time."""
+        if self.is_drifting is not None:
+            asked, self.is_drifting = self.is_drifting, None
+            self.drift_alone = asked(self)
+
+    def _is_drift_likelier(self) -> bool:
+        """Return whether a drift in time explains the records, and the sets that do are much less probable."""
+        self._ask_drift()
+        if self.drift_alone is None or not self._is_explained():
+            return self.is_told
+        drift, bonus = self.drift_alone
+        weighed = evidence.probabilities(
+            {**self.fits, evidence.DRIFT: drift}, self.batch, len(self.candidates), {evidence.DRIFT: bonus},
+            self.variants,
+        )  # fmt: skip
+        return weighed[evidence.DRIFT].probability > _TOLD
 
     def _is_followed(self, names: Set, proposal: Proposal, so_far: _Followed) -> bool:
         """Return whether a set is fitted, after what was; one that adds to what explains is noted as left."""

@@ -67,6 +67,7 @@ def departing(search: Search, decision: Decision) -> Decision:
         lack=lack,
         nearest=nearest,
         below=(),
+        simulated=None,
         drift_probability=weighed.drift_probability,
         mechanisms=mechanisms,
         remainder=remainder_of(weighed, best),

@@ -78,13 +78,15 @@ def drifting_sets(search: Search) -> dict[Set, Drifting]:
     return found
 
 
-def is_drift_enough(search: FittedSets) -> bool:
-    """Return whether the model as it is leaves noise with a drift in time beside it; asked before larger sets are."""
+def drift_alone(search: FittedSets) -> Drifting | None:
+    """Return the model as it is with a drift in time, if that leaves noise; asked before larger sets are."""
     if not search.batch.has_open_records:
-        return False
+        return None
     base = search.fits[()]
     found = drift_fit(search.batch, base.layout, base.state)
-    return found is not None and evidence.leaves_noise(search.batch, found)
+    if found is None or not evidence.leaves_noise(search.batch, found):
+        return None
+    return Drifting(found, drift_bonus(found, base))
 
 
 def _ask_plain(search: Search, found: dict[Set, Drifting], limit: float) -> None:
@@ -342,8 +344,8 @@ def data_terms_check(
 __all__ = [
     "alike_check",
     "data_terms_check",
+    "drift_alone",
     "drift_check",
     "drift_fit",
     "drifting_sets",
-    "is_drift_enough",
 ]  # fmt: skip

@@ -55,7 +55,7 @@ class Search(FollowedSets):
             self._mind_scatter()
             if self._is_beyond():
                 self._follow_backbones(FEW_FOLLOWED)
-                if self.halted is not None:
+                if self.halted is not None or self._is_drift_likelier():
                     return
                 if self.batch.lacks_mid_line:
                     self._ask_plain_effects()
@@ -64,8 +64,9 @@ class Search(FollowedSets):
                     self._vary()
                     return
             self._follow_backbones(_MOST_FOLLOWED)
-            if self.halted is not None or (self.is_told and not self._is_explained()):
+            if self.halted is not None or self._is_drift_likelier():
                 return
+            self.drift_alone = None  # a set explains them as well: the drift is asked beside it
             self._ask_plain_effects()
             self._look_wider()
         self._ask_two_sides()
@@ -86,7 +87,7 @@ class Search(FollowedSets):
     def resume(self) -> None:
         """Go on to the end with a search that was halted, or short because a drift explains the records."""
         if self.halted is not None or self.is_told:
-            self.halted, self.is_told = None, False
+            self.halted, self.drift_alone = None, None
             self.run()
 
     def _ask_single_effects(self) -> None:

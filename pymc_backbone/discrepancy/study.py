@@ -71,6 +71,8 @@ class Candidate:
         NaN where nothing was drawn.
     is_bridged : bool
         Whether a bridge says the shift, which does without that tail.
+    has_drift : bool
+        Whether frequency and damping also change with time in this fit.
     """
 
     effects: tuple[str, ...]
@@ -84,6 +86,7 @@ class Candidate:
     evidence_shift: float = float("nan")
     pareto_k: float = float("nan")
     is_bridged: bool = False
+    has_drift: bool = False
 
     @property
     def is_doubtful(self) -> bool:

@@ -132,7 +132,7 @@ def _without_filter_at_first(
     """Return the question and search of records without what disturbs them, if that is no filter that is seen early."""
     question, measuring, searched = asked.question, asked.measuring, asked.searched
     if search.is_told:
-        told = _with_drifts(Undisturbed(question, search), drifting)
+        told = Undisturbed(question, search, drifting=drifting(search))
         if told.is_drifting:
             return told
         search.resume()

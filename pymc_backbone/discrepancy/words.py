@@ -53,7 +53,9 @@ def reasons(
         without_it = _curves(batch, without(brought, [name]))
         rows: tuple[int, ...] = (0, 2) if name in sides and not has_mid_line else (0, 1, 2)
         if asked is not None:
-            rows = _that_matter(rows, with_it, without_it, asked.tolerance)
+            # a spring of two sides need not change what the backbones hold: its harmonics tell it
+            by_waveforms = name in sides and batch.has_records
+            rows = _that_matter(rows, with_it, without_it, asked.tolerance, or_none=by_waveforms)
         parts = [
             sentence
             for sentence in (_power_law(batch, without_it, with_it - without_it, row) for row in rows)
@@ -68,9 +70,14 @@ def reasons(
 
 
 def _that_matter(
-    rows: tuple[int, ...], with_it: FloatArray, without_it: FloatArray, tolerance: Mapping[str, float]
+    rows: tuple[int, ...],
+    with_it: FloatArray,
+    without_it: FloatArray,
+    tolerance: Mapping[str, float],
+    *,
+    or_none: bool = False,
 ) -> tuple[int, ...]:
-    """Return the observables that an effect changes by more than the tolerance; all where it changes none so."""
+    """Return the observables that an effect changes by more than the tolerance; where that is none, all or none."""
     kept = []
     for row in rows:
         scale = 1.0 if OBSERVABLES[row] == "offset" else np.abs(with_it[:, row])
@@ -78,7 +85,7 @@ def _that_matter(
             change = np.abs(with_it[:, row] - without_it[:, row]) / scale
         if _largest(change) >= tolerance.get(OBSERVABLES[row], 0.0):
             kept.append(row)
-    return tuple(kept) or rows
+    return tuple(kept) or (() if or_none else rows)
 
 
 def _unseen_in(base: Oscillator, found: Fit) -> list[str]:

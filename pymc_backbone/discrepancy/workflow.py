@@ -28,6 +28,7 @@ from .decide import decide, is_none_other, mind_bent_sensor, mind_second_mode
 from .decision import AGREE, Decision
 from .descent import is_heavy
 from .design import Contender, Plan, contender, present_design
+from .evidence import Drifting
 from .extend import Inference, infer
 from .filter_search import early_high_pass
 from .fitted_sets import BUDGET, FittedSets, Progress
@@ -183,7 +184,7 @@ def find_missing_effect(
         question = ask(
             oscillator, data, candidates=candidates, max_effects=max_effects, tolerance=tolerance, measuring=measuring
         )
-        early = (early_high_pass, rivals.is_drift_enough) if is_of_records(data) else ()
+        early = (early_high_pass, rivals.drift_alone) if is_of_records(data) else ()
         search = _searched(question, quick, say, *early)
         known = Undisturbed(question, search)
         if is_of_records(data):
@@ -244,7 +245,7 @@ def _searched(
     quick: bool,
     say: Progress,
     is_disturbed: Callable[[FittedSets], object | None] | None = None,
-    is_drifting: Callable[[FittedSets], bool] | None = None,
+    is_drifting: Callable[[FittedSets], Drifting | None] | None = None,
 ) -> Search:
     """Return the search over sets of effects: finished, or halted by what disturbs the records."""
     search = Search(

@@ -29,6 +29,7 @@ from .words import (
     verdict_means,
 )
 
+_ALONE = 0.95  # of the probability that is told, which a set has by itself
 _MOST_SETS = 6  # that are listed one by one
 _MOST_LETTERS = 140  # of a sentence in letters of full size
 
@@ -110,6 +111,14 @@ def _remaining(study: Study) -> str:
     return "".join([*rows[: _MOST_SETS - 1], details(f"{len(folded)} more, less probable", *folded), others])
 
 
+def _probability_of(study: Study, best: tuple[str, ...]) -> str:
+    if not best:
+        return "probability that nothing is missing"
+    alone = next(item.probability for item in study.candidates if item.effects == best)
+    is_of_several = study.below_tolerance and alone < _ALONE * study.probability
+    return f"probability of {set_name(best)}{', with what is below the tolerance' if is_of_several else ''}"
+
+
 def _key_figures(study: Study) -> list[tuple[object, object]]:
     levels = np.asarray(study.backbones["level"], dtype=float)
     best = next((item.effects for item in study.candidates if item.status == Status.BEST), ())
@@ -124,7 +133,7 @@ def _key_figures(study: Study) -> list[tuple[object, object]]:
         figures.append(
             (
                 percent(study.probability),
-                f"probability of {set_name(best)}" if best else "probability that nothing is missing",
+                _probability_of(study, best),
             )
         )
     if np.isfinite(study.shrink):

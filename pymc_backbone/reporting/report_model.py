@@ -16,7 +16,7 @@ from ..effects import LIBRARY
 from ..oscillator import Oscillator
 from .html import Raw, bullets, details, escape, image, number, paragraph, prose, section, table, tiles, unit
 from .terminal import meaningful_digits
-from .words import STATUS_WORDS, added_effects, is_held, mechanism_name, percent, set_name, unit_of
+from .words import STATUS_WORDS, added_effects, candidate_name, is_held, mechanism_name, percent, set_name, unit_of
 
 _IN_BRACKETS = re.compile(r"\[([^\]]*)\]")
 _TURNED = "kg m^2"
@@ -118,7 +118,7 @@ def _candidate_row(candidate: Candidate, units: Mapping[str, str]) -> tuple[obje
     if values:
         reason += f"{'; ' if reason else ''}{', '.join(values)}"
     return (
-        set_name(candidate.effects),
+        candidate_name(candidate),
         _bar(candidate.probability),
         number(candidate.reduced_chi_square, 3),
         number(candidate.backbone_chi_square, 3),

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .._common.text import capitalised, in_words
+from ..discrepancy.decision import as_one
 from ..discrepancy.evidence import MISSING
 from ..discrepancy.verdict import AdequateBy, NamedLevel, Status, Verdict
 from ..effects import LIBRARY, MECHANISMS
 
 if TYPE_CHECKING:
-    from ..discrepancy.study import Estimate, Study
+    from ..discrepancy.study import Candidate, Estimate, Study
 
 VERDICT_WORDS: dict[str, str] = {
     Verdict.ADEQUATE: "\N{CHECK MARK} Adequate",
@@ -86,11 +87,18 @@ def adequate_because(study: Study) -> str:
 
 def remaining(study: Study) -> list[str]:
     """Return the sets that a verdict leaves possible, each with its probability, and what they do not hold of it."""
-    chances = {candidate.effects: candidate.probability for candidate in study.candidates}
+    chances = _chances(study)
     known = [chances.get(names, float("nan")) for names in study.ambiguous_sets]
     lines = [f"{set_name(names)}: {percent(p)}" for names, p in zip(study.ambiguous_sets, known, strict=True)]
     rest = 1.0 - sum(known)
     return [*lines, f"any other explanation: {percent(rest)}"] if lines and rest > LEAST_TOLD else lines
+
+
+def _chances(study: Study) -> dict[tuple[str, ...], float]:
+    """Return the probabilities of sets; those that differ by what is below the tolerance are one if they are listed so."""
+    chances = {candidate.effects: candidate.probability for candidate in study.candidates}
+    is_one = not any(set(names) & set(study.below_tolerance) for names in study.ambiguous_sets)
+    return as_one(study.below_tolerance if is_one else (), chances)
 
 
 def remaining_by_mechanism(study: Study) -> list[tuple[str, list[str]]]:
@@ -101,7 +109,7 @@ def remaining_by_mechanism(study: Study) -> list[tuple[str, list[str]]]:
     list of (str, list of str)
         The mechanisms with their probability, and the sets with theirs, as `remaining` writes them.
     """
-    chances = {candidate.effects: candidate.probability for candidate in study.candidates}
+    chances = _chances(study)
     groups: dict[tuple[str, ...], list[tuple[str, ...]]] = {}
     for names in study.ambiguous_sets:
         found = sorted({(LIBRARY[name].mechanism if name in LIBRARY else None) or "other" for name in names})
@@ -158,6 +166,11 @@ def mechanism_name(mechanism: str) -> str:
 def set_name(effects: Sequence[str], nothing: str = "nothing (base model)") -> str:
     """Return a set of effects as words; the empty set as ``nothing``."""
     return " + ".join(map(in_words, effects)) or nothing
+
+
+def candidate_name(candidate: Candidate) -> str:
+    """Return a row of the table of sets as words: its effects, and that its fit drifts with time."""
+    return set_name(candidate.effects) + (", with a drift in time" if candidate.has_drift else "")
 
 
 def percent(probability: float) -> str:

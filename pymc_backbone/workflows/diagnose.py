@@ -249,7 +249,7 @@ def _option_value(name: str, value: Any) -> str:
 
 def describe_study(study: Study) -> str:
     """Say what was found: the verdict, why, the most probable sets, the gap before and after."""
-    from ..reporting.words import mechanism_name, percent, set_name
+    from ..reporting.words import candidate_name, mechanism_name, percent
 
     lines = [f"{study.verdict.upper()}: {study.sentence}"]
     lines += [f"- {sentence}" for sentence in (*study.reasons, *study.advice)]
@@ -266,7 +266,7 @@ def describe_study(study: Study) -> str:
         rows = [("effects added to the base", "status", "probability", "reduced chi-square", "log evidence")]
         for item in study.candidates[:TOP_CANDIDATES]:
             numbers = (percent(item.probability), short(item.reduced_chi_square), short(item.log_evidence))
-            rows.append((set_name(item.effects), item.status, *numbers))
+            rows.append((candidate_name(item), item.status, *numbers))
         lines += ["", aligned(rows)]
         rest = len(study.candidates) - TOP_CANDIDATES
         if rest > 0:
