@@ -147,12 +147,13 @@ def drifting_records(
     cubic: float = 0.0,
     damping: tuple[float, float] = (1, 0),
     one_side: float = 0.0,
+    settling: float = 0.0,
 ) -> list[Record]:
     """Specimens whose stiffness changes linearly with time by ``change`` over the record, by SciPy.
 
     ``cubic`` is the force of a cubic spring at `AMPLITUDE`, over that of the linear one; ``damping`` that at release
     over `DAMPING`, and by how much of itself it changes over the record; ``one_side`` how much stiffer it is on the
-    positive side.
+    positive side. With ``settling`` the change comes nearer to its end by a factor e so many times over the record.
     """
     length = TIME[-1] - RELEASE_TIME
     records = []
@@ -160,7 +161,9 @@ def drifting_records(
         release = AMPLITUDE * (1.0 - 0.25 * r)
 
         def rate(t: float, state: Any) -> list[float]:
-            stiffness = STIFFNESS * (1.0 + change * t / length)
+            share = t / length
+            there = share if not settling else (1.0 - np.exp(-settling * share)) / (1.0 - np.exp(-settling))
+            stiffness = STIFFNESS * (1.0 + change * there)
             harder = cubic * STIFFNESS * state[0] * (state[0] / AMPLITUDE) ** 2
             harder += one_side * STIFFNESS * max(state[0], 0.0)
             loss = DAMPING * damping[0] * (1.0 + damping[1] * t / length)

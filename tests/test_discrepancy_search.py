@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -26,17 +27,19 @@ from pymc_backbone.discrepancy.curves import (
 )
 from pymc_backbone.discrepancy.decide import decide, doubted, is_none_other
 from pymc_backbone.discrepancy.decision import NAMED
-from pymc_backbone.discrepancy.drift_course import DRIFT, changes_of
+from pymc_backbone.discrepancy.drift_course import DRIFT, changes_of, course_of, passed, passed_so_far
 from pymc_backbone.discrepancy.drift_proposals import beside_drifts, single_beside_drifts
 from pymc_backbone.discrepancy.joint_fit import fit
 from pymc_backbone.discrepancy.layout import make_layout
 from pymc_backbone.discrepancy.locate import mean_gap, where_different
 from pymc_backbone.discrepancy.normal_equations import DRIFTS, State, information, start_state
+from pymc_backbone.discrepancy.question import Question
 from pymc_backbone.discrepancy.scatter import SCATTER
 from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.discrepancy.second_mode import line_beside, line_near, second_mode_check
 from pymc_backbone.discrepancy.study import HeldOut
 from pymc_backbone.discrepancy.tolerance import is_drift_small
+from pymc_backbone.discrepancy.undisturbed import Undisturbed, with_drifts
 from pymc_backbone.effects import LIBRARY
 from pymc_backbone.oscillator import Oscillator
 from pymc_backbone.simulation.decay import simulate_waveform
@@ -657,6 +660,56 @@ def test_a_drift_that_explains_the_records_by_itself_ends_the_search_early():
     assert not told.is_told and len(told.fits) > known
 
 
+@pytest.mark.parametrize("change", [0.06, -0.06])
+def test_a_drift_that_settles_is_told_with_its_time(change):
+    """A stiffness that settles with a third of the record: no steady drift, and no spring, explains that."""
+    batch = batch_of(drifting_records(np.random.default_rng(4), change, settling=3.0))
+    search = Search(batch, Oscillator(MASS), ("cubic_stiffness", "quintic_stiffness"), 2)
+    base = search.fit_set(())
+    steady = rivals.drift_fit(batch, base.layout, base.state)
+    assert steady is not None and not evidence.leaves_noise(batch, steady)
+    found = rivals.drift_alone(search)
+    assert found is not None and evidence.leaves_noise(search.batch, found.fit)
+    length = TIME[-1] - RELEASE_TIME
+    assert search.batch.settling_time == pytest.approx(length / 3.0, rel=0.15)
+    frequency = DRIFT * found.fit.state.own[:, DRIFTS[0]]
+    np.testing.assert_allclose(frequency, 0.5 * change, rtol=0.05)
+    message = rivals.drift_check(found.fit, 1.0, False, found.fit, settling=search.batch.settling_time).message
+    sign = "+" if change > 0.0 else "-"
+    assert re.search(rf"by \{sign}[23]\.?\d? % and \S+ % over a record, settling with a time constant of", message)
+    known = Undisturbed(Question(Oscillator(MASS), batch, ("cubic_stiffness",), (), {}, 2, {}, ()), search)
+    asked = with_drifts(known, rivals.drifting_sets)
+    assert asked.question.batch is search.batch and asked.is_drifting
+
+
+def test_a_steady_drift_is_not_told_to_settle():
+    search = Search(batch_of(drifting_records(np.random.default_rng(4), 0.03)), Oscillator(MASS), ("iwan",), 1)
+    search.fit_set(())
+    assert rivals.drift_alone(search) is not None
+    assert search.batch.settling_time == np.inf
+
+
+@pytest.mark.parametrize("order", [0, 1, 2])
+def test_derivatives_beside_a_drift_that_settles_are_those_of_differences(order):
+    """Of both data terms, by the drifts; a settling that is as good as none is a steady drift."""
+    times = np.linspace(0.0, 1.0, 2001)
+    nuisances = np.array([1.0, 0.05, 0.0, 0.7, 0.3])
+    for settling in (0.0, 2.0, 40.0):
+        course = course_of(times, nuisances, order, 1.0, settling)
+        step = 1e-6
+        rate = np.gradient(passed_so_far(times, settling), times, edge_order=2)
+        np.testing.assert_allclose(rate[1:-1], passed(times, settling)[1:-1], atol=0.02)
+        more, less = nuisances.copy(), nuisances.copy()
+        more[3] += step
+        less[3] -= step
+        up, down = (course_of(times, item, order, 1.0, settling).factor for item in (more, less))
+        slope = (np.log(up) - np.log(down)) / (2.0 * step)
+        np.testing.assert_allclose(course.hastened, slope, atol=1e-8)
+    steady, slow = (course_of(times, nuisances, order, 1.0, settling) for settling in (0.0, 1e-6))
+    np.testing.assert_allclose(slow.later, steady.later, rtol=1e-4, atol=1e-12)
+    assert passed(np.array([0.0, 1.0]), 3.0).tolist() == [0.0, 1.0]
+
+
 def test_a_drift_is_not_enough_where_an_effect_is_missing(cubic):
     search = Search(cubic.batch, Oscillator(MASS), CANDIDATES, 1, is_drifting=rivals.drift_alone)
     search.run()
@@ -1093,7 +1146,8 @@ def test_laws_of_one_mechanism_compete_with_a_drift_beside_them():
     check = rivals.drift_check(found[()].fit, 0.0, True, named)
     changes = changes_of(named.state.own[:, list(DRIFTS)], named.own_covariance[:, list(DRIFTS)])
     assert not check.passed
-    assert f"(by {per_cent(changes['frequency'])} and {per_cent(changes['damping'])} over a record)" in check.message
+    assert f"(by +{per_cent(changes['frequency'])} and " in check.message  # it becomes stiffer
+    assert f"{per_cent(changes['damping'])} over a record)" in check.message
     below = rivals.drift_check(found[()].fit, 0.0, True, named, is_small=True)
     assert below.passed and "below the tolerance" in below.message
     rate = DRIFT * float(np.abs(named.state.own[:, DRIFTS[0]]).mean())

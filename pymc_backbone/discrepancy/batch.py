@@ -109,6 +109,20 @@ class Batch:
         """Return the batch as if its backbones alone were known."""
         return replace(self, records=(), cycles=(), turning=(), waveform=())
 
+    @property
+    def settling_time(self) -> float:
+        """Time constant [s] of a drift of frequency; infinite for a steady one."""
+        term = self.waveform[0] if self.waveform else None
+        return float(np.ptp(term.time)) / term.settling if term is not None and term.settling else float("inf")
+
+    def settling(self, time: float) -> Batch:
+        """Return the batch whose drifts of frequency settle with a time constant [s], instead of being steady."""
+        return replace(
+            self,
+            turning=tuple(replace(term, settling=float(np.ptp(term.times)) / time) for term in self.turning),
+            waveform=tuple(replace(term, settling=float(np.ptp(term.time)) / time) for term in self.waveform),
+        )
+
     def _row(self, specimen: int) -> int:
         return [str(name) for name in self.backbones["specimen"].values].index(self.specimens[specimen])
 

@@ -247,7 +247,8 @@ def _left_beside_drifts(batch: Batch, found: Fit, r: int) -> FloatArray | None:
     order = np.argsort(cycles.smoothed_amplitude)
     elapsed = (cycles.time[order] - found.state.own[r, RELEASE_INSTANT]) / length
     share = np.interp(term.levels, cycles.smoothed_amplitude[order], elapsed)
-    levels = levels_before(term.levels, share, loss)
+    settling = batch.waveform[r].settling
+    levels = levels_before(term.levels, share, loss, drift, settling)
     if not np.all(np.diff(levels) > 0.0):
         return None
     values, status = np.empty((3, levels.size)), np.zeros(levels.size, dtype=np.int64)
@@ -255,7 +256,7 @@ def _left_beside_drifts(batch: Batch, found: Fit, r: int) -> FloatArray | None:
     found.layout.simulator.backbone(found.parameters(r), levels, term.release, True, values, none, status, whole=False)
     if status.any():
         return None
-    values[:2] = drifted(values[0], values[1], share, drift, loss, length)
+    values[:2] = drifted(values[0], values[1], share, drift, loss, length, settling)
     left: FloatArray = term.whitening @ (term.values - values[term.rows[:, 0], term.rows[:, 1]])
     return left
 

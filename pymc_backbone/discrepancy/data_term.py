@@ -15,7 +15,7 @@ import xarray as xr
 
 from .._common.checks import OBSERVABLES, BoolArray, FloatArray, IntArray
 from ..simulation.decay import Simulator
-from .drift_course import DRIFT, Course, course_of
+from .drift_course import DRIFT, Course, course_of, passed, passed_so_far
 from .whitening import EDGE, average, means
 
 TOLERANCE = 1e-7  # of one integration step: waveforms to 3e-6 of the amplitude, far below any noise here
@@ -170,6 +170,8 @@ class TurningTerm:
         Turning points between the release and the first: a band-pass loses the beginning of the record.
     fade : float
         What one unit of the drift of damping adds to the decrement, summed over the record.
+    settling : float
+        How many times over the record a drift of frequency comes nearer to its end by a factor e; 0 for a steady one.
     """
 
     times: FloatArray
@@ -178,6 +180,7 @@ class TurningTerm:
     value_errors: FloatArray
     skipped: int = 0
     fade: float = 1.0
+    settling: float = 0.0
 
     def first(self, count: int) -> TurningTerm:
         """Return the term of the first ``count`` turning points."""
@@ -210,9 +213,10 @@ class TurningTerm:
         n = self.times.size
         length = float(self.times[-1] - self.times[0])
         share = times / length
-        early = 0.5 * DRIFT * share**2 * length
+        early = DRIFT * length * passed_so_far(share, self.settling)
         loss *= self.fade
-        less = np.exp(-0.5 * loss * share**2)
+        there = DRIFT * passed(share, self.settling)
+        less = np.exp(-0.5 * loss * share**2) / np.sqrt(1.0 + drift * there)
         residuals = np.concatenate(
             [
                 (self.times - release_time - times + drift * early) / self.time_errors,
@@ -220,7 +224,7 @@ class TurningTerm:
             ]
         )
         jacobian = np.zeros((2 * n, columns + 4))
-        of_times = time_slopes * (1.0 - drift * DRIFT * share)[:, None]
+        of_times = time_slopes * (1.0 - drift * there)[:, None]
         of_values = (slopes - time_slopes * (loss * share / length * turns)[:, None]) * less[:, None]
         parts = ((slice(0, n), of_times, self.time_errors), (slice(n, None), of_values, self.value_errors))
         for part, slope, error in parts:
@@ -229,6 +233,7 @@ class TurningTerm:
         jacobian[:n, columns] = 1.0 / self.time_errors
         jacobian[n:, columns + 1] = 1.0 / self.value_errors
         jacobian[:n, columns + 2] = -early / self.time_errors
+        jacobian[n:, columns + 2] = -0.5 * there / (1.0 + drift * there) * turns * less / self.value_errors
         jacobian[n:, columns + 3] = -0.5 * self.fade * share**2 * turns * less / self.value_errors
         return residuals, jacobian
 
@@ -305,6 +310,8 @@ class WaveformTerm:
         Which of these values stay, where some are left out.
     jumps : Jumps or None
         Why: where the quantity may jump.
+    settling : float
+        As in `TurningTerm`.
     """
 
     time: FloatArray
@@ -322,6 +329,7 @@ class WaveformTerm:
     averaged: int = 1
     shown: IntArray | None = None
     jumps: Jumps | None = None
+    settling: float = 0.0
 
     def simulate(
         self,
@@ -372,7 +380,7 @@ class WaveformTerm:
     ) -> tuple[FloatArray, FloatArray] | None:
         """Return residuals (m,) and derivatives (m, p + 5)."""
         release, release_time, offset, drift, _ = nuisances
-        course = course_of(self.time, nuisances, self.order, self.fade)
+        course = course_of(self.time, nuisances, self.order, self.fade, self.settling)
         simulated = self.simulate(simulator, parameters, release, release_time, self._at(drift, course))
         if simulated is None:
             return None
@@ -386,8 +394,7 @@ class WaveformTerm:
         columns[:, p + 1] = -slopes[:, -1]
         columns[:, p + 2] = 0.0
         columns[:, p + 3] = slopes[:, -1] * course.later
-        if course.hastened is not None:
-            columns[:, p + 3] += values * course.hastened
+        columns[:, p + 3] += values * course.hastened
         columns[:, p + 4] = -course.share * values
         columns[:, p + 5] = values
         if not np.isfinite(columns).all():
@@ -407,7 +414,7 @@ class WaveformTerm:
     def residuals(self, simulator: Simulator, parameters: FloatArray, nuisances: FloatArray) -> FloatArray | None:
         """Return residuals (m,)."""
         release, release_time, offset, drift, _ = nuisances
-        course = course_of(self.time, nuisances, self.order, self.fade)
+        course = course_of(self.time, nuisances, self.order, self.fade, self.settling)
         simulated = self.simulate(
             simulator, parameters, release, release_time, self._at(drift, course), sensitivities=False
         )

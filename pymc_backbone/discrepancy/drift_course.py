@@ -27,15 +27,15 @@ class Course(NamedTuple):
     share : (n,) array
         By how much one unit of the drift of damping lowers the logarithm of the amplitude.
     factor : (n,) array or None
-        By which both change the measured quantity; None where they are zero or change when it is reached, not its size.
-    hastened : (n,) array or None
-        Derivative of the logarithm of that with respect to the drift of frequency; None for a displacement.
+        By which both change the measured quantity; None where they are zero.
+    hastened : (n,) array
+        Derivative of the logarithm of that with respect to the drift of frequency.
     """
 
     later: FloatArray
     share: FloatArray
     factor: FloatArray | None
-    hastened: FloatArray | None
+    hastened: FloatArray
 
 
 def fade_of(amplitude: FloatArray) -> float:
@@ -62,38 +62,85 @@ def changes_of(drifts: FloatArray, variances: FloatArray) -> dict[str, float]:
     return {"frequency": DRIFT * float(frequency), "damping": _FADE * float(damping)}
 
 
-def course_of(time: FloatArray, nuisances: FloatArray, order: int, fade: float) -> Course:
-    """Return how drifts change the motion over the record, seen as its derivative of an order; ``fade`` as above."""
+def passed(share: FloatArray, settling: float) -> FloatArray:
+    """Return how much of a drift of frequency is there after these shares of a record.
+
+    In proportion to the time, or as what ``settling`` times over a record comes nearer to its end by a factor e: a
+    structure that warms up, or a joint that settles.
+    """
+    return share if settling == 0.0 else np.expm1(-settling * share) / np.expm1(-settling)
+
+
+def passed_so_far(share: FloatArray, settling: float) -> FloatArray:
+    """Return the integral of that from the release on."""
+    if settling == 0.0:
+        return 0.5 * share**2
+    whole: FloatArray = (share + np.expm1(-settling * share) / settling) / -np.expm1(-settling)
+    return whole
+
+
+def course_of(time: FloatArray, nuisances: FloatArray, order: int, fade: float, settling: float = 0.0) -> Course:
+    """Return how drifts change the motion over the record, seen as its derivative of an order.
+
+    ``fade`` and ``settling`` as above. What drifts is a stiffness: over a cycle it hardly changes, so that energy over
+    frequency stays (the adiabatic invariant), and the amplitude falls as the root of the frequency rises.
+    """
     _, release_time, _, drift, loss = nuisances
     length = float(time[-1] - time[0])
     elapsed = np.maximum(time - release_time, 0.0)
     share = 0.5 * fade * (elapsed / length) ** 2
-    factor = hastened = None
-    if loss != 0.0 or order:
-        # y(s(t)) exp(-loss share) is the displacement: its rates have the pace ds/dt in them
-        pace = 1.0 + drift * DRIFT * elapsed / length
-        if loss != 0.0 or drift != 0.0:
-            factor = np.exp(-loss * share) * pace**order
-        if order:
-            hastened = order * DRIFT * elapsed / length / pace
-    return Course(0.5 * DRIFT * elapsed**2 / length, share, factor, hastened)
+    # y(s(t)) exp(-loss share) over the root of the pace ds/dt is the displacement: its rates have that pace in them
+    there = passed(elapsed / length, settling)
+    pace = 1.0 + drift * DRIFT * there
+    factor = np.exp(-loss * share) * pace ** (order - 0.5) if loss != 0.0 or drift != 0.0 else None
+    hastened = (order - 0.5) * DRIFT * there / pace
+    return Course(DRIFT * length * passed_so_far(elapsed / length, settling), share, factor, hastened)
 
 
-def levels_before(levels: FloatArray, share: FloatArray, loss: float) -> FloatArray:
-    """Return the amplitudes (l,) that a motion without the drift of damping has where the one with it has these.
+def levels_before(
+    levels: FloatArray, share: FloatArray, loss: float, drift: float = 0.0, settling: float = 0.0
+) -> FloatArray:
+    """Return the amplitudes (l,) that a motion without drifts has where the one with them has these.
 
     ``share`` is how much of the record has passed there.
     """
-    before: FloatArray = levels * np.exp(0.5 * loss * share**2)
+    pace = 1.0 + drift * DRIFT * passed(share, settling)
+    before: FloatArray = levels * np.exp(0.5 * loss * share**2) * np.sqrt(pace)
     return before
 
 
 def drifted(
-    frequency: FloatArray, damping: FloatArray, share: FloatArray, drift: float, loss: float, length: float
+    frequency: FloatArray,
+    damping: FloatArray,
+    share: FloatArray,
+    drift: float,
+    loss: float,
+    length: float,
+    settling: float = 0.0,
 ) -> tuple[FloatArray, FloatArray]:
     """Return frequency [Hz] and decrement (l,) that are passed after these shares of a record of some length [s]."""
-    faster = frequency * (1.0 + drift * DRIFT * share)
-    return faster, damping + loss * share / (length * faster)
+    faster = frequency * (1.0 + drift * DRIFT * passed(share, settling))
+    pace = faster / frequency
+    hardens = drift * DRIFT * _growing(share, settling) / pace  # by which the amplitude falls, too
+    return faster, damping + (loss * share + 0.5 * hardens) / (length * faster)
 
 
-__all__ = ["DRIFT", "Course", "changes_of", "course_of", "drifted", "fade_of", "levels_before"]
+def _growing(share: FloatArray, settling: float) -> FloatArray:
+    """Return the derivative of `passed` with respect to the share of the record."""
+    if settling == 0.0:
+        return np.ones_like(share)
+    rate: FloatArray = settling * np.exp(-settling * share) / -np.expm1(-settling)
+    return rate
+
+
+__all__ = [
+    "DRIFT",
+    "Course",
+    "changes_of",
+    "course_of",
+    "drifted",
+    "fade_of",
+    "levels_before",
+    "passed",
+    "passed_so_far",
+]  # fmt: skip

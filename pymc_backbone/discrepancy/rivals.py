@@ -7,6 +7,7 @@ from functools import partial
 from itertools import batched, combinations
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 from scipy.special import stdtr
 
 from .._common.checks import FloatArray
@@ -35,6 +36,12 @@ _ASKED = 3  # sets that are asked with a drift beside them where none leaves noi
 _HELPED = 20.0  # fall of chi-square by a drift from which other laws of the same mechanisms are asked
 _FIRST_TURNS = 108  # turning points that may refute a set with a drift, before all are looked at
 _NEAR = 2.0  # reduced chi-square with a drift up to which they are
+_STEADY = 0.5  # of what a set leaves, that a steady drift leaves at most beside which one is asked that settles
+_SETTLES = (0.1, 5.0)  # time constants that are asked, in lengths of the records
+_NEAR_ENOUGH, _MOST = 0.02, 14  # in the logarithm of that, and most fits for it
+_AGREED = 0.8  # of what all records drift, that is one way where they agree
+_ALIKE_DRIFTS = 0.05  # by which drifts that are alike may differ, relative to their size
+_NO_POWER = 0.7  # of the amplitude: with two standard errors, what is none of a law
 _BENT = 0.5  # of what the base leaves, that a drift leaves at most which bends the backbones as much as a law does
 
 
@@ -75,6 +82,17 @@ def drifting_sets(search: Search) -> dict[Set, Drifting]:
             _ask_plain(search, found, limit)
         elif not any(evidence.leaves_noise(search.batch, item.fit) for item in found.values()):
             _ask_backbones(search, found)
+    return _settled(search, found)
+
+
+def _settled(search: Search, found: dict[Set, Drifting]) -> dict[Set, Drifting]:
+    """Return the same with drifts that settle, where no steady one leaves noise and such a one does."""
+    if not found or any(evidence.leaves_noise(search.batch, item.fit) for item in found.values()):
+        return found
+    nearest = sorted(found, key=lambda item: found[item].fit.cost)[:_ASKED]
+    for names in [names for names in dict.fromkeys([(), *nearest]) if names in found]:
+        if not is_heavy(search.layout(names)) and _settle(search, names, found[names].fit) is not None:
+            return drifting_sets(search)
     return found
 
 
@@ -84,9 +102,63 @@ def drift_alone(search: FittedSets) -> Drifting | None:
         return None
     base = search.fits[()]
     found = drift_fit(search.batch, base.layout, base.state)
-    if found is None or not evidence.leaves_noise(search.batch, found):
+    if found is None:
         return None
-    return Drifting(found, drift_bonus(found, base))
+    if not evidence.leaves_noise(search.batch, found):
+        found = _settle(search, (), found)
+    return None if found is None else Drifting(found, drift_bonus(found, base))
+
+
+def _is_of_time(batch: Batch, drifting: Fit) -> bool:
+    """Return whether records drift in frequency by as much whatever amplitude they were released from.
+
+    What depends on the amplitude has a power of it: that of the drifts is none.
+    """
+    drift, variance = drifting.state.own[:, DRIFTS[0]], drifting.own_covariance[:, DRIFTS[0]]
+    if not ((drift > 0.0).all() or (drift < 0.0).all()) or not np.isfinite(variance).all():
+        return False
+    releases = np.log(np.abs([term.values[0] for term in batch.turning]))
+    weight = 1.0 / (variance / drift**2 + _ALIKE_DRIFTS**2)
+    apart = releases - weight @ releases / weight.sum()
+    known = float(weight @ apart**2)
+    if not known > 0.0:
+        return False
+    power = float(weight @ (apart * np.log(np.abs(drift)))) / known
+    return bool(abs(power) + 2.0 / np.sqrt(known) < _NO_POWER)
+
+
+def _settle(search: FittedSets, names: Set, steady: Fit) -> Fit | None:
+    """Return a set with a drift that settles, and let drifts settle as that does; None unless it leaves noise.
+
+    Asked where a steady drift takes away most of what the set leaves, and not all. What settles and what a decaying
+    amplitude leaves of a spring's law are the same curve over one record: only where releases of different amplitude
+    drift by as much is it a drift.
+    """
+    batch, alone = search.batch, search.fits[names]
+    length = float(np.median([np.ptp(term.time) for term in batch.waveform]))
+    left, before = steady.cost - search.count, alone.cost - search.count
+    if batch.waveform[0].settling or left > _STEADY * before:
+        return None
+    found: dict[float, Fit] = {}
+
+    def leaves(log_share: float) -> float:
+        share = float(np.exp(log_share))
+        fitted = drift_fit(batch.settling(share * length), alone.layout, steady.state)
+        if fitted is not None:
+            found[share] = fitted
+        return np.inf if fitted is None else fitted.cost
+
+    minimize_scalar(
+        leaves, bounds=np.log(_SETTLES), method="bounded", options={"xatol": _NEAR_ENOUGH, "maxiter": _MOST}
+    )
+    share = min(found, key=lambda item: found[item].cost, default=0.0)
+    if not share:
+        return None
+    settled = batch.settling(share * length)
+    if not (evidence.leaves_noise(settled, found[share]) and _is_of_time(batch, found[share])):
+        return None
+    search.batch = settled
+    return found[share]
 
 
 def _ask_plain(search: Search, found: dict[Set, Drifting], limit: float) -> None:
@@ -207,18 +279,24 @@ def drift_fit(batch: Batch, layout: Layout, state: State, limit: float = np.inf)
 
 
 def drift_check(
-    drifting: Fit | None, probability: float, found: bool, named: Fit | None = None, *, is_small: bool = False
+    drifting: Fit | None,
+    probability: float,
+    found: bool,
+    named: Fit | None = None,
+    *,
+    is_small: bool = False,
+    settling: float = np.inf,
 ) -> Check:
     """Say whether a change with time explains the records as well as a change with amplitude.
 
     ``named`` is the fit of the named set where it holds a drift beside its effects, ``is_small`` whether that is below
-    the tolerance.
+    the tolerance, ``settling`` the time constant [s] of a drift that settles.
     """
     name = "amplitude, not time"
     if drifting is None:
         return Check(name, True, "not testable without records: backbones do not say when an amplitude was passed")
     if named is not None and found:
-        drift = f"frequency and damping drift with time ({_rates(named)} over a record)"
+        drift = f"frequency and damping drift with time ({_rates(named, settling)})"
         said = f"beside the effect {drift}, or a second effect"
         if is_small:
             return Check(name, True, f"{said} imitates that, which is below the tolerance")
@@ -228,7 +306,7 @@ def drift_check(
             f"{said} imitates that: keep the temperature, and release from other amplitudes to tell the two apart",
         )
     if named is not None:
-        said = f"frequency and damping drift with time ({_rates(named)} over a record), which explains"
+        said = f"frequency and damping drift with time ({_rates(named, settling)}), which explains"
         if is_small:
             return Check(name, True, f"{said} the records alone, and is below the tolerance")
         return Check(name, False, f"{said} the records alone; keep the temperature")
@@ -236,7 +314,7 @@ def drift_check(
         return Check(
             name,
             False,
-            f"a frequency and damping that drift with time ({_rates(drifting)} over a record) "
+            f"a frequency and damping that drift with time ({_rates(drifting, settling)}) "
             f"explain the records as well as an effect of amplitude does (probability {probability:.2f}); release from "
             "other amplitudes to tell the two apart",
         )
@@ -246,11 +324,18 @@ def drift_check(
     return Check(name, True, "the same amplitude has the same frequency and damping whenever it is passed")
 
 
-def _rates(drifting: Fit) -> str:
-    """Return the relative changes of frequency and damping over a record, their mean sizes over the records."""
+def _rates(drifting: Fit, settling: float) -> str:
+    """Return the relative changes of frequency and damping over a record: mean sizes, signed where records agree."""
     places = list(DRIFTS)
-    changes = changes_of(drifting.state.own[:, places], np.nan_to_num(drifting.own_covariance[:, places]))
-    return f"by {per_cent(changes['frequency'])} and {per_cent(changes['damping'])}"
+    values = drifting.state.own[:, places]
+    changes = changes_of(values, np.nan_to_num(drifting.own_covariance[:, places]))
+    signs = np.where(np.abs(values.sum(axis=0)) > _AGREED * np.abs(values).sum(axis=0), np.sign(values.sum(axis=0)), 0)
+    said = [
+        f"{'-' if sign * change < 0.0 else '+' if sign * change > 0.0 else ''}{per_cent(change)}"
+        for sign, change in zip(signs, changes.values(), strict=True)
+    ]
+    how = f", settling with a time constant of {settling:.3g} s" if np.isfinite(settling) else ""
+    return f"by {said[0]} and {said[1]} over a record{how}"
 
 
 def alike_check(batch: Batch, best: Fit, *, is_exact: bool = True) -> Check:

@@ -132,7 +132,7 @@ def _without_filter_at_first(
     """Return the question and search of records without what disturbs them, if that is no filter that is seen early."""
     question, measuring, searched = asked.question, asked.measuring, asked.searched
     if search.is_told:
-        told = Undisturbed(question, search, drifting=drifting(search))
+        told = with_drifts(Undisturbed(question, search), drifting)
         if told.is_drifting:
             return told
         search.resume()
@@ -296,7 +296,13 @@ def _with_drifts(known: Undisturbed, drifting: Callable[[Search], Mapping[Set, D
     """Return the search with the sets that were asked with a drift beside them, where none leaves noise without."""
     if known.drifting is not None or _is_exact(known.search):
         return known
-    return replace(known, drifting=drifting(known.search))
+    return with_drifts(known, drifting)
+
+
+def with_drifts(known: Undisturbed, drifting: Callable[[Search], Mapping[Set, Drifting]]) -> Undisturbed:
+    """Return the search with the sets that were asked with a drift beside them; the batch knows how drifts go."""
+    found = drifting(known.search)
+    return replace(known, drifting=found, question=replace(known.question, batch=known.search.batch))
 
 
 def _straightened(asked: _Asked, again: Search, records: Sequence[Record], said: Sequence[str]) -> Undisturbed | None:
@@ -332,4 +338,4 @@ def _is_exact(search: Search) -> bool:
     return evidence.leaves_noise(search.batch, search.fits[search.best()])
 
 
-__all__ = ["Undisturbed", "undisturbed"]
+__all__ = ["Undisturbed", "undisturbed", "with_drifts"]

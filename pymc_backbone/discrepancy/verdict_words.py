@@ -19,6 +19,16 @@ _HEADED = 3  # sets in the headline, where a list of them follows
 _REST = 0.1  # probability of no known set from which the sentence speaks of it
 _UNLIKELY = 0.02  # probability of a law below which the sentence does not hold it
 _JOINT = 1.02  # sum of the probabilities of laws over that of their mechanism, beyond which sets hold several
+DRIFTS = "a drift with time explains the records better than any effect of amplitude"
+_OR_FORCES = (
+    "a drift with time explains the records, and so do forces of displacement and speed that none of them is; "
+    "releases from other amplitudes tell the two apart"
+)
+
+
+def with_forces(sentence: str, *, are_exact: bool) -> str:
+    """Return a sentence that tells a drift with time, where force curves explain the records to the noise as well."""
+    return sentence.replace(DRIFTS, _OR_FORCES) if are_exact else sentence
 
 
 def is_drift_possible(decision: Decision) -> bool:
@@ -217,8 +227,7 @@ def _of_unexplained(decision: Decision) -> str:
         if decision.nearest is not None:
             near = named(decision.nearest)
             left = f"none holds at all amplitudes; nearest to the samples is {near}, but its backbones are far off"
-    drifts = "a drift with time explains the records better than any effect of amplitude"
-    why = drifts if decision.drift_probability > 0.5 else left
+    why = DRIFTS if decision.drift_probability > 0.5 else left
     return f"Something is missing, and no set of known effects explains it: {why}.{_certain(decision)}"
 
 

@@ -28,7 +28,7 @@ from .decide import decide, is_none_other, mind_bent_sensor, mind_second_mode
 from .decision import AGREE, Decision
 from .descent import is_heavy
 from .design import Contender, Plan, contender, present_design
-from .evidence import Drifting
+from .evidence import UNEXPLAINED, Drifting
 from .extend import Inference, infer
 from .filter_search import early_high_pass
 from .fitted_sets import BUDGET, FittedSets, Progress
@@ -43,7 +43,7 @@ from .search import Search
 from .second_mode import second_mode_check
 from .study import Check, EvidenceBasis, Study
 from .tolerance import is_drift_small
-from .undisturbed import Undisturbed, undisturbed
+from .undisturbed import Undisturbed, undisturbed, with_drifts
 from .verdict import NamedLevel, Verdict
 from .verify import MOST_HELD_OUT, Verification, verify
 
@@ -192,8 +192,10 @@ def find_missing_effect(
             known = undisturbed(
                 question, search, data, measuring, lambda other: _searched(other, quick, say), rivals.drifting_sets
             )
-        question = known.question
         say("deciding", 0.0)
+        if known.drifting is None:
+            known = with_drifts(known, rivals.drifting_sets)
+        question = known.question
         outcome = _decided(known)
         most = MOST_HELD_OUT if held_out is None else int(held_out)
         verification = verify(outcome.judged, outcome.base, outcome.extended, most, seed, say)
@@ -212,7 +214,11 @@ def find_missing_effect(
     }  # fmt: skip
     plan = None if quick else _planned(question, outcome, seed, say)
     study = _study(question, outcome, verification, inference, asked, plan, seed, started)
-    return study if curves is None else replace(study, force_curves=curves)
+    if curves is None:
+        return study
+    are_exact = curves.is_possible and curves.p_value >= UNEXPLAINED
+    said = verdict_words.with_forces(study.sentence, are_exact=are_exact)
+    return replace(study, sentence=said, force_curves=curves)
 
 
 def _curves(
@@ -264,7 +270,7 @@ def _searched(
 def _decided(known: Undisturbed) -> Outcome:
     """Return the verdict on a finished search, its rivals minded: a drift with time, a second mode."""
     question, search = known.question, known.search
-    drifting = rivals.drifting_sets(search) if known.drifting is None else known.drifting
+    drifting = known.drifting or {}
     decision = decide(search, drifting, question.tolerance)
     base_drifting = drifting[()].fit if () in drifting else None
     second_mode = Check("no second mode", True, "not testable without records")
@@ -290,6 +296,7 @@ def _checks(question: Question, outcome: Outcome, verification: Verification) ->
             bool(decision.best),
             named,
             is_small=named is not None and is_drift_small(named, question.tolerance),
+            settling=batch.settling_time,
         ),
         outcome.second_mode,
         rivals.alike_check(batch, outcome.model, is_exact=not decision.is_approximate),

@@ -95,7 +95,7 @@ def remaining(study: Study) -> list[str]:
 
 
 def _chances(study: Study) -> dict[tuple[str, ...], float]:
-    """Return the probabilities of sets; those that differ by what is below the tolerance are one if they are listed so."""
+    """Return the probabilities of sets, which are one where they are listed without what is below the tolerance."""
     chances = {candidate.effects: candidate.probability for candidate in study.candidates}
     is_one = not any(set(names) & set(study.below_tolerance) for names in study.ambiguous_sets)
     return as_one(study.below_tolerance if is_one else (), chances)
