@@ -6,15 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from pymc_backbone.discrepancy import starts, valleys
 from pymc_backbone.discrepancy.estimates import estimates_of
-from pymc_backbone.discrepancy.extend import estimates_from_fit
+from pymc_backbone.discrepancy.extend import _reaching, _told_by, estimates_from_fit
 from pymc_backbone.discrepancy.fitted_sets import BUDGET
 from pymc_backbone.discrepancy.joint_fit import fit
 from pymc_backbone.discrepancy.layout import make_layout
 from pymc_backbone.discrepancy.normal_equations import State, start_state
 from pymc_backbone.discrepancy.search import Search
+from pymc_backbone.discrepancy.study import UNMIXED, Estimate
 from pymc_backbone.effects import LIBRARY
 from pymc_backbone.oscillator import Oscillator
 from pymc_backbone.reporting.report_model import _interval
@@ -167,6 +169,48 @@ def test_intervals_hold_the_truth_from_anywhere_along_the_valley(hardly_slipping
     assert value - 1.96 * error > truth["joint_slip_force"]
     estimate = estimates_from_fit(batch, found)["iwan"]["joint_slip_force"]
     assert estimate.hdi_low < truth["joint_slip_force"] < estimate.hdi_high and estimate.is_high_open
+
+
+@pytest.fixture(scope="module")
+def plain():
+    effects = ("cubic_stiffness",)
+    batch = batch_of(make_records(np.random.default_rng(24), effects, specimens=3))
+    layout = make_layout(Oscillator(MASS, effects), batch.amplitude, batch.angular_frequency)
+    return batch, fit_from(layout, batch, truth_of(effects))
+
+
+def test_intervals_of_few_specimens_hold_the_value_about_which_these_differ(plain, monkeypatch):
+    """Stiffnesses of three specimens tell their spread as roughly as three numbers do: Student's t, not the normal."""
+    batch, found = plain
+    monkeypatch.setattr(valleys, "ranges", lambda *_: {})
+    rng, held = np.random.default_rng(25), []
+    for _ in range(400):
+        own = found.state.own.copy()
+        own[:, 0] = STIFFNESS * (1.0 + 0.03 * rng.standard_normal(3))
+        drawn = replace(found, state=State(found.state.eta, own))
+        estimate = estimates_from_fit(batch, drawn)["linear_stiffness"]["linear_stiffness"]
+        held.append(estimate.hdi_low < STIFFNESS < estimate.hdi_high)
+    assert 0.92 < np.mean(held) < 0.98  # with 1.96 standard errors it would be 0.81
+
+
+def test_priors_hold_what_the_fit_allows():
+    fitted = {"iwan": {"a": Estimate(2.0, 1.0, 0.5, 9.0, "N"), "b": Estimate(1.0, 0.1, 0.9, 1.1, "N")}}
+    assert _reaching({"a": (1.0, 3.0), "b": (0.0, 2.0), "c": (4.0, 5.0)}, fitted) == {
+        "a": (0.5, 9.0), "b": (0.0, 2.0), "c": (4.0, 5.0),
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("apart", [0.0, 5.0])
+def test_draws_that_did_not_mix_say_nothing_of_the_parameters(plain, apart):
+    _, found = plain
+    rng, names = np.random.default_rng(26), found.layout.oscillator.parameter_names
+    offsets = apart * np.arange(2)[:, None]
+    draws = {name: 10.0 + offsets + rng.standard_normal((2, 500)) for name in names}
+    posterior = xr.DataTree.from_dict({"posterior": xr.Dataset({k: (("chain", "draw"), v) for k, v in draws.items()})})
+    fitted = {"cubic_stiffness": {"cubic_stiffness": Estimate(1.0, 0.1, 0.8, 1.2, "N/m^3")}}
+    estimates, said, figures = _told_by(posterior, found, {}, fitted)
+    assert (estimates is fitted) == (figures["r_hat"] > UNMIXED) == bool(apart)
+    assert any("did not mix" in item for item in said) == bool(apart)
 
 
 def test_where_everything_is_well_known_the_curvature_says_all():

@@ -418,7 +418,7 @@ def test_a_drift_is_not_named(rng):
     ("tolerance", "verdict", "said"),
     [
         ({"frequency": 0.004}, "adequate", "a drift with time is detectable"),
-        (None, "unexplained", "a drift with time explains the records better than any effect"),
+        (None, "unexplained", "a drift with time explains the records, and so do forces of displacement and speed"),
     ],
 )
 def test_a_drift_that_explains_all_is_the_best_and_no_effect_beside_it(tolerance, verdict, said, rng):

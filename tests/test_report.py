@@ -313,7 +313,7 @@ def test_what_was_cut_is_said_in_the_open_record_by_record():
 
 def test_two_uncertainties_of_one_number_have_names(studies):
     study = studies["found"]
-    drawn = parameters(dataclasses.replace(study, posterior=xr.DataTree()), {})
+    drawn = parameters(dataclasses.replace(study, posterior=xr.DataTree(), convergence={"r_hat": 1.005}), {})
     assert "sd, posterior" in drawn and "sd, fit" in drawn
     best = next(item for item in study.candidates if item.effects == ("coulomb_friction",))
     row = next(line for line in drawn.split("</tr>") if "friction force" in line)
@@ -323,6 +323,8 @@ def test_two_uncertainties_of_one_number_have_names(studies):
     assert "95 % HDI" in drawn
     unsampled = parameters(dataclasses.replace(study, posterior=None), {})
     assert "sd, posterior" not in unsampled and "HDI" not in unsampled and "95 % of the fit" in unsampled
+    unmixed = parameters(dataclasses.replace(study, posterior=xr.DataTree(), convergence={"r_hat": 2.5}), {})
+    assert "HDI" not in unmixed and "The draws did not mix: intervals are those of the fit" in unmixed
 
 
 def test_names_from_files_cannot_become_markup():

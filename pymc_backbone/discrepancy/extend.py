@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 import xarray as xr
+from scipy.special import stdtrit
 
 from .._common.backbone_dataset import FREQUENCY
 from .._common.checks import OBSERVABLES, FloatArray
@@ -19,11 +20,12 @@ from .descent import is_heavy
 from .estimates import estimates_of
 from .joint_fit import Fit
 from .layout import SHAPES
-from .study import Estimate
+from .study import UNMIXED, Estimate
 
 _REACH = 10.0  # standard deviations between an estimate and the ends of its prior
 _LEAST = {"linear_stiffness": 0.02, "viscous_damping": 0.5}
 _LEAST_SHARE = 0.5
+_NINETY_FIVE = 1.96  # standard errors
 _HEAVY_SHARE = 4  # fewer draws for models that take so much longer
 
 
@@ -108,6 +110,18 @@ def prior_bounds(batch: Batch, found: Fit, mean: FloatArray) -> tuple[dict[str, 
     return bounds, held
 
 
+def _reaching(
+    bounds: Mapping[str, tuple[float, float]], fitted: Mapping[str, Mapping[str, Estimate]]
+) -> dict[str, tuple[float, float]]:
+    """Return bounds that hold what the fit allows: a valley that parameters make up for each other along is long."""
+    allowed = {name: (item.hdi_low, item.hdi_high) for group in fitted.values() for name, item in group.items()}
+    wider = {}
+    for name, (low, high) in bounds.items():
+        least, most = allowed.get(name, (low, high))
+        wider[name] = (min(low, least), max(high, most))
+    return wider
+
+
 @dataclass(frozen=True, eq=False)
 class Inference:
     """What is known of the parameters of a model.
@@ -152,31 +166,41 @@ def infer(
     if sampling is None:
         return Inference(estimates_from_fit(batch, found))
     # PyMC takes seconds to import, and quick studies do without
-    from ..inference.diagnostics import findings, summarise
     from ..inference.model import build_model
     from ..inference.sampling import sample
 
     backbone, mean = mean_specimen(batch, found)
     bounds, held = prior_bounds(batch, found, mean)
+    fitted = estimates_from_fit(batch, found)
+    bounds = _reaching(bounds, fitted)
     model = build_model(found.layout.oscillator, backbone, bounds=bounds, fixed=held, likelihood="pooled")
     chosen = _for_model(sampling, found)
     posterior = sample(model, progressbar=False, progress=progress, **asdict(chosen))
-    table = summarise(posterior)
+    estimates, said, figures = _told_by(posterior, found, held, fitted)
     return Inference(
-        estimates=estimates_from_draws(found, posterior, held),
+        estimates=estimates,
         posterior=posterior,
         backbone=backbone,
         bounds=bounds,
         held=held,
-        findings=tuple(findings(posterior)),
-        convergence={
-            "r_hat": float(table["r_hat"].max()),
-            "ess_bulk": float(table["ess_bulk"].min()),
-            "draws": chosen.draws,
-            "tune": chosen.tune,
-            "chains": chosen.chains,
-        },
+        findings=said,
+        convergence={**figures, "draws": chosen.draws, "tune": chosen.tune, "chains": chosen.chains},
     )
+
+
+def _told_by(
+    posterior: xr.DataTree, found: Fit, held: Mapping[str, float], fitted: Mapping[str, Mapping[str, Estimate]]
+) -> tuple[Mapping[str, Mapping[str, Estimate]], tuple[str, ...], dict[str, float]]:
+    """Return estimates, what is wrong with the draws, and figures of these; estimates of the fit where they did not mix."""
+    from ..inference.diagnostics import findings, summarise
+
+    table = summarise(posterior)
+    figures = {"r_hat": float(table["r_hat"].max()), "ess_bulk": float(table["ess_bulk"].min())}
+    said = tuple(findings(posterior))
+    if figures["r_hat"] <= UNMIXED:
+        return estimates_from_draws(found, posterior, held), said, figures
+    unmixed = f"The draws did not mix (R-hat {figures['r_hat']:.2g}): parameters and intervals are those of the fit."
+    return fitted, (unmixed, *said), figures
 
 
 def estimates_from_draws(
@@ -221,7 +245,12 @@ def estimates_from_fit(batch: Batch, found: Fit) -> dict[str, dict[str, Estimate
                 value, error = held[parameter.name], 0.0
             else:
                 value, error = values[parameter.name]
-            low, high = max(value - 1.96 * error, parameter.minimum), min(value + 1.96 * error, parameter.maximum)
+            reach = _NINETY_FIVE * error
+            if effect.name in BASE_EFFECTS and count > 1:  # a few specimens tell their spread only roughly
+                reach = float(
+                    np.hypot(stdtrit(count - 1, 0.975) * spread, _NINETY_FIVE * np.sqrt(error**2 - spread**2))
+                )
+            low, high = max(value - reach, parameter.minimum), min(value + reach, parameter.maximum)
             group[parameter.name] = Estimate(value, error, low, high, parameter.unit)
             if parameter.name in followed:
                 group[parameter.name] = _along_valley(value, followed[parameter.name], parameter)
@@ -232,7 +261,7 @@ def estimates_from_fit(batch: Batch, found: Fit) -> dict[str, dict[str, Estimate
 def _along_valley(value: float, allowed: valleys.Range, parameter: Parameter) -> Estimate:
     """Return an estimate whose interval is that of the valley of the fit; its deviation goes with the interval."""
     low, high = max(allowed.low, parameter.minimum), min(allowed.high, parameter.maximum)
-    deviation = (high - low) / (2.0 * 1.96)
+    deviation = (high - low) / (2.0 * _NINETY_FIVE)
     return Estimate(
         float(np.clip(value, low, high)), deviation, low, high, parameter.unit,
         is_low_open=allowed.is_low_open, is_high_open=allowed.is_high_open,

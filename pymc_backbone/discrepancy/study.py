@@ -16,6 +16,9 @@ from .importance import LARGEST_K
 from .portraits import Portraits
 from .verdict import LEAST_SHARE, MECHANISM_NAMED, AdequateBy, NamedLevel, Status, Verdict
 
+UNMIXED = 1.1
+"""R-hat above which draws say nothing of the parameters: each chain is somewhere else."""
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -24,9 +27,9 @@ class Estimate:
     Attributes
     ----------
     mean, sd, hdi_low, hdi_high : float
-        Of the posterior over the batch [``unit``]; 95 % highest-density interval. Where nothing was sampled, of the
-        fit; where its parameters make up for each other, the values that the records allow along that valley, and the
-        deviation that goes with an interval of this width.
+        Of the posterior over the batch [``unit``]; 95 % highest-density interval. Where nothing was sampled, or the
+        draws did not mix, of the fit; where its parameters make up for each other, the values that the records allow
+        along that valley, and the deviation that goes with an interval of this width.
     unit : str
         SI unit.
     is_low_open, is_high_open : bool
@@ -432,3 +435,8 @@ class Study:
     scatter: ScatterOfEffects | None = None
     evidence_basis: EvidenceBasis | None = None
     portraits: Portraits | None = None
+
+    @property
+    def is_sampled(self) -> bool:
+        """Whether the parameters are those of draws: some were taken, and they mixed."""
+        return self.posterior is not None and self.convergence.get("r_hat", float("inf")) <= UNMIXED

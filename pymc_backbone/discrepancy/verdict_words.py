@@ -22,7 +22,7 @@ _JOINT = 1.02  # sum of the probabilities of laws over that of their mechanism, 
 DRIFTS = "a drift with time explains the records better than any effect of amplitude"
 _OR_FORCES = (
     "a drift with time explains the records, and so do forces of displacement and speed that none of them is; "
-    "releases from other amplitudes tell the two apart"
+    "releases of the same specimens from other amplitudes tell the two apart"
 )
 
 

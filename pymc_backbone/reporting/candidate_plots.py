@@ -101,8 +101,9 @@ def plot_parameters(study: Study) -> Figure:
     estimates = {name: estimate for name, estimate in every.items() if not is_held(estimate)} or every
     amplitude_unit = str(study.backbones.attrs.get("amplitude_unit", "m"))
     units = {name: unit_of(estimate.unit, amplitude_unit) for name, estimate in estimates.items()}
-    span = "95 % of the fit" if study.posterior is None else "95 % HDI"
-    draws = {} if study.posterior is None else study.posterior["posterior"].to_dataset()
+    is_sampled = study.is_sampled
+    span = "95 % HDI" if is_sampled else "95 % of the fit"
+    draws = study.posterior["posterior"].to_dataset() if study.posterior is not None and is_sampled else {}
     shapes = [_by_specimen(draws, name) for name in estimates]
     heights = [0.7 + (0.45 if len(shape) == 1 else 0.15 + 0.13 * min(len(shape), MOST_ROWS)) for shape in shapes]
     figure = Figure(figsize=(COLUMN, sum(heights) + 0.75), layout=layout())

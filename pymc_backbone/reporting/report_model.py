@@ -159,7 +159,7 @@ def parameters(study: Study, figures: Mapping[str, Figure]) -> str:
     added = set(added_effects(study))
     rows: list[tuple[object, ...]] = []
     strong: list[int] = []
-    is_sampled = study.posterior is not None
+    is_sampled = study.is_sampled
     fitted = next((item.parameters for item in study.candidates if set(item.effects) == added), {})
     for effect, group in study.parameters.items():
         for name, estimate in group.items():
@@ -187,7 +187,8 @@ def parameters(study: Study, figures: Mapping[str, Figure]) -> str:
             "differ between them, and its sd holds that scatter."
         )
     else:
-        note += " Nothing was sampled: intervals are those of the fit."
+        why = "Nothing was sampled" if study.posterior is None else "The draws did not mix"
+        note += f" {why}: intervals are those of the fit."
         if any(item.is_low_open or item.is_high_open for group in study.parameters.values() for item in group.values()):
             note += (
                 " Where parameters make up for each other, these are the values that the records allow together: "
