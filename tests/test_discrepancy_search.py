@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 from scipy.stats import f, kstest, multivariate_normal
 
 from pymc_backbone._common.text import per_cent
-from pymc_backbone.discrepancy import drift_kinds, evidence, rivals, starts, verify
+from pymc_backbone.discrepancy import drift_fits, drift_kinds, evidence, rivals, starts, verify
 from pymc_backbone.discrepancy.compensation import compensation
 from pymc_backbone.discrepancy.curves import (
     about_zero,
@@ -582,7 +582,7 @@ def test_a_unit_of_drifting_damping_is_half_of_the_damping_in_a_short_record(ran
     batch = batch_of(records)
     fades = np.array([term.fade for term in batch.waveform])
     np.testing.assert_array_equal(fades, [term.fade for term in batch.turning])
-    found = rivals.drift_fit(batch, make_layout(Oscillator(MASS), AMPLITUDE, OMEGA), batch_start(batch))
+    found = drift_fits.drift_fit(batch, make_layout(Oscillator(MASS), AMPLITUDE, OMEGA), batch_start(batch))
     length = TIME[-1] - RELEASE_TIME
     lost = share * DAMPING / (2.0 * MASS) * length  # of the logarithm of the amplitude, without the drift
     np.testing.assert_allclose(fades, np.minimum(0.5 * lost * (1.0 + 0.5 * change), 1.0), rtol=0.15)  # less a cycle
@@ -601,7 +601,7 @@ def test_backbones_agree_with_a_spring_whose_stiffness_drifts(random_seed):
     batch = batch_of(drifting_records(np.random.default_rng(random_seed), 0.01, cubic=0.1))
     search = search_of(batch)
     cubic = search.fit_set(("cubic_stiffness",))
-    drifting = rivals.drift_fit(batch, cubic.layout, cubic.state)
+    drifting = drift_fits.drift_fit(batch, cubic.layout, cubic.state)
     assert level_chi_square(batch, drifting) < 3.0
     still = replace(drifting, state=replace(drifting.state, own=drifting.state.own.copy()))
     still.state.own[:, 5:7] = 0.0
@@ -646,7 +646,7 @@ def test_a_drift_that_explains_the_records_by_itself_ends_the_search_early():
     batch = batch_of(drifting_records(np.random.default_rng(3), 0.1))
     candidates = ("bilinear_stiffness", *CANDIDATES, "freeplay", "iwan", "quadratic_stiffness", "quintic_stiffness")
     told, untold = (
-        Search(batch, Oscillator(MASS), candidates, 2, is_drifting=asked) for asked in (rivals.drift_alone, None)
+        Search(batch, Oscillator(MASS), candidates, 2, is_drifting=asked) for asked in (drift_fits.drift_alone, None)
     )
     told.run()
     assert told.is_told and not told._is_explained() and not untold.is_told
@@ -666,9 +666,9 @@ def test_a_drift_that_settles_is_told_with_its_time(change):
     batch = batch_of(drifting_records(np.random.default_rng(4), change, settling=3.0))
     search = Search(batch, Oscillator(MASS), ("cubic_stiffness", "quintic_stiffness"), 2)
     base = search.fit_set(())
-    steady = rivals.drift_fit(batch, base.layout, base.state)
+    steady = drift_fits.drift_fit(batch, base.layout, base.state)
     assert steady is not None and not evidence.leaves_noise(batch, steady)
-    found = rivals.drift_alone(search)
+    found = drift_fits.drift_alone(search)
     assert found is not None and evidence.leaves_noise(search.batch, found.fit)
     length = TIME[-1] - RELEASE_TIME
     assert search.batch.settling_time == pytest.approx(length / 3.0, rel=0.15)
@@ -685,7 +685,7 @@ def test_a_drift_that_settles_is_told_with_its_time(change):
 def test_a_steady_drift_is_not_told_to_settle():
     search = Search(batch_of(drifting_records(np.random.default_rng(4), 0.03)), Oscillator(MASS), ("iwan",), 1)
     search.fit_set(())
-    assert rivals.drift_alone(search) is not None
+    assert drift_fits.drift_alone(search) is not None
     assert search.batch.settling_time == np.inf
 
 
@@ -711,10 +711,10 @@ def test_derivatives_beside_a_drift_that_settles_are_those_of_differences(order)
 
 
 def test_a_drift_is_not_enough_where_an_effect_is_missing(cubic):
-    search = Search(cubic.batch, Oscillator(MASS), CANDIDATES, 1, is_drifting=rivals.drift_alone)
+    search = Search(cubic.batch, Oscillator(MASS), CANDIDATES, 1, is_drifting=drift_fits.drift_alone)
     search.run()
     assert not search.is_told and search.best() == ("cubic_stiffness",)
-    assert rivals.drift_alone(search) is None
+    assert drift_fits.drift_alone(search) is None
 
 
 def test_no_drift_is_seen_where_there_is_none(cubic):
@@ -931,7 +931,7 @@ def test_search_over_backbones_alone():
 
     search = search_of(batch_of_backbones(MASS, batch.backbones))
     assert not search.batch.has_records and search.best() == ("cubic_stiffness",)
-    assert rivals.drift_fit(search.batch, search.fits[()].layout, search.fits[()].state) is None
+    assert drift_fits.drift_fit(search.batch, search.fits[()].layout, search.fits[()].state) is None
 
 
 def test_a_search_ends_when_its_budget_does(cubic):

@@ -191,7 +191,7 @@ def infer(
 def _told_by(
     posterior: xr.DataTree, found: Fit, held: Mapping[str, float], fitted: Mapping[str, Mapping[str, Estimate]]
 ) -> tuple[Mapping[str, Mapping[str, Estimate]], tuple[str, ...], dict[str, float]]:
-    """Return estimates, what is wrong with the draws, and figures of these; estimates of the fit where they did not mix."""
+    """Return estimates, what is wrong with the draws, and their figures; of the fit where these did not mix."""
     from ..inference.diagnostics import findings, summarise
 
     table = summarise(posterior)

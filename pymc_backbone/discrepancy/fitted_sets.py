@@ -134,11 +134,6 @@ class FittedSets:
         """Whether the backbones were asked for proposals."""
         return "proposals" in self.__dict__
 
-    @property
-    def is_told(self) -> bool:
-        """Whether the model as it is explains the records with a drift in time."""
-        return self.drift_alone is not None
-
     def _is_explained(self) -> bool:
         """Return whether a set leaves hardly more than noise."""
         return self.is_any_exact(self.fits.values())
@@ -170,7 +165,7 @@ class FittedSets:
         if best is None:
             return np.inf
         if not self.explains(best):
-            return self.descent.hopeless(None) if self.is_told else self.descent.unheard_of
+            return self.descent.hopeless(None) if self.drift_alone is not None else self.descent.unheard_of
         if best is not self.limited[0]:
             self.limited = (best, self.descent.hopeless(best))
         return self.limited[1]

@@ -41,6 +41,11 @@ class _Followed:
 class FollowedSets(VariedSets):
     """Fitted sets, and those that the backbones propose among them."""
 
+    @property
+    def is_told(self) -> bool:
+        """Whether the model as it is explains the records with a drift in time."""
+        return self.drift_alone is not None
+
     def _follow_backbones(self, most: int) -> None:
         """Fit the sets in the order of their backbones until one explains the records and no rival is within reach.
 

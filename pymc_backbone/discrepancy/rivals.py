@@ -7,7 +7,6 @@ from functools import partial
 from itertools import batched, combinations
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 from scipy.special import stdtr
 
 from .._common.checks import FloatArray
@@ -16,15 +15,14 @@ from .._common.threads import in_threads
 from . import evidence
 from .batch import Batch
 from .curves import measured
-from .descent import first_limit, is_heavy
+from .descent import is_heavy
 from .drift_course import changes_of
+from .drift_fits import drift_fit, settle
 from .drift_kinds import drift_bonus
 from .drift_proposals import sets_beside_drifts, single_beside_drifts
 from .evidence import Drifting
-from .fitted_sets import FittedSets
-from .joint_fit import Fit, fit
-from .layout import Layout
-from .normal_equations import DRIFTS, NUISANCES, State
+from .joint_fit import Fit
+from .normal_equations import DRIFTS, NUISANCES
 from .search import Search, Set
 from .side_by_side import ABREAST, fit_side_by_side
 from .study import Check
@@ -34,14 +32,8 @@ _EXPECTED = 8  # specimens that would have told that scatter as well as it is kn
 _RARE = 0.01  # how often the worst specimen of a batch is told where all are alike
 _ASKED = 3  # sets that are asked with a drift beside them where none leaves noise, and with other laws
 _HELPED = 20.0  # fall of chi-square by a drift from which other laws of the same mechanisms are asked
-_FIRST_TURNS = 108  # turning points that may refute a set with a drift, before all are looked at
 _NEAR = 2.0  # reduced chi-square with a drift up to which they are
-_STEADY = 0.5  # of what a set leaves, that a steady drift leaves at most beside which one is asked that settles
-_SETTLES = (0.1, 5.0)  # time constants that are asked, in lengths of the records
-_NEAR_ENOUGH, _MOST = 0.02, 14  # in the logarithm of that, and most fits for it
 _AGREED = 0.8  # of what all records drift, that is one way where they agree
-_ALIKE_DRIFTS = 0.05  # by which drifts that are alike may differ, relative to their size
-_NO_POWER = 0.7  # of the amplitude: with two standard errors, what is none of a law
 _BENT = 0.5  # of what the base leaves, that a drift leaves at most which bends the backbones as much as a law does
 
 
@@ -91,74 +83,9 @@ def _settled(search: Search, found: dict[Set, Drifting]) -> dict[Set, Drifting]:
         return found
     nearest = sorted(found, key=lambda item: found[item].fit.cost)[:_ASKED]
     for names in [names for names in dict.fromkeys([(), *nearest]) if names in found]:
-        if not is_heavy(search.layout(names)) and _settle(search, names, found[names].fit) is not None:
+        if not is_heavy(search.layout(names)) and settle(search, names, found[names].fit) is not None:
             return drifting_sets(search)
     return found
-
-
-def drift_alone(search: FittedSets) -> Drifting | None:
-    """Return the model as it is with a drift in time, if that leaves noise; asked before larger sets are."""
-    if not search.batch.has_open_records:
-        return None
-    base = search.fits[()]
-    found = drift_fit(search.batch, base.layout, base.state)
-    if found is None:
-        return None
-    if not evidence.leaves_noise(search.batch, found):
-        found = _settle(search, (), found)
-    return None if found is None else Drifting(found, drift_bonus(found, base))
-
-
-def _is_of_time(batch: Batch, drifting: Fit) -> bool:
-    """Return whether records drift in frequency by as much whatever amplitude they were released from.
-
-    What depends on the amplitude has a power of it: that of the drifts is none.
-    """
-    drift, variance = drifting.state.own[:, DRIFTS[0]], drifting.own_covariance[:, DRIFTS[0]]
-    if not ((drift > 0.0).all() or (drift < 0.0).all()) or not np.isfinite(variance).all():
-        return False
-    releases = np.log(np.abs([term.values[0] for term in batch.turning]))
-    weight = 1.0 / (variance / drift**2 + _ALIKE_DRIFTS**2)
-    apart = releases - weight @ releases / weight.sum()
-    known = float(weight @ apart**2)
-    if not known > 0.0:
-        return False
-    power = float(weight @ (apart * np.log(np.abs(drift)))) / known
-    return bool(abs(power) + 2.0 / np.sqrt(known) < _NO_POWER)
-
-
-def _settle(search: FittedSets, names: Set, steady: Fit) -> Fit | None:
-    """Return a set with a drift that settles, and let drifts settle as that does; None unless it leaves noise.
-
-    Asked where a steady drift takes away most of what the set leaves, and not all. What settles and what a decaying
-    amplitude leaves of a spring's law are the same curve over one record: only where releases of different amplitude
-    drift by as much is it a drift.
-    """
-    batch, alone = search.batch, search.fits[names]
-    length = float(np.median([np.ptp(term.time) for term in batch.waveform]))
-    left, before = steady.cost - search.count, alone.cost - search.count
-    if batch.waveform[0].settling or left > _STEADY * before:
-        return None
-    found: dict[float, Fit] = {}
-
-    def leaves(log_share: float) -> float:
-        share = float(np.exp(log_share))
-        fitted = drift_fit(batch.settling(share * length), alone.layout, steady.state)
-        if fitted is not None:
-            found[share] = fitted
-        return np.inf if fitted is None else fitted.cost
-
-    minimize_scalar(
-        leaves, bounds=np.log(_SETTLES), method="bounded", options={"xatol": _NEAR_ENOUGH, "maxiter": _MOST}
-    )
-    share = min(found, key=lambda item: found[item].cost, default=0.0)
-    if not share:
-        return None
-    settled = batch.settling(share * length)
-    if not (evidence.leaves_noise(settled, found[share]) and _is_of_time(batch, found[share])):
-        return None
-    search.batch = settled
-    return found[share]
 
 
 def _ask_plain(search: Search, found: dict[Set, Drifting], limit: float) -> None:
@@ -251,31 +178,6 @@ def _of_the_same_kind(search: Search, names: Set) -> list[Set]:
             if is_new and (is_heavy(search.layout(names)) or not is_heavy(search.layout(changed))):
                 sets.append(changed)
     return sets
-
-
-def drift_fit(batch: Batch, layout: Layout, state: State, limit: float = np.inf) -> Fit | None:
-    """Return a model with a frequency and a damping that change with time, in each record as it likes.
-
-    None where the sum of squares over the turning points stays above ``limit``: these are soon fitted.
-    """
-    if not batch.has_records:
-        return None
-    nuisances = (*batch.nuisances, *DRIFTS)
-    first = [term.first(_FIRST_TURNS) for term in batch.turning]
-    edge = first_limit(batch, limit)
-    begun = fit(layout, first, state, iterations=20, nuisances=nuisances, tolerance=1.0, goal=edge)
-    if begun is not None and begun.cost > edge:
-        return None
-    turning = fit(layout, batch.turning, state, iterations=20, nuisances=nuisances, tolerance=1.0)
-    found = None
-    if turning is not None and turning.cost > limit:
-        return None
-    if turning is not None:
-        found = fit(layout, batch.waveform, turning.state, iterations=40, nuisances=nuisances)
-    rival = None if found is None else found.cost
-    near = fit(layout, batch.waveform, state, iterations=40, nuisances=nuisances, rival=rival)
-    both = [item for item in (found, near) if item is not None]
-    return min(both, key=lambda item: item.cost) if both else None
 
 
 def drift_check(
@@ -429,8 +331,6 @@ def data_terms_check(
 __all__ = [
     "alike_check",
     "data_terms_check",
-    "drift_alone",
     "drift_check",
-    "drift_fit",
     "drifting_sets",
 ]  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import xarray as xr
@@ -20,77 +20,32 @@ from ..measurement.options import Measuring
 from ..measurement.reading.record import Record
 from ..oscillator import Oscillator
 from . import plan_words, rivals, verdict_words, words
-from .batch import Batch
 from .candidate_table import candidates_of
 from .curve_records import ForceCurves
-from .curves import has_mid_line, simulate
+from .curves import simulate
 from .decide import decide, is_none_other, mind_bent_sensor, mind_second_mode
-from .decision import AGREE, Decision
 from .descent import is_heavy
 from .design import Contender, Plan, contender, present_design
+from .drift_fits import drift_alone
 from .evidence import UNEXPLAINED, Drifting
 from .extend import Inference, infer
 from .filter_search import early_high_pass
 from .fitted_sets import BUDGET, FittedSets, Progress
 from .force_curve import force_curves
 from .inexact import certain_sets
-from .joint_fit import Fit
 from .locate import where_different
+from .outcome import Outcome, checks_of
 from .plan import plan_tests
 from .portraits import portraits
 from .question import Question, ask, is_of_records
 from .search import Search
 from .second_mode import second_mode_check
 from .study import Check, EvidenceBasis, Study
-from .tolerance import is_drift_small
 from .undisturbed import Undisturbed, undisturbed, with_drifts
 from .verdict import NamedLevel, Verdict
 from .verify import MOST_HELD_OUT, Verification, verify
 
 _QUICK_BUDGET = 0.5
-
-
-@dataclass(frozen=True, eq=False)
-class Outcome:
-    """A finished search, what is decided on it, and the rivals of an effect that were looked at.
-
-    Attributes
-    ----------
-    search : Search
-        All sets and their fits.
-    decision : Decision
-        The verdict and what it rests on.
-    drifting : Fit or None
-        The base with a drift in time; None without records.
-    second_mode : Check
-        Whether a second mode beats in the records.
-    """
-
-    search: Search
-    decision: Decision
-    drifting: Fit | None
-    second_mode: Check
-
-    @property
-    def base(self) -> Fit:
-        """The fit of the model as it is."""
-        return self.search.fits[()]
-
-    @property
-    def extended(self) -> Fit | None:
-        """The fit of the model with the best set; None where that is empty."""
-        return self.model if self.decision.best else None
-
-    @property
-    def model(self) -> Fit:
-        """The fit that is believed: the extended one, or the base."""
-        return self.decision.on_backbones or self.search.fits[self.decision.model]
-
-    @property
-    def judged(self) -> Batch:
-        """What it is judged by: the backbones alone where no fit keeps the phase of the records."""
-        batch = self.search.batch
-        return batch if self.decision.on_backbones is None else batch.without_records()
 
 
 def find_missing_effect(
@@ -184,7 +139,7 @@ def find_missing_effect(
         question = ask(
             oscillator, data, candidates=candidates, max_effects=max_effects, tolerance=tolerance, measuring=measuring
         )
-        early = (early_high_pass, rivals.drift_alone) if is_of_records(data) else ()
+        early = (early_high_pass, drift_alone) if is_of_records(data) else ()
         search = _searched(question, quick, say, *early)
         known = Undisturbed(question, search)
         if is_of_records(data):
@@ -285,32 +240,6 @@ def _decided(known: Undisturbed) -> Outcome:
     return Outcome(search, decision, base_drifting, second_mode)
 
 
-def _checks(question: Question, outcome: Outcome, verification: Verification) -> tuple[Check, ...]:
-    """Return the checks on the data: explanations that are no effect."""
-    batch, decision = question.batch, outcome.decision
-    named = outcome.model if decision.model in decision.drifts else None
-    return (
-        rivals.drift_check(
-            outcome.drifting,
-            decision.drift_probability,
-            bool(decision.best),
-            named,
-            is_small=named is not None and is_drift_small(named, question.tolerance),
-            settling=batch.settling_time,
-        ),
-        outcome.second_mode,
-        rivals.alike_check(batch, outcome.model, is_exact=not decision.is_approximate),
-        rivals.data_terms_check(
-            outcome.judged,
-            verification.reduced,
-            AGREE,
-            is_explained=bool(decision.best) or decision.verdict is not Verdict.UNEXPLAINED,
-            is_drifting=not decision.model and () in decision.drifts,
-            is_of_two_sides=has_mid_line(batch, outcome.model),
-        ),
-    )
-
-
 def _study(
     question: Question,
     outcome: Outcome,
@@ -323,7 +252,7 @@ def _study(
 ) -> Study:
     """Return everything that was found as one record."""
     batch, search, decision, extended = question.batch, outcome.search, outcome.decision, outcome.extended
-    checks = _checks(question, outcome, verification)
+    checks = checks_of(question, outcome, verification)
     before = simulate(batch, verification.before)
     scatter = None if extended is None or decision.is_approximate else words.scatter_of(extended)
     shown = extended if np.isnan(decision.against) else None  # what the backbones speak against, they do not show
