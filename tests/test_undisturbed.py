@@ -49,7 +49,7 @@ def test_a_drift_is_asked_before_cycles_are_left_out_and_noise_is_weighed(is_dri
         asked.append("drift")
         return {(): Drifting("drift", 0.0)}
 
-    known = module.undisturbed(SimpleNamespace(), search, [], None, says("searched"), drifting)
+    known = module.undisturbed(SimpleNamespace(batch=None), search, [], None, says("searched"), drifting)
     assert known.search is search and known.is_drifting == is_drifting
     between = [] if is_drifting else ["begun", "motion_noise"]
     # before first samples are left out: these say how what remembers was released
@@ -65,7 +65,7 @@ def test_of_velocities_and_accelerations_a_filter_is_asked_before_the_zero(monke
     monkeypatch.setattr(module.evidence, "leaves_noise", lambda *_: False)
     search = SimpleNamespace(halted=None, is_told=False, batch=None, fits={(): "base"}, best=tuple)
     records = [SimpleNamespace(quantity="acceleration"), SimpleNamespace(quantity="velocity")]
-    module.undisturbed(SimpleNamespace(), search, records, None, lambda _: search, lambda _: {})
+    module.undisturbed(SimpleNamespace(batch=None), search, records, None, lambda _: search, lambda _: {})
     assert asked[:4] == ["drop_outs", "sensor_filter", "drifting_zero", "earlier"]
 
 
@@ -85,7 +85,7 @@ def test_sensors_are_straightened_beside_a_drift_where_less_noise_is_left(quiete
         SimpleNamespace(halted=None, is_told=False, batch=None, fits={(): name}, best=tuple)
         for name in ("base", "straight")
     )
-    question = SimpleNamespace(of_records=lambda *_: SimpleNamespace())
+    question = SimpleNamespace(batch=None, of_records=lambda *_: SimpleNamespace(batch=None))
     drifting = {(): Drifting("drift", 0.0)}
     known = module.undisturbed(question, search, [], None, lambda _: straight, lambda _: drifting)
     assert known.search is (straight if is_straightened else search) and known.is_bent == is_straightened
@@ -143,7 +143,7 @@ def test_a_search_that_a_filter_halted_goes_on_where_nothing_is_explained_behind
     )
 
     monkeypatch.setattr(SensorFilter, "passed", lambda _self, batch: batch)
-    question = Unmeasured()
+    question = Unmeasured(before.batch)
     known = module.undisturbed(question, before, [], None, lambda _: after, lambda _: {})
     assert known.search is (after if helps else before) and (known.question is question) == (not helps)
     assert seen[:1] == ([] if helps else ["resumed"]) and ("sensor_filter" in seen) == (not helps)
@@ -180,7 +180,7 @@ def test_a_zero_that_drifts_is_the_answer_where_nothing_is_left_without_the_mid_
     after = SimpleNamespace(
         halted=None, is_told=False, batch=None, fits={(): "explained" if helps else "base"}, best=tuple
     )
-    question = SimpleNamespace()
+    question = SimpleNamespace(batch=None)
     known = module.undisturbed(question, before, [], None, lambda _: after, lambda _: {})
     assert (known.search, known.question) == ((after, "steady") if helps else (before, question))
     assert bool(asked) != helps
@@ -195,7 +195,7 @@ def test_nothing_else_is_asked_where_a_drift_explains_the_records_by_itself(is_d
     monkeypatch.setattr(module, "_over_motion", lambda *_: 0.01)
     monkeypatch.setattr(module, "_one_by_one", lambda *_, **__: "asked")
     monkeypatch.setattr(module, "_steadied", lambda *_: None)
-    found = module.undisturbed(None, search, (), None, None, lambda _: drifting)
+    found = module.undisturbed(SimpleNamespace(batch=None), search, (), None, None, lambda _: drifting)
     assert bool(resumed) != is_drifting
     assert found == "asked" if resumed else (found.search is search and found.drifting is drifting)
 

@@ -108,9 +108,8 @@ class FittedSets:
 
     def __post_init__(self) -> None:
         self.descent = Descent(self.batch, limit=_LIMIT * self.budget)
-        spans = [w.levels[-1] / w.levels[0] if w.levels.size else 0.0 for w in self.batch.levels]
-        self.reference = int(np.argmax(spans))
-        self.count = self.batch.count
+        spans = (w.levels[-1] / w.levels[0] if w.levels.size else 0.0 for w in self.batch.levels)
+        self.count, self.reference = self.batch.count, int(np.argmax(list(spans)))
 
     @cached_property
     def proposals(self) -> dict[Set, Proposal]:

@@ -301,8 +301,9 @@ def _with_drifts(known: Undisturbed, drifting: Callable[[Search], Mapping[Set, D
 
 def with_drifts(known: Undisturbed, drifting: Callable[[Search], Mapping[Set, Drifting]]) -> Undisturbed:
     """Return the search with the sets that were asked with a drift beside them; the batch knows how drifts go."""
-    found = drifting(known.search)
-    return replace(known, drifting=found, question=replace(known.question, batch=known.search.batch))
+    known = replace(known, drifting=drifting(known.search))
+    batch = known.search.batch  # where drifts may settle
+    return known if known.question.batch is batch else replace(known, question=replace(known.question, batch=batch))
 
 
 def _straightened(asked: _Asked, again: Search, records: Sequence[Record], said: Sequence[str]) -> Undisturbed | None:

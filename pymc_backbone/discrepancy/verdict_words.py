@@ -24,11 +24,12 @@ _OR_FORCES = (
     "a drift with time explains the records, and so do forces of displacement and speed that none of them is; "
     "releases of the same specimens from other amplitudes tell the two apart"
 )
+_FORCES = "forces of displacement and speed that none of them is explain the records, and a drift with time does not"
 
 
-def with_forces(sentence: str, *, are_exact: bool) -> str:
+def with_forces(sentence: str, *, is_drift_exact: bool) -> str:
     """Return a sentence that tells a drift with time, where force curves explain the records to the noise as well."""
-    return sentence.replace(DRIFTS, _OR_FORCES) if are_exact else sentence
+    return sentence.replace(DRIFTS, _OR_FORCES if is_drift_exact else _FORCES)
 
 
 def is_drift_possible(decision: Decision) -> bool:

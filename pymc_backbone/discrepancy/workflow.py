@@ -27,7 +27,7 @@ from .decide import decide, is_none_other, mind_bent_sensor, mind_second_mode
 from .descent import is_heavy
 from .design import Contender, Plan, contender, present_design
 from .drift_fits import drift_alone
-from .evidence import UNEXPLAINED, Drifting
+from .evidence import UNEXPLAINED, Drifting, leaves_noise
 from .extend import Inference, infer
 from .filter_search import early_high_pass
 from .fitted_sets import BUDGET, FittedSets, Progress
@@ -171,9 +171,11 @@ def find_missing_effect(
     study = _study(question, outcome, verification, inference, asked, plan, seed, started)
     if curves is None:
         return study
-    are_exact = curves.is_possible and curves.p_value >= UNEXPLAINED
-    said = verdict_words.with_forces(study.sentence, are_exact=are_exact)
-    return replace(study, sentence=said, force_curves=curves)
+    study = replace(study, force_curves=curves)
+    if not (curves.is_possible and curves.p_value >= UNEXPLAINED):
+        return study
+    is_drift_exact = outcome.drifting is not None and leaves_noise(question.batch, outcome.drifting)
+    return replace(study, sentence=verdict_words.with_forces(study.sentence, is_drift_exact=is_drift_exact))
 
 
 def _curves(

@@ -65,7 +65,8 @@ DIAGNOSIS_KEYS = {
     "to the base), status (best | possible | rejected | failed), reason, backbone_chi_square, parameters "
     "(name: value, standard_error), evidence_shift (what importance sampling adds to the evidence by Laplace's method; "
     "null where not asked), pareto_k (of its weights: above 0.7 the shift is not used and the probability not trusted, "
-    "unless is_bridged: a bridge between draws of both says it)",
+    "unless is_bridged: a bridge between draws of both says it), has_drift (whether frequency and damping also change "
+    "with time in its fit)",
     "scatter": "how much the parameters of the added effects differ between specimens, as a share of their value: "
     "median, low (5 %), high (95 %) of the relative standard deviation; null without effects, or of one specimen",
     "evidence_basis": "what the probabilities rest on: sentence (whether Laplace's method was corrected by importance "
@@ -212,6 +213,7 @@ def study_entries(study: Study, version: str) -> dict[str, Any]:
                 "evidence_shift": item.evidence_shift,
                 "pareto_k": item.pareto_k,
                 "is_bridged": item.is_bridged,
+                "has_drift": item.has_drift,
             }
             for item in falling
         ],
