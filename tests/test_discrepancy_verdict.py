@@ -1114,6 +1114,32 @@ def test_a_drift_that_a_force_explains_as_well_is_told_beside_it():
     assert verdict_words.with_forces(other, is_drift_exact=True) == other
 
 
+def test_what_is_sure_and_small_is_no_perhaps():
+    decision = decision_of(
+        "found", named_level=NamedLevel.MECHANISM, best=("cubic_stiffness",), listed=(("cubic_stiffness",),),
+        mechanisms=(
+            mechanism_of("spring", 0.99, 0.95, cubic_stiffness=0.99),
+            mechanism_of("asymmetry", 0.99, 0.03, quadratic_stiffness=0.99),
+            mechanism_of("drag", 0.3, 0.0, quadratic_damping=0.3),
+        ),
+    )  # fmt: skip
+    said = verdict_words.sentence(decision)
+    assert "A small part beside it: a spring that differs between the two sides (99 %, 3 % of the gap)." in said
+    assert "What may be missing, too: damping that rises with speed (30 %)." in said
+
+
+def test_of_improbable_sets_the_one_that_is_told_stands_first():
+    rows = [
+        Candidate(names, chance, 0.0, left, 1.0, Status.REJECTED, "")
+        for names, chance, left in (
+            (("a",), 0.0, 2.0), (("b",), 1e-30, 9.0), ((), 0.6, 30.0), (("c",), 1e-12, np.nan), (("d",), 0.1, 1.0),
+        )
+    ]  # fmt: skip
+    decision = decision_of("unexplained", nearest=("b",))
+    rows.sort(key=lambda item: candidate_table._place(item, decision))
+    assert [row.effects for row in rows] == [(), ("d",), ("b",), ("a",), ("c",)]
+
+
 def test_a_row_says_that_its_fit_drifts_with_time():
     row = Candidate((), 0.9, 0.0, 1.0, 1.0, Status.BEST, "", has_drift=True)
     assert candidate_name(row) == "nothing (base model), with a drift in time"

@@ -12,6 +12,7 @@ from .search import Search, Set
 from .study import Candidate
 from .verdict import Status
 
+_IMPROBABLE = 1e-9  # probability below which sets are in the order of what they leave
 _LISTED_LEFT = 20  # sets in the table that were compared by their backbones only
 _POSSIBLE = 0.01  # probability from which a set is called possible
 _NOT_TRUSTED = "; its probability is not to be trusted: importance sampling does not confirm its evidence"
@@ -51,12 +52,19 @@ def candidates_of(search: Search, decision: Decision) -> tuple[Candidate, ...]:
                 has_drift=names in decision.drifts,
             )
         )
-    rows.sort(key=lambda item: -item.probability)
+    rows.sort(key=lambda item: _place(item, decision))
     failed = [
         Candidate(names, 0.0, float("nan"), float("nan"), float("nan"), Status.FAILED, reason)
         for names, reason in search.failed.items()
     ]
     return (*rows, *failed, *_by_backbones_alone(search))
+
+
+def _place(row: Candidate, decision: Decision) -> tuple[float, bool, float]:
+    """Return what rows are sorted by: probability; of improbable sets the one that is told, then what they leave."""
+    is_last = row.probability < _IMPROBABLE
+    left = row.reduced_chi_square if np.isfinite(row.reduced_chi_square) else np.inf
+    return 0.0 if is_last else -row.probability, row.effects != decision.nearest, left
 
 
 def status_of(names: Set, probability: float, decision: Decision, *, is_open: bool) -> Status:

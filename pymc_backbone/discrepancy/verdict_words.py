@@ -88,8 +88,16 @@ def _of_mechanisms(decision: Decision) -> str:
     ]
     if is_like or not others:
         return said
-    kinds = ", ".join(f"{MECHANISMS[item.mechanism]} ({_chance(item.probability)})" for item in others)
-    return f"{said} What may be missing, too: {kinds}."
+    small = [item for item in others if item.probability >= MECHANISM_NAMED]
+    if small:
+        kinds = ", ".join(
+            f"{MECHANISMS[item.mechanism]} ({_chance(item.probability)}, {100.0 * item.share_of_gap:.0f} % of the gap)"
+            for item in small
+        )
+        said += f" A small part beside it: {kinds}."
+    open_still = [item for item in others if item not in small]
+    kinds = ", ".join(f"{MECHANISMS[item.mechanism]} ({_chance(item.probability)})" for item in open_still)
+    return f"{said} What may be missing, too: {kinds}." if kinds else said
 
 
 def _none_of_these(decision: Decision) -> str:
