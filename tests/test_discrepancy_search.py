@@ -683,6 +683,28 @@ def test_a_drift_that_settles_is_told_with_its_time(change):
     assert asked.question.batch is search.batch and asked.is_drifting
 
 
+@pytest.mark.parametrize(
+    ("power", "share", "is_of_time"),
+    [(0.0, 0.2, True), (2.0, 0.3, False), (3.0, 0.2, False), (0.0, 2.0, False), (-1.0, 0.6, False)],
+)
+def test_what_settles_is_a_drift_where_releases_say_so(power, share, is_of_time):
+    """Drifts that differ by a tenth; a law of that power of the amplitude would settle as fast, over a fall by 1.6.
+
+    What hardly settles is as a law of a small power, which these releases do not tell from none.
+    """
+    releases = np.array([1.0, 0.7, 0.95, 0.6])
+    sizes = 0.3 * releases**power * np.array([1.1, 0.95, 1.05, 0.9])
+    own, covariance = np.zeros((4, 7)), np.zeros((4, 7))
+    own[:, DRIFTS[0]], covariance[:, DRIFTS[0]] = sizes, 1e-8
+    turning = [
+        SimpleNamespace(values=top * np.exp(-np.linspace(0.0, 1.6, 40)) * (-1.0) ** np.arange(40)) for top in releases
+    ]
+    fitted = SimpleNamespace(state=SimpleNamespace(own=own), own_covariance=covariance)
+    assert drift_fits._is_of_time(SimpleNamespace(turning=turning), fitted, share) is is_of_time
+    alike = SimpleNamespace(turning=turning[:1] * 4)
+    assert not drift_fits._is_of_time(alike, fitted, share)
+
+
 def test_a_steady_drift_is_not_told_to_settle():
     search = Search(batch_of(drifting_records(np.random.default_rng(4), 0.03)), Oscillator(MASS), ("iwan",), 1)
     search.fit_set(())

@@ -21,7 +21,7 @@ _STEADY = 0.5  # of what a set leaves, that a steady drift leaves at most beside
 _SETTLES = (0.1, 5.0)  # time constants that are asked, in lengths of the records
 _NEAR_ENOUGH, _MOST = 0.02, 14  # in the logarithm of that, and most fits for it
 _ALIKE_DRIFTS = 0.05  # by which drifts that are alike may differ, relative to their size
-_NO_POWER = 0.7  # of the amplitude: with two standard errors, what is none of a law
+_OF_LAW = 0.5  # of the power of a law that settles so fast, up to which with two standard errors drifts are none of it
 
 
 def drift_fit(batch: Batch, layout: Layout, state: State, limit: float = np.inf) -> Fit | None:
@@ -62,22 +62,28 @@ def drift_alone(search: FittedSets) -> Drifting | None:
     return None if found is None else Drifting(found, drift_bonus(found, base))
 
 
-def _is_of_time(batch: Batch, drifting: Fit) -> bool:
+def _is_of_time(batch: Batch, drifting: Fit, share: float) -> bool:
     """Return whether records drift in frequency by as much whatever amplitude they were released from.
 
-    What depends on the amplitude has a power of it: that of the drifts is none.
+    Of a law the frequency changes with a power of the amplitude, and so does the drift with that of the release; the
+    drift settles as that power of a decaying amplitude does. ``share`` is its time constant, in lengths of the records:
+    it says which power that would be.
     """
     drift, variance = drifting.state.own[:, DRIFTS[0]], drifting.own_covariance[:, DRIFTS[0]]
     if not ((drift > 0.0).all() or (drift < 0.0).all()) or not np.isfinite(variance).all():
         return False
-    releases = np.log(np.abs([term.values[0] for term in batch.turning]))
-    weight = 1.0 / (variance / drift**2 + _ALIKE_DRIFTS**2)
-    apart = releases - weight @ releases / weight.sum()
-    known = float(weight @ apart**2)
+    falls = [np.log(np.abs(term.values[:2]).max() / np.abs(term.values[-2:]).max()) for term in batch.turning]
+    needed = 1.0 / (share * max(float(np.median(falls)), 1e-12))
+    sizes, releases = np.log(np.abs(drift)), np.log(np.abs([term.values[0] for term in batch.turning]))
+    apart = releases - releases.mean()
+    known = float(apart @ apart)
     if not known > 0.0:
         return False
-    power = float(weight @ (apart * np.log(np.abs(drift)))) / known
-    return bool(abs(power) + 2.0 / np.sqrt(known) < _NO_POWER)
+    power = float(apart @ sizes) / known
+    left = sizes - sizes.mean() - power * apart
+    scatter = max(float(np.sqrt(left @ left / max(sizes.size - 2, 1))), _ALIKE_DRIFTS)
+    error = np.sqrt(scatter**2 + float((variance / drift**2).mean())) / np.sqrt(known)
+    return bool(abs(power) + 2.0 * error < _OF_LAW * needed)
 
 
 def settle(search: FittedSets, names: Set, steady: Fit) -> Fit | None:
@@ -108,7 +114,7 @@ def settle(search: FittedSets, names: Set, steady: Fit) -> Fit | None:
     if not share:
         return None
     settled = batch.settling(share * length)
-    if not (evidence.leaves_noise(settled, found[share]) and _is_of_time(batch, found[share])):
+    if not (evidence.leaves_noise(settled, found[share]) and _is_of_time(batch, found[share], share)):
         return None
     search.batch = settled
     return found[share]
