@@ -92,4 +92,8 @@ def test_names_of_effects_are_those_of_people_and_can_be_told_apart():
     assert len(set(words.values())) == len(set(names))
     assert words["bouc_wen_alpha"] == "Bouc-Wen alpha" and words["iwan"] == "Iwan"
     assert words["displacement_dependent_damping"] == "displacement-dependent damping"
+    assert words["one_sided_stiffness"] == "one-sided stiffness" and words["maxwell_element"] == "Maxwell element"
+    assert [words[name] for name in ("hertz_contact", "stribeck_friction", "dahl_force")] == [
+        "Hertz contact", "Stribeck friction", "Dahl force",
+    ]  # fmt: skip
     assert capitalised(words["cubic_stiffness"]) == "Cubic stiffness" and capitalised("") == ""

@@ -5,9 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-_PEOPLE = {"bouc-wen": "Bouc-Wen", "coulomb": "Coulomb", "hertzian": "Hertzian", "iwan": "Iwan", "jenkins": "Jenkins"}
+_PEOPLE = {
+    "bouc-wen": "Bouc-Wen", "coulomb": "Coulomb", "dahl": "Dahl", "hertz": "Hertz", "hertzian": "Hertzian",
+    "iwan": "Iwan", "jenkins": "Jenkins", "maxwell": "Maxwell", "stribeck": "Stribeck",
+}  # fmt: skip
 """Names of people in the names of effects and parameters."""
-_HYPHENATED = ("bouc-wen", "displacement-dependent")
+_HYPHENATED = ("bouc-wen", "displacement-dependent", "one-sided")
 """Words of such names that belong together."""
 
 _MICRO, _NANO = "\N{GREEK SMALL LETTER MU}", "n"
@@ -33,8 +36,8 @@ def in_words(name: str) -> str:
 
     Examples
     --------
-    >>> in_words("coulomb_friction"), in_words("bouc_wen_stiffness"), in_words("quadratic_damping")
-    ('Coulomb friction', 'Bouc-Wen stiffness', 'quadratic damping')
+    >>> in_words("coulomb_friction"), in_words("bouc_wen_stiffness"), in_words("one_sided_stiffness")
+    ('Coulomb friction', 'Bouc-Wen stiffness', 'one-sided stiffness')
     """
     for joined in _HYPHENATED:
         name = name.replace(joined.replace("-", "_"), joined)
