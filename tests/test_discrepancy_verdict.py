@@ -26,7 +26,7 @@ from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.discrepancy.study import Candidate, LawProbability, MissingMechanism, ScatterOfEffects
 from pymc_backbone.discrepancy.verdict import AdequateBy, NamedLevel, Status, Verdict
 from pymc_backbone.effects import BASE_EFFECTS, LIBRARY
-from pymc_backbone.reporting.words import candidate_name
+from pymc_backbone.reporting.words import candidate_name, verdict_means
 from pymc_backbone.simulation.backbones import simulate_population
 from pymc_backbone.workflows.diagnose import describe_study
 
@@ -425,6 +425,7 @@ def test_a_drift_that_explains_all_is_the_best_and_no_effect_beside_it(tolerance
     """A stiffness that grows by 0.4 % over each record, 0.2 % of the frequency: twice the tolerance, or half of it."""
     study = study_of(drifting_records(rng, 0.004, specimens=3), tolerance=tolerance)
     assert study.verdict == verdict and said in study.sentence
+    assert ("changes with time" in verdict_means(study)) == (verdict == "unexplained")
     best = study.candidates[0]
     assert best.effects == () and best.status == "best" and best.probability > 0.5
     assert 0.8 < best.reduced_chi_square < 1.2 and study.reasons == ()

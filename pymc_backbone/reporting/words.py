@@ -58,6 +58,10 @@ LEAST_TOLD = 0.01
 
 def verdict_means(study: Study) -> str:
     """Return what the verdict means, in a sentence; empty for one that is not known."""
+    if study.verdict == Verdict.UNEXPLAINED and any(
+        item.status == Status.BEST and item.has_drift and not item.effects for item in study.candidates
+    ):
+        return "There is a gap, and the base model explains it with a frequency or a damping that changes with time."
     if study.verdict != Verdict.FOUND:
         return VERDICT_MEANS.get(study.verdict, "")
     if study.named_level == NamedLevel.MECHANISM and study.ambiguous_sets:
