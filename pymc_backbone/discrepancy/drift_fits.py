@@ -20,6 +20,7 @@ _FIRST_TURNS = 108  # turning points that may refute a set with a drift, before 
 _STEADY = 0.5  # of what a set leaves, that a steady drift leaves at most beside which one is asked that settles
 _SETTLES = (0.1, 5.0)  # time constants that are asked, in lengths of the records
 _NEAR_ENOUGH, _MOST = 0.02, 14  # in the logarithm of that, and most fits for it
+_NOT_FITTED = 1e3  # times what the set leaves, as which a time constant counts that cannot be fitted
 _ALIKE_DRIFTS = 0.05  # by which drifts that are alike may differ, relative to their size
 _OF_LAW = 0.5  # of the power of a law that settles so fast, up to which with two standard errors drifts are none of it
 
@@ -105,7 +106,7 @@ def settle(search: FittedSets, names: Set, steady: Fit) -> Fit | None:
         fitted = drift_fit(batch.settling(share * length), alone.layout, steady.state)
         if fitted is not None:
             found[share] = fitted
-        return np.inf if fitted is None else fitted.cost
+        return _NOT_FITTED * alone.cost if fitted is None else fitted.cost  # finite, as parabolas are laid through it
 
     minimize_scalar(
         leaves, bounds=np.log(_SETTLES), method="bounded", options={"xatol": _NEAR_ENOUGH, "maxiter": _MOST}
