@@ -11,6 +11,7 @@ from scipy.stats import multivariate_normal
 
 import pymc_backbone as pb
 from pymc_backbone.discrepancy import search as search_module
+from pymc_backbone.discrepancy import undisturbed
 from pymc_backbone.discrepancy.drift_kinds import drift_bonus
 from pymc_backbone.discrepancy.layout import make_layout
 from pymc_backbone.discrepancy.normal_equations import DRIFTS
@@ -198,9 +199,21 @@ def test_a_search_ends_early_where_what_is_in_front_of_the_records_is_known_and_
     search._follow_backbones(24)
     assert search.halted is None and asked_with == [4]  # asked once
     assert set(asked) == set(evidences)
+    # where the first set explains the records, what follows it is not asked
     explained, asked = search_with(batch, evidences, {("cubic_stiffness",): 1.0}, is_disturbed=is_disturbed)
     explained._follow_backbones(24)
-    assert explained.halted is None and asked_with == [4]
+    assert explained.halted == "a filter" and len(asked) < len(evidences)
+
+
+def test_no_high_pass_is_asked_in_front_of_records_that_a_set_explains(batch, monkeypatch):
+    monkeypatch.setattr(undisturbed, "early_high_pass", lambda _: "a filter")
+    monkeypatch.setattr(undisturbed, "early_line", lambda _: "a line")
+    search = Search(batch, Oscillator(MASS), ("cubic_stiffness",), 1)
+    search.fit_set(())
+    assert not search.explains(search.fits[()])
+    assert undisturbed.in_the_way(search) == "a filter"
+    search.fit_set(("cubic_stiffness",))
+    assert undisturbed.in_the_way(search) == "a line"
 
 
 def batch_size(batch) -> int:

@@ -31,12 +31,13 @@ from pymc_backbone.discrepancy.drift_course import DRIFT, changes_of, course_of,
 from pymc_backbone.discrepancy.drift_proposals import beside_drifts, single_beside_drifts
 from pymc_backbone.discrepancy.joint_fit import fit
 from pymc_backbone.discrepancy.layout import make_layout
+from pymc_backbone.discrepancy.lines import line_beside, line_near
 from pymc_backbone.discrepancy.locate import mean_gap, where_different
 from pymc_backbone.discrepancy.normal_equations import DRIFTS, State, information, start_state
 from pymc_backbone.discrepancy.question import Question
 from pymc_backbone.discrepancy.scatter import SCATTER
 from pymc_backbone.discrepancy.search import Search
-from pymc_backbone.discrepancy.second_mode import line_beside, line_near, second_mode_check
+from pymc_backbone.discrepancy.second_mode import second_mode_check
 from pymc_backbone.discrepancy.study import HeldOut
 from pymc_backbone.discrepancy.tolerance import is_drift_small
 from pymc_backbone.discrepancy.undisturbed import Undisturbed, with_drifts
@@ -55,6 +56,7 @@ from .discrepancy_cases import (
     batch_of,
     decaying_sinusoid,
     drifting_records,
+    force_of,
     free_decay,
     make_records,
     noisy,
@@ -617,7 +619,7 @@ def test_backbones_are_asked_beside_drifts_where_a_drift_explains_half(cubic, mo
     drifting = replace(base, chi_square=share * base.chi_square, penalty=share * base.penalty)
     monkeypatch.setattr(rivals, "drift_fit", lambda *_, **__: drifting)
     monkeypatch.setattr(rivals, "drift_bonus", lambda *_: 0.0)
-    monkeypatch.setattr(rivals, "settle", lambda *_: None)
+    monkeypatch.setattr(rivals, "settled", lambda *_: None)
     monkeypatch.setattr(rivals, "_ask_backbones", lambda _, found: asked.append(list(found)))
     rivals.drifting_sets(search)
     assert bool(asked) == is_asked
@@ -703,6 +705,47 @@ def test_what_settles_is_a_drift_where_releases_say_so(power, share, is_of_time)
     assert drift_fits._is_of_time(SimpleNamespace(turning=turning), fitted, share) is is_of_time
     alike = SimpleNamespace(turning=turning[:1] * 4)
     assert not drift_fits._is_of_time(alike, fitted, share)
+
+
+def settling_records(rng, released):
+    """Records of specimens from other amplitudes, whose stiffness settles by 2 % with two thirds of the record."""
+    records = []
+    for factor in released:
+        (record,) = drifting_records(rng, 0.02 * rng.uniform(0.95, 1.05), 1, settling=1.5)
+        values = factor * record.values + 0.001 * AMPLITUDE * rng.standard_normal(record.values.size)
+        records.append(replace(record, specimen=f"from {factor}", values=values))
+    return records
+
+
+def test_a_drift_that_settles_is_likelier_than_a_law_of_which_specimens_differ():
+    """A law of a small power of the amplitude explains it to the noise, of other strength the lower the release."""
+    batch = batch_of(settling_records(np.random.default_rng(5), (1.0, 0.8, 0.65, 0.5)))
+    search = Search(batch, Oscillator(MASS), ("power_stiffness", "coulomb_friction"), 1)
+    search.run()
+    assert search.best() == ("power_stiffness",) and evidence.leaves_noise(batch, search.fits[search.best()])
+    assert drift_fits.drift_alone(search) is None and search.batch is batch  # releases alone do not say so
+    found = rivals.drifting_sets(search)
+    assert search.batch.settling_time == pytest.approx((TIME[-1] - RELEASE_TIME) / 1.5, rel=0.1)
+    assert search.batch.settling_odds < np.log(0.25)
+    decision = decide(search, found, {})
+    assert decision.verdict == "unexplained" and decision.drift_probability > 0.9
+
+
+@pytest.mark.parametrize("released", [(1.0, 1.0, 1.0), (1.0, 0.8, 0.6)])
+def test_a_law_is_likelier_than_a_drift_that_settles_as_fast(released):
+    """Of equal releases a drift leaves as little; that its time constant is just so has to be worth something."""
+    rng, records = np.random.default_rng(6), []
+    for k, factor in enumerate(released):
+        truth = truth_of(("cubic_stiffness",))
+        truth["linear_stiffness"] *= 1.0 + 0.01 * rng.standard_normal()
+        exact = free_decay(force_of(("cubic_stiffness",), truth), factor * AMPLITUDE, TIME - RELEASE_TIME)
+        records.append(noisy(rng, f"specimen {k}", TIME, exact))
+    search = Search(batch_of(records), Oscillator(MASS), ("cubic_stiffness", "coulomb_friction"), 1)
+    search.run()
+    found = rivals.drifting_sets(search)
+    assert search.batch.settling_time == np.inf
+    decision = decide(search, found, {})
+    assert decision.verdict == "found" and decision.best == ("cubic_stiffness",)
 
 
 def test_a_steady_drift_is_not_told_to_settle():

@@ -149,6 +149,43 @@ def test_a_search_that_a_filter_halted_goes_on_where_nothing_is_explained_behind
     assert seen[:1] == ([] if helps else ["resumed"]) and ("sensor_filter" in seen) == (not helps)
 
 
+def test_records_are_searched_without_the_line_that_halted_a_search(monkeypatch):
+    """Again with all that is asked early, and at last without lines; what follows is asked of the last."""
+    for name in ("drop_outs", "drifting_zero", "sensor_filter", "earlier", "begun", "motion_noise", "disturbed"):
+        monkeypatch.setattr(module, name, lambda *_: None)
+    monkeypatch.setattr(module, "sentences", lambda found: [f"{len(found)} taken away"])
+    monkeypatch.setattr(module.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
+    monkeypatch.setattr(module.evidence, "leaves_noise", lambda *_: False)
+    line = module.Disturbed({}, ())
+    records = [SimpleNamespace(quantity="displacement", taken=taken) for taken in range(3)]
+    monkeypatch.setattr(module.Disturbed, "undisturbed", lambda _self, known: [records[known[0].taken + 1]])
+    searches = [
+        SimpleNamespace(halted=halted, is_told=False, batch=None, fits={(): "base"}, best=tuple)
+        for halted in (line, line, None)
+    ]
+    asked = []
+
+    @dataclass
+    class Question:
+        taken: int = 0
+        said: tuple[str, ...] = ()
+        batch: object = None
+
+        def of_records(self, records, measuring, said):
+            return Question(records[0].taken, tuple(said))
+
+    def searched(question, *early):
+        asked.append((question.taken, question.said, early))
+        return searches[len(asked)]
+
+    known = module.undisturbed(Question(), searches[0], records[:1], None, searched, lambda _: {})
+    assert known.search is searches[-1]
+    assert asked == [
+        (1, ("1 taken away",), (module.in_the_way, module.drift_alone)),
+        (2, ("2 taken away",), (module._in_front, module.drift_alone)),
+    ]
+
+
 @pytest.mark.parametrize("explains", [True, False])
 def test_a_high_pass_that_what_was_found_behind_it_needs_not_is_taken_back(explains, monkeypatch):
     """The search without it is taken to its end; where that leaves more than noise, the one behind it stands."""

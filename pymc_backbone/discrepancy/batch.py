@@ -42,6 +42,8 @@ class Batch:
         What was left out and why.
     is_relaxed : bool
         Whether what remembers holds no force at the release, instead of being loaded from rest up to there.
+    settling_odds : float
+        Logarithm of how much less probable a drift of frequency is because it settles, and just so fast.
     """
 
     backbones: xr.Dataset
@@ -56,6 +58,7 @@ class Batch:
     angular_frequency: float
     notes: tuple[str, ...] = ()
     is_relaxed: bool = False
+    settling_odds: float = 0.0
 
     @property
     def deciding(self) -> Sequence[DataTerm]:
@@ -115,10 +118,11 @@ class Batch:
         term = self.waveform[0] if self.waveform else None
         return float(np.ptp(term.time)) / term.settling if term is not None and term.settling else float("inf")
 
-    def settling(self, time: float) -> Batch:
+    def settling(self, time: float, odds: float = 0.0) -> Batch:
         """Return the batch whose drifts of frequency settle with a time constant [s], instead of being steady."""
         return replace(
             self,
+            settling_odds=odds,
             turning=tuple(replace(term, settling=float(np.ptp(term.times)) / time) for term in self.turning),
             waveform=tuple(replace(term, settling=float(np.ptp(term.time)) / time) for term in self.waveform),
         )

@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from . import evidence
 from .batch import Batch
-from .descent import first_limit
+from .descent import first_limit, is_heavy
 from .drift_kinds import drift_bonus
 from .evidence import Drifting
 from .fitted_sets import FittedSets
 from .joint_fit import Fit, fit
 from .layout import Layout
 from .normal_equations import DRIFTS, State
-from .set_fits import Set
 
 _FIRST_TURNS = 108  # turning points that may refute a set with a drift, before all are looked at
 _STEADY = 0.5  # of what a set leaves, that a steady drift leaves at most beside which one is asked that settles
 _SETTLES = (0.1, 5.0)  # time constants that are asked, in lengths of the records
-_NEAR_ENOUGH, _MOST = 0.02, 14  # in the logarithm of that, and most fits for it
+_ROUGH, _NEAR_ENOUGH, _MOST = 0.1, 0.02, 14  # in the logarithm of that: by turning points, samples; most fits of these
+_AROUND = 0.7  # in the logarithm of that, about what the turning points tell, where the samples are asked
+_FOLLOWS = 10.0  # reduced chi-square of the turning points that no drift leaves which explains the records
+_SETTLING, _OF_PEAK = 0.25, 5  # share of drifts that settle; time constants that tell how closely one is known
+_NOISE = 0.01  # p-value of the residuals from which they are taken for noise
 _NOT_FITTED = 1e3  # times what the set leaves, as which a time constant counts that cannot be fitted
 _ALIKE_DRIFTS = 0.05  # by which drifts that are alike may differ, relative to their size
 _OF_LAW = 0.5  # of the power of a law that settles so fast, up to which with two standard errors drifts are none of it
@@ -58,9 +63,14 @@ def drift_alone(search: FittedSets) -> Drifting | None:
     found = drift_fit(search.batch, base.layout, base.state)
     if found is None:
         return None
-    if not evidence.leaves_noise(search.batch, found):
-        found = settle(search, (), found)
-    return None if found is None else Drifting(found, drift_bonus(found, base))
+    if evidence.leaves_noise(search.batch, found):
+        return Drifting(found, drift_bonus(found, base))
+    # what law explains releases of different amplitude, no drift that settles does better
+    with_time = None if _is_noise_left(search) else settled(search.batch, base, found)
+    if with_time is None or not with_time.is_of_time:
+        return None
+    search.batch = with_time.batch
+    return with_time.drifting(base)
 
 
 def _is_of_time(batch: Batch, drifting: Fit, share: float) -> bool:
@@ -87,38 +97,76 @@ def _is_of_time(batch: Batch, drifting: Fit, share: float) -> bool:
     return bool(abs(power) + 2.0 * error < _OF_LAW * needed)
 
 
-def settle(search: FittedSets, names: Set, steady: Fit) -> Fit | None:
-    """Return a set with a drift that settles, and let drifts settle as that does; None unless it leaves noise.
+class Settled(NamedTuple):
+    """A set with a drift of frequency that settles: the batch whose drifts do so, the fit, and what releases say."""
 
-    Asked where a steady drift takes away most of what the set leaves, and not all. What settles and what a decaying
-    amplitude leaves of a spring's law are the same curve over one record: only where releases of different amplitude
-    drift by as much is it a drift.
+    batch: Batch
+    fit: Fit
+    is_of_time: bool
+
+    def drifting(self, alone: Fit) -> Drifting:
+        """Return the fit with what its evidence gains over that of the set ``alone``."""
+        return Drifting(self.fit, drift_bonus(self.fit, alone) + self.batch.settling_odds)
+
+
+def settled(batch: Batch, alone: Fit, steady: Fit) -> Settled | None:
+    """Return a set with a drift that settles; None unless it leaves noise.
+
+    Asked where a ``steady`` drift takes away most of what the set ``alone`` leaves, and not all. What settles and what
+    a decaying amplitude leaves of a spring's law are the same curve over one record: only where releases of different
+    amplitude drift by as much do these say that it is a drift. That it settles, and with this time constant of all, it
+    has to be worth (`Batch.settling_odds`).
     """
-    batch, alone = search.batch, search.fits[names]
     length = float(np.median([np.ptp(term.time) for term in batch.waveform]))
-    left, before = steady.cost - search.count, alone.cost - search.count
+    left, before = steady.cost - batch.count, alone.cost - batch.count
     if batch.waveform[0].settling or left > _STEADY * before:
         return None
+    nuisances = (*batch.nuisances, *DRIFTS)
     found: dict[float, Fit] = {}
 
-    def leaves(log_share: float) -> float:
-        share = float(np.exp(log_share))
-        fitted = drift_fit(batch.settling(share * length), alone.layout, steady.state)
-        if fitted is not None:
-            found[share] = fitted
+    def over_turning_points(log_share: float) -> float:
+        terms = batch.settling(float(np.exp(log_share)) * length).turning
+        fitted = fit(alone.layout, terms, steady.state, iterations=20, nuisances=nuisances, tolerance=1.0)
         return _NOT_FITTED * alone.cost if fitted is None else fitted.cost  # finite, as parabolas are laid through it
 
-    minimize_scalar(
-        leaves, bounds=np.log(_SETTLES), method="bounded", options={"xatol": _NEAR_ENOUGH, "maxiter": _MOST}
-    )
-    share = min(found, key=lambda item: found[item].cost, default=0.0)
-    if not share:
+    def over_samples(log_share: float) -> float:
+        fitted = drift_fit(batch.settling(float(np.exp(log_share)) * length), alone.layout, steady.state)
+        if fitted is not None:
+            found[log_share] = fitted
+        return _NOT_FITTED * alone.cost if fitted is None else fitted.cost
+
+    low, high = np.log(_SETTLES).tolist()
+    # turning points are soon fitted, and tell where no drift that settles leaves noise
+    begun = minimize_scalar(over_turning_points, bounds=(low, high), method="bounded", options={"xatol": _ROUGH})
+    if begun.fun > _FOLLOWS * sum(term.size for term in batch.turning):
         return None
-    settled = batch.settling(share * length)
-    if not (evidence.leaves_noise(settled, found[share]) and _is_of_time(batch, found[share], share)):
+    near = (max(float(begun.x) - _AROUND, low), min(float(begun.x) + _AROUND, high))
+    minimize_scalar(over_samples, bounds=near, method="bounded", options={"xatol": _NEAR_ENOUGH, "maxiter": _MOST})
+    place = min(found, key=lambda item: found[item].cost, default=None)
+    if place is None:
         return None
-    search.batch = settled
-    return found[share]
+    odds = _log_odds({at: item.cost for at, item in found.items()}, place, high - low)
+    share = float(np.exp(place))
+    with_it = batch.settling(share * length, odds)
+    if not evidence.leaves_noise(with_it, found[place]):
+        return None
+    return Settled(with_it, found[place], _is_of_time(batch, found[place], share))
 
 
-__all__ = ["drift_alone", "drift_fit", "settle"]
+def _log_odds(costs: dict[float, float], place: float, width: float) -> float:
+    """Return the logarithm of what a time constant is worth: the width of its peak over that of all that it may be."""
+    around = sorted(costs, key=lambda at: abs(at - place))[:_OF_PEAK]
+    if len(around) < 3:
+        return float(np.log(_SETTLING))
+    bent = float(np.polyfit([at - place for at in around], [costs[at] for at in around], 2)[0])  # half the curvature
+    peak = np.sqrt(2.0 * np.pi / bent) if bent > 0.0 else width  # of exp(-cost / 2), in the logarithm of the constant
+    return float(np.log(_SETTLING * min(peak / width, 1.0)))
+
+
+def _is_noise_left(search: FittedSets) -> bool:
+    """Return whether a set that is soon simulated leaves nothing but noise."""
+    lowest = min(search.fits.values(), key=lambda item: item.cost)
+    return not is_heavy(lowest.layout) and evidence.lack_of_fit(search.batch, lowest).p_value > _NOISE
+
+
+__all__ = ["Settled", "drift_alone", "drift_fit", "settled"]

@@ -65,8 +65,8 @@ class FittedSets:
     tolerance : mapping of str to float
         Relative change of frequency and damping that does not matter.
     is_disturbed : callable, optional
-        Asked once, early, where nothing explains the records: whether something in front of them is in the way. What
-        it returns is kept in ``halted``, and the search ends there; None lets it go on.
+        Asked once, early: whether something in front of the records is in the way, or runs beside the motion. What it
+        returns is kept in ``halted``, and the search ends there; None lets it go on.
     halted : object, optional
         What ended the search early.
     is_drifting : callable, optional

@@ -75,11 +75,12 @@ class FollowedSets(VariedSets):
                 if self.explains(self.fits[names]):
                     so_far.explained.append(names)
                     so_far.reach = max(so_far.reach, likely - REACH)
-        self._follow_left(so_far)
+        if not self._is_halted():
+            self._follow_left(so_far)
 
     def _is_halted(self) -> bool:
-        """Return whether the search ends here: nothing explains the records, and what is in front of them is known."""
-        if self.is_disturbed is not None and self.halted is None and not self._is_explained():
+        """Return whether the search ends here, as it is known what is in front of the records or beside the motion."""
+        if self.is_disturbed is not None and self.halted is None:
             asked, self.is_disturbed = self.is_disturbed, None
             self.halted = asked(self)
         return self.halted is not None

@@ -8,22 +8,27 @@ that holds, few coefficients explain all of it, and the records can be read as w
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
 
 from .._common.checks import FloatArray
 from .._common.threads import in_threads
-from ..measurement.reading.record import Record
 from . import evidence
 from .batch import Batch
 from .data_term import WaveformTerm
-from .harmonic_lines import beside_harmonics, frequencies_with, is_harmonic
+from .descent import is_heavy
+from .disturbance import Disturbance, Disturbed, line_modes
+from .drift_fits import drift_fit
+from .fitted_sets import FittedSets
+from .harmonic_lines import beside_harmonics, frequencies_of, frequencies_with, is_harmonic
 from .joint_fit import Fit, fit
+from .lines import line_beside
 from .normal_equations import DRIFTS, State, derivatives
 from .search import Search, Set
 from .telling import Telling, most_telling
@@ -31,143 +36,32 @@ from .telling import Telling, most_telling
 _MOST = 0.1  # of the reading at the largest motion: what bends by more is no sensor
 _MOST_OF_A_LINE = 0.06  # of the motion: beside more, the other mode is no disturbance
 _LOOKS = 3  # times that the coefficients are found again, the set fitted to what they leave
+_EARLY = 2  # likeliest sets that are asked for a line in the middle of a search
 _ASKED = 3  # likeliest sets that are asked where none leaves noise, with what is in them
 _NEAR = 3.0  # chi-square over the number of samples that a linear look promises, from which a set is not fitted
 _CHANCE = 30.0  # chi-square by which chance may part records from what the best set leaves of them
 _COST = 4.0  # that each coefficient must be worth
-_ROUNDS = 30  # of the solution for the motion at a reading
 _LINE = 25.0  # peak of the residuals' periodogram over its median that a line has at least
 _FAR = 4.0  # bins between a line and a harmonic, where it is looked for
 _APART = 2.0  # bins between them, once it is found
 _DECAYS = (0.0, 3.0, 10.0)  # of lines over a record, as they are looked for
-_Left = tuple[float, "list[Disturbance]"]
-"""What a set leaves beside disturbances, and these."""
 _ALIKE = 0.03  # difference of the orders of one line in specimens that are alike
 
 
-@dataclass(frozen=True)
-class Disturbance:
-    """What one record holds beside the motion: ``reading = zero + q + even q^2 / s + odd q^3 / s^2``, q with a line.
+class _Left(NamedTuple):
+    """What a set leaves beside disturbances, these, and whether it is noise."""
 
-    Attributes
-    ----------
-    begin, end : float
-        Time [s] over which the mean of the reading is its zero.
-    release : float
-        Time [s] from which the line is there.
-    scale : float
-        Largest motion s [unit of the record].
-    even, odd : float
-        Share of the reading that a bent sensor adds there.
-    frequency, decay : float
-        Of the line [Hz, 1/s]; 0 where there is none.
-    cosine, sine : float
-        Of the line at ``begin`` [unit of the record].
-    """
-
-    begin: float
-    end: float
-    release: float
-    scale: float
-    even: float = 0.0
-    odd: float = 0.0
-    frequency: float = 0.0
-    decay: float = 0.0
-    cosine: float = 0.0
-    sine: float = 0.0
-
-    @property
-    def bent(self) -> float:
-        """Reading that the sensor adds at the largest motion, as a share of it."""
-        return float(np.hypot(self.even, self.odd))
-
-    @property
-    def line(self) -> float:
-        """Amplitude of the line as a share of the largest motion."""
-        return float(np.hypot(self.cosine, self.sine)) / self.scale
-
-    def motion(self, time: FloatArray, readings: FloatArray, *, step: float = 0.0) -> FloatArray:
-        """Return readings (n,) as a straight sensor would have given them without the line.
-
-        ``step`` is that over which each reading is a mean [s].
-        """
-        zero = float(readings[(time >= self.begin) & (time <= self.end)].mean())
-        around = readings - zero
-        if self.frequency:
-            around = around - line_modes(time, self, step) @ np.array([self.cosine, self.sine])
-        motion = around
-        for _ in range(_ROUNDS if self.even or self.odd else 0):
-            share = motion / self.scale
-            motion = around / (1.0 + self.even * share + self.odd * share**2)
-        return zero + motion
-
-
-def line_modes(time: FloatArray, line: Disturbance, step: float = 0.0) -> FloatArray:
-    """Return the line's cosine and sine (n, 2) from the release on, of unit height at ``begin``."""
-    elapsed = np.maximum(time, line.release) - line.begin
-    height = np.where(time >= line.release, np.exp(-line.decay * elapsed), 0.0)
-    angle = 2.0 * np.pi * line.frequency * elapsed
-    return np.column_stack([np.cos(angle), np.sin(angle)]) * (height * np.sinc(line.frequency * step))[:, None]
-
-
-@dataclass(frozen=True, eq=False)
-class Disturbed:
-    """The disturbance of each record, and the set of effects that leaves noise beside it."""
-
-    by_specimen: dict[str, Disturbance]
-    beside: Set
-
-    @property
-    def is_bent(self) -> bool:
-        """Whether the sensor bends."""
-        return any(item.bent for item in self.by_specimen.values())
-
-    def undisturbed(self, records: Iterable[Record]) -> list[Record]:
-        """Return the records without what disturbs them."""
-        return [
-            replace(record, values=self.by_specimen[record.specimen].motion(record.time, record.values))
-            if record.specimen in self.by_specimen
-            else record
-            for record in records
-        ]
-
-
-def sentences(found: Sequence[Disturbed]) -> list[str]:
-    """Return what was found in so many passes, one sentence for each kind."""
-    said = []
-    if any(item.is_bent for item in found):
-        names = list(found[0].by_specimen)
-        even = np.array([[item.by_specimen[name].even for name in names] for item in found]).sum(axis=0)
-        odd = np.array([[item.by_specimen[name].odd for name in names] for item in found]).sum(axis=0)
-        said.append(
-            "warning: the sensor's reading is not in proportion to the motion: at the largest motion of each record it "
-            f"is {_range(np.hypot(even, odd).tolist())} off a straight line, which no effect of the library explains, "
-            "and the records were straightened. Look at the sensor's calibration; where that is straight, the inertia "
-            "changes with the displacement, or the damping differs between the two sides, which reads the same"
-        )
-    lines = [one for item in found for one in item.by_specimen.values() if one.frequency]
-    if lines:
-        places = sorted(one.frequency for one in lines)
-        where = f"{places[0]:.4g}" if len(places) == 1 else f"{places[0]:.4g} to {places[-1]:.4g}"
-        said.append(
-            f"warning: the records hold a line beside the harmonics of the mode at {where} Hz, "
-            f"{_range([one.line for one in lines])} of the motion, as another mode leaves; it was taken away"
-        )
-    return said
-
-
-def _range(shares: list[float]) -> str:
-    """Return the least and the largest of some shares in words."""
-    low, high = min(shares), max(shares)
-    return f"{high:.2%}" if high < 1.05 * low else f"{low:.2%} to {high:.2%}"
+    cost: float
+    items: list[Disturbance]
+    is_noise: bool
 
 
 def disturbed(search: Search) -> Disturbed | None:
     """Return what disturbs the readings where that explains what effects do not, or what takes one effect more.
 
-    Looked for where the most probable set does not leave noise, beside the likeliest and what is in these; else beside
-    the sets that lack one of its effects, which then have to explain the samples better than it does. None where
-    records are compared through a band-pass: there is nothing beside the mode in them.
+    Looked for where the most probable set does not leave noise, beside the likeliest and what is in these; else a line
+    beside it, and both beside the sets that lack one of its effects, which then have to explain the samples better.
+    None where records are compared through a band-pass: there is nothing beside the mode in them.
     """
     batch, best = search.batch, search.best()
     if not batch.has_open_records:
@@ -175,7 +69,7 @@ def disturbed(search: Search) -> Disturbed | None:
     is_exact = evidence.leaves_noise(batch, search.fits[best])
     likeliest = [best] if is_exact else search.ranked()[:_ASKED]
     asked = [part for names in likeliest if names for part in combinations(names, len(names) - 1)]
-    asked += [] if is_exact else likeliest
+    asked += likeliest
     jobs, priced = [], []
     for names in dict.fromkeys(asked):
         start = search.fit_set(names)
@@ -184,7 +78,9 @@ def disturbed(search: Search) -> Disturbed | None:
         part = most_telling(batch, start)
         left = float(search.fits[best].chi_square[part.specimens].sum())
         few = left + _CHANCE if is_exact else _NEAR * part.batch.count
-        for has_line, is_bent in ((True, False), (False, True), (True, True)):
+        # what bends beside a set that leaves noise is not in the records
+        kinds = ((True, False),) if is_exact and names == best else ((True, False), (False, True), (True, True))
+        for has_line, is_bent in kinds:
             price = _COST * (4.0 * has_line + 2.0 * is_bent) * len(batch.specimens)
             limit = search.fits[best].cost - price if is_exact else _NEAR * search.count
             whole = partial(_beside, batch, start, limit, has_line=has_line, is_bent=is_bent)
@@ -192,20 +88,68 @@ def disturbed(search: Search) -> Disturbed | None:
             priced.append((names, price + 2.0 * _COST * len(names)))
     found: list[tuple[float, Disturbed]] = []
     for (names, price), beside in zip(priced, in_threads(jobs), strict=True):
-        if beside is not None:
-            cost, items = beside
-            found.append((cost + price, Disturbed(dict(zip(batch.specimens, items, strict=True)), names)))
+        if beside is not None and beside.is_noise:
+            items = dict(zip(batch.specimens, beside.items, strict=True))
+            found.append((beside.cost + price, Disturbed(items, names)))
     return min(found, key=lambda item: item[0])[1] if found else None
+
+
+def early_line(search: FittedSets) -> Disturbed | None:
+    """Return the line of another mode, or of what runs nearby, in what the likeliest set so far leaves; None for none.
+
+    Asked in the middle of a search: no set leaves noise beside a line, however many are fitted. Beside one of the two
+    likeliest sets, or of the best of them and the model as it is with a drift, whichever leaves least without the line;
+    where none of these leaves noise, half of the records have to show the same line.
+    """
+    batch = search.batch
+    if not batch.has_open_records:
+        return None
+    light = [names for names, found in search.fits.items() if not is_heavy(found.layout)]
+    likeliest = sorted(light, key=lambda names: search.fits[names].cost)[:_EARLY]
+    if not likeliest or not any(_begun_lines(batch, batch, search.fits[likeliest[0]])):
+        return None
+    is_common = _is_common_line(batch, search.fits[likeliest[0]])
+    found: list[tuple[_Left, Set]] = []
+    starts = [(names, search.fits[names], False) for names in likeliest]
+    starts += [(names, search.fits[names], True) for names in dict.fromkeys(((), *likeliest[:1]))]
+    for names, alone, is_drifting in starts:
+        start = drift_fit(batch, alone.layout, alone.state) if is_drifting else alone
+        price = 4.0 * _COST * len(batch.specimens)
+        left = None if start is None else _beside(batch, start, start.cost - price, has_line=True, is_bent=False)
+        if left is not None and (left.is_noise or is_common):
+            found.append((left, names))
+            if left.is_noise:
+                break
+    if not found:
+        return None
+    left, names = min(found, key=lambda item: (not item[0].is_noise, item[0].cost))
+    return Disturbed(dict(zip(batch.specimens, left.items, strict=True)), names)
+
+
+def _is_common_line(batch: Batch, found: Fit) -> bool:
+    """Return whether half of the records show the same line in what a set leaves of them, clear of coloured noise.
+
+    Beside the harmonics of the motion as it was measured and as the set has it.
+    """
+    orders = []
+    ranges = zip(_ranges(batch, found), batch.levels, batch.records, strict=True)
+    for term, values, (modelled, level, record) in zip(batch.waveform, _left_over(batch, found), ranges, strict=True):
+        measured = frequencies_of(level, record.frequency)
+        between = min(modelled[0], measured[0]), max(modelled[1], measured[1])
+        if place := line_beside(term.compared(term.time), values, between).frequency:
+            orders.append(place / record.frequency)
+    alike = np.abs(np.array(orders) - np.median(orders)) < _ALIKE if orders else np.zeros(0)
+    return 2 * int(np.count_nonzero(alike)) >= len(batch.records)
 
 
 def _bent_beside(part: Telling, few: float, whole: Callable[[], _Left | None]) -> _Left | None:
     """Return the ``whole`` answer where a set leaves noise of some records behind a bent sensor: it bends in all."""
-    is_there = _beside(part.batch, part.found, few, has_line=False, is_bent=True) is not None
-    return whole() if is_there else None
+    is_there = _beside(part.batch, part.found, few, has_line=False, is_bent=True)
+    return whole() if is_there is not None and is_there.is_noise else None
 
 
 def _beside(batch: Batch, start: Fit, limit: float, *, has_line: bool, is_bent: bool) -> _Left | None:
-    """Return the cost of a set with a disturbance beside it, and that; None where it does not leave noise."""
+    """Return what a set leaves beside a disturbance, and that; None where it is not less than the limit."""
     items = [
         Disturbance(
             float(term.time[0]), float(term.time[-1]), float(record.time[0]),
@@ -214,6 +158,7 @@ def _beside(batch: Batch, start: Fit, limit: float, *, has_line: bool, is_bent: 
         for term, record in zip(batch.waveform, batch.records, strict=True)
     ]  # fmt: skip
     without, found = batch, start
+    nuisances = tuple(np.flatnonzero(start.active[: start.state.own.shape[1]]).tolist())  # of a drift, where it has one
     for _ in range(_LOOKS):
         if has_line:
             items = _with_lines(batch, without, found, items)
@@ -227,7 +172,7 @@ def _beside(batch: Batch, start: Fit, limit: float, *, has_line: bool, is_bent: 
             return None
         terms = tuple(_without(term, item) for term, item in zip(batch.waveform, items, strict=True))
         without = replace(batch, waveform=terms)
-        solved = fit(found.layout, terms, looked.state, iterations=10, nuisances=batch.nuisances)
+        solved = fit(found.layout, terms, looked.state, iterations=10, nuisances=nuisances)
         if solved is None:
             return None
         found = solved
@@ -236,9 +181,15 @@ def _beside(batch: Batch, start: Fit, limit: float, *, has_line: bool, is_bent: 
         for item, between in zip(items, _ranges(batch, found), strict=True)
     ):
         return None
-    if not found.cost < limit or evidence.lack_of_fit(without, found).p_value < evidence.UNEXPLAINED:
+    if not found.cost < limit:
         return None
-    return found.cost, items
+    # another mode begins with the motion, before the record that is compared; what runs nearby was there before
+    begun = [
+        -np.inf if item.lasts else min(item.release, float(own[3]))
+        for item, own in zip(items, found.state.own, strict=True)
+    ]
+    items = [replace(item, release=release) for item, release in zip(items, begun, strict=True)]
+    return _Left(found.cost, items, evidence.lack_of_fit(without, found).p_value >= evidence.UNEXPLAINED)
 
 
 def _ranges(batch: Batch, found: Fit) -> list[tuple[float, float]]:
@@ -262,16 +213,9 @@ def _with_lines(batch: Batch, without: Batch, found: Fit, items: list[Disturbanc
 
     Specimens are alike: where some show it, it is looked for in the others at its order there.
     """
-    left = [
-        evidence.residuals_of(replace(term, whiten=lambda columns: columns), found, r)
-        for r, term in enumerate(without.waveform)
-    ]
     frequencies = np.array([record.frequency for record in batch.records])
     if not any(item.frequency for item in items):
-        lines = [
-            _begun_line(term.compared(term.time), values, between)
-            for term, values, between in zip(without.waveform, left, _ranges(batch, found), strict=True)
-        ]
+        lines = _begun_lines(batch, without, found)
         seen = np.array([place / frequency for place, frequency in zip(lines, frequencies, strict=True) if place > 0.0])
         if not seen.size:
             return items
@@ -280,7 +224,25 @@ def _with_lines(batch: Batch, without: Batch, found: Fit, items: list[Disturbanc
             replace(item, frequency=place if abs(place / frequency - order) < _ALIKE else order * frequency)
             for item, place, frequency in zip(items, lines, frequencies, strict=True)
         ]
+    left = _left_over(without, found)
     return [_refined(term, values, item) for term, values, item in zip(without.waveform, left, items, strict=True)]
+
+
+def _left_over(without: Batch, found: Fit) -> list[FloatArray]:
+    """Return what a set leaves of each record, in its unit."""
+    # not whitened: the estimate of the noise holds a line too, and whitening would take most of it away
+    plain = (replace(term, whiten=lambda columns: columns) for term in without.waveform)
+    return [evidence.residuals_of(term, found, r) for r, term in enumerate(plain)]
+
+
+def _begun_lines(batch: Batch, without: Batch, found: Fit) -> list[float]:
+    """Return the frequency [Hz] of the line that stands out most in what a set leaves of each record; 0 for none."""
+    return [
+        _begun_line(term.compared(term.time), values, between)
+        for term, values, between in zip(
+            without.waveform, _left_over(without, found), _ranges(batch, found), strict=True
+        )
+    ]
 
 
 def _begun_line(time: FloatArray, left: FloatArray, between: tuple[float, float]) -> float:
@@ -377,4 +339,4 @@ def _modes(term: WaveformTerm, item: Disturbance, *, is_bent: bool) -> FloatArra
     return term.whiten(term.compared(columns))
 
 
-__all__ = ["Disturbance", "Disturbed", "disturbed", "sentences"]
+__all__ = ["disturbed", "early_line"]

@@ -169,7 +169,7 @@ class RevisitedSets(FittedSets):
             is_slow = self._is_costly(names) and not self._is_costly(best)
             if names in self.fits or is_slow or self._is_spent or self._is_far(names) or self._is_hopeless(names):
                 continue
-            found = self._beside(names, None)
+            found = self._beside(names, self.fits[best].cost)
             if found:
                 self.fits[names] = found[0]
 

@@ -17,7 +17,7 @@ from .batch import Batch
 from .curves import measured
 from .descent import is_heavy
 from .drift_course import changes_of
-from .drift_fits import drift_fit, settle
+from .drift_fits import Settled, drift_fit, settled
 from .drift_kinds import drift_bonus
 from .drift_proposals import sets_beside_drifts, single_beside_drifts
 from .evidence import Drifting
@@ -78,14 +78,41 @@ def drifting_sets(search: Search) -> dict[Set, Drifting]:
 
 
 def _settled(search: Search, found: dict[Set, Drifting]) -> dict[Set, Drifting]:
-    """Return the same with drifts that settle, where no steady one leaves noise and such a one does."""
-    if not found or any(evidence.leaves_noise(search.batch, item.fit) for item in found.values()):
-        return found
-    nearest = sorted(found, key=lambda item: found[item].fit.cost)[:_ASKED]
-    for names in [names for names in dict.fromkeys([(), *nearest]) if names in found]:
-        if not is_heavy(search.layout(names)) and settle(search, names, found[names].fit) is not None:
+    """Return the same with drifts that settle, where no steady one leaves noise beside a set and such a one does.
+
+    Where a set leaves noise, or does so with a steady drift beside it, a smaller one with a drift that settles has to
+    be likelier than all these. Where none does, releases have to say that it is no law of the amplitude.
+    """
+    batch, best = search.batch, search.best()
+    known = [search.fits[best], *(item.fit for item in found.values())]
+    is_exact = any(evidence.leaves_noise(batch, item) for item in known)
+    asked = sorted((names for names in found if names in search.fits), key=lambda names: found[names].fit.cost)
+    if is_exact:
+        asked = [names for names in asked if len(names) < max(len(best), 1)]
+    for names in dict.fromkeys([(), *asked[:_ASKED]]):
+        if names not in asked or is_heavy(search.layout(names)) or evidence.leaves_noise(batch, found[names].fit):
+            continue
+        with_time = settled(batch, search.fits[names], found[names].fit)
+        if with_time is None:
+            continue
+        if _is_likeliest(search, found, names, with_time) if is_exact else with_time.is_of_time:
+            search.batch = with_time.batch
             return drifting_sets(search)
     return found
+
+
+def _is_likeliest(search: Search, found: dict[Set, Drifting], names: Set, with_time: Settled) -> bool:
+    """Return whether a set with a drift that settles is the most probable, with steady drifts or without."""
+    beside = {(*other, *evidence.DRIFT): item for other, item in found.items() if other != names}
+    asked = (*names, *evidence.DRIFT)
+    beside[asked] = with_time.drifting(search.fits[names])
+    fits = {**search.fits, **{other: item.fit for other, item in beside.items()}}
+    # the residuals of what leaves least say how much the samples tell
+    batch = with_time.batch if fits[asked].cost <= min(item.cost for item in fits.values()) else search.batch
+    weighed = evidence.probabilities(
+        fits, batch, len(search.candidates), {other: item.bonus for other, item in beside.items()}, search.variants
+    )
+    return max(weighed, key=lambda other: weighed[other].log_posterior) == asked
 
 
 def _ask_plain(search: Search, found: dict[Set, Drifting], limit: float) -> None:
@@ -103,7 +130,7 @@ def _ask_plain(search: Search, found: dict[Set, Drifting], limit: float) -> None
         if drifting is None or drifting.cost > worst or (alone := search.fit_set(names)) is None:
             continue
         if drifting.cost < alone.cost - _HELPED:
-            found[names] = Drifting(drifting, drift_bonus(drifting, alone))
+            found[names] = Drifting(drifting, _bonus(search, drifting, alone))
 
 
 def _is_bent(search: Search, found: dict[Set, Drifting]) -> bool:
@@ -130,7 +157,7 @@ def _ask_backbones(search: Search, found: dict[Set, Drifting]) -> None:
             if drifting is None or not is_lower or drifting.cost > _NEAR * search.count:
                 continue
             if (alone := search.fit_set(names)) is not None:
-                found[names] = Drifting(drifting, drift_bonus(drifting, alone))
+                found[names] = Drifting(drifting, _bonus(search, drifting, alone))
                 is_exact = is_exact or evidence.leaves_noise(search.batch, drifting)
         if is_exact:
             return
@@ -164,7 +191,12 @@ def _ask(search: Search, sets: Iterable[Set], found: dict[Set, Drifting], limit:
     ]
     for names, drifting in zip(starts, in_threads(jobs), strict=True):
         if drifting is not None:
-            found[names] = Drifting(drifting, drift_bonus(drifting, starts[names]))
+            found[names] = Drifting(drifting, _bonus(search, drifting, starts[names]))
+
+
+def _bonus(search: Search, drifting: Fit, alone: Fit) -> float:
+    """Return by how much the drift's evidence grows, that it settles minded."""
+    return drift_bonus(drifting, alone) + search.batch.settling_odds
 
 
 def _of_the_same_kind(search: Search, names: Set) -> list[Set]:

@@ -11,17 +11,20 @@ import numpy as np
 from ..measurement.options import Measuring
 from ..measurement.reading.record import Record
 from . import evidence
+from .disturbance import Disturbed, sentences
+from .drift_fits import drift_alone
 from .drifting_zero import drifting_zero
 from .drop_outs import drop_outs
 from .earlier_release import Earlier, earlier
 from .evidence import Drifting
-from .filter_search import sensor_filter, settled
+from .filter_search import early_high_pass, sensor_filter, settled
 from .first_cycles import begun
+from .fitted_sets import FittedSets
 from .joint_fit import Fit
 from .motion_noise import MotionNoise, motion_noise
 from .promising import is_promising
 from .question import Question
-from .readings import Disturbed, disturbed, sentences
+from .readings import disturbed, early_line
 from .relaxed_release import SENTENCE as RELAXED
 from .relaxed_release import is_relaxed_at_release
 from .search import Search, Set
@@ -60,11 +63,12 @@ class Undisturbed:
 
 @dataclass(eq=False)
 class _Asked:
-    """The question of changed records: how they are measured and searched, what is known of release, filter, noise."""
+    """The question of changed records: how they are measured and searched, what is known of them already."""
 
     question: Question
     measuring: Measuring
-    searched: Callable[[Question], Search]
+    searched: Callable[..., Search]
+    known: Sequence[str] = ()
     release: Earlier | None = None
     is_relaxed: bool = False
     sensor_filter: SensorFilter | None = None
@@ -84,7 +88,7 @@ class _Asked:
 
     def question_of(self, records: Sequence[Record], said: Sequence[str]) -> Question:
         """Return the question of these records."""
-        other = self.question.of_records(records, self.measuring, said)
+        other = self.question.of_records(records, self.measuring, (*self.known, *said))
         if self.is_relaxed:
             other = replace(other, batch=replace(other.batch, is_relaxed=True))
         if self.release is not None:
@@ -96,13 +100,25 @@ class _Asked:
         return other
 
 
+def in_the_way(search: FittedSets) -> SensorFilter | Disturbed | None:
+    """Return what stands in front of records, or runs beside their motion, and ends a search that has just begun."""
+    return _in_front(search) or early_line(search)
+
+
+def _in_front(search: FittedSets) -> SensorFilter | None:
+    """Return the high-pass in front of records of which nothing leaves noise without one."""
+    lowest = min(search.fits.values(), key=lambda item: item.cost)
+    return None if search.explains(lowest) else early_high_pass(search)
+
+
 def undisturbed(
     question: Question,
     search: Search,
     records: Sequence[Record],
     measuring: Measuring,
-    searched: Callable[[Question], Search],
+    searched: Callable[..., Search],
     drifting: Callable[[Search], Mapping[Set, Drifting]],
+    lines: tuple[Disturbed, ...] = (),
 ) -> Undisturbed:
     """Return the question and search of records without what disturbs them; as they were where nothing does.
 
@@ -116,9 +132,17 @@ def undisturbed(
     was found with the noise of disturbed records is found again without it. Where a set leaves noise with a drift in
     time beside it, which is likelier, no cycle is left out, and sensors are straightened only where clearly less noise
     is left then: an estimate of the noise that holds the disturbance hides it. Where the model as it is needs a drift
-    in time and nothing else, nothing else is asked.
+    in time and nothing else, nothing else is asked. A line that the search was halted for is taken out before all that
+    (``lines`` are those that were).
     """
-    asked = _Asked(question, measuring, searched)
+    if isinstance(search.halted, Disturbed):
+        lines = (*lines, search.halted)
+        records = search.halted.undisturbed(records)
+        other = question.of_records(records, measuring, sentences(lines))
+        early = in_the_way if len(lines) < _PASSES else _in_front
+        again = searched(other, early, drift_alone)
+        return undisturbed(other, again, records, measuring, searched, drifting, lines)
+    asked = _Asked(question, measuring, searched, sentences(lines))
     behind, is_needed = _halted(asked, search, records)
     if behind is not None and is_needed:
         return behind
@@ -339,4 +363,4 @@ def _is_exact(search: Search) -> bool:
     return evidence.leaves_noise(search.batch, search.fits[search.best()])
 
 
-__all__ = ["Undisturbed", "undisturbed", "with_drifts"]
+__all__ = ["Undisturbed", "in_the_way", "undisturbed", "with_drifts"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import xarray as xr
@@ -29,7 +30,6 @@ from .design import Contender, Plan, contender, present_design
 from .drift_fits import drift_alone
 from .evidence import UNEXPLAINED, Drifting, leaves_noise
 from .extend import Inference, infer
-from .filter_search import early_high_pass
 from .fitted_sets import BUDGET, FittedSets, Progress
 from .force_curve import force_curves
 from .inexact import certain_sets
@@ -41,7 +41,7 @@ from .question import Question, ask, is_of_records
 from .search import Search
 from .second_mode import second_mode_check
 from .study import Check, EvidenceBasis, Study
-from .undisturbed import Undisturbed, undisturbed, with_drifts
+from .undisturbed import Undisturbed, in_the_way, undisturbed, with_drifts
 from .verdict import NamedLevel, Verdict
 from .verify import MOST_HELD_OUT, Verification, verify
 
@@ -139,13 +139,13 @@ def find_missing_effect(
         question = ask(
             oscillator, data, candidates=candidates, max_effects=max_effects, tolerance=tolerance, measuring=measuring
         )
-        early = (early_high_pass, drift_alone) if is_of_records(data) else ()
-        search = _searched(question, quick, say, *early)
+        early = (in_the_way, drift_alone) if is_of_records(data) else ()
+        search = _searched(question, *early, quick=quick, say=say)
         known = Undisturbed(question, search)
         if is_of_records(data):
             say("looking for what disturbs the records", 0.0)
             known = undisturbed(
-                question, search, data, measuring, lambda other: _searched(other, quick, say), rivals.drifting_sets
+                question, search, data, measuring, partial(_searched, quick=quick, say=say), rivals.drifting_sets
             )
         say("deciding", 0.0)
         if known.drifting is None:
@@ -205,10 +205,11 @@ def _curves(
 
 def _searched(
     question: Question,
-    quick: bool,
-    say: Progress,
     is_disturbed: Callable[[FittedSets], object | None] | None = None,
     is_drifting: Callable[[FittedSets], Drifting | None] | None = None,
+    *,
+    quick: bool,
+    say: Progress,
 ) -> Search:
     """Return the search over sets of effects: finished, or halted by what disturbs the records."""
     search = Search(
