@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -187,6 +188,15 @@ def test_missing_samples_are_found_among_jitter(rng: np.random.Generator) -> Non
     decay = condition(record(jittered[keep], values[keep]))
     assert any("4 missing samples in 3 gaps" in note for note in decay.notes)
     assert decay.sampling_rate == pytest.approx(600.0, rel=1e-3)
+
+
+def test_samples_missing_for_cycles_are_told_although_no_oscillation_stands_out_of_what_fills_them() -> None:
+    time, (x, _, _) = simulated(per_cycle=60)
+    keep = np.ones(time.size, bool)
+    keep[400:800] = False
+    begin, end = re.escape(f"{time[399]:.6g}"), re.escape(f"{time[800]:.6g}")
+    with pytest.raises(InputError, match=rf"samples are missing between {begin} and {end} s, 6\.\d cycles of"):
+        condition(record(time[keep], x[keep]))
 
 
 def test_a_few_missing_samples_are_interpolated_and_many_are_refused() -> None:

@@ -12,6 +12,7 @@ import xarray as xr
 from scipy.signal import lfilter
 from scipy.stats import f, kstest, multivariate_normal
 
+from pymc_backbone._common.checks import InputError
 from pymc_backbone._common.text import per_cent
 from pymc_backbone.discrepancy import drift_fits, drift_kinds, evidence, rivals, starts, verify
 from pymc_backbone.discrepancy.compensation import compensation
@@ -34,7 +35,7 @@ from pymc_backbone.discrepancy.layout import make_layout
 from pymc_backbone.discrepancy.lines import line_beside, line_near
 from pymc_backbone.discrepancy.locate import mean_gap, where_different
 from pymc_backbone.discrepancy.normal_equations import DRIFTS, State, information, start_state
-from pymc_backbone.discrepancy.question import Question
+from pymc_backbone.discrepancy.question import Question, check_one_batch
 from pymc_backbone.discrepancy.scatter import SCATTER
 from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.discrepancy.second_mode import second_mode_check
@@ -558,6 +559,26 @@ def test_simulated_backbones_stand_beside_the_measured(cubic):
     error = np.asarray(cubic.batch.backbones["standard_error"])
     gap = (np.asarray(cubic.batch.backbones["value"]) - np.asarray(simulated["value"])) / error
     assert np.nanmean(gap[:, :2] ** 2) < 5.0  # the backbones' errors, and stiffness from the waveforms
+
+
+# what is asked
+
+
+@pytest.mark.parametrize(("factor", "is_one_batch"), [(1.3, True), (1.8, False)])
+def test_structures_that_are_not_alike_are_no_batch(factor, is_one_batch):
+    rng, records = np.random.default_rng(2), []
+    for k, ratio in enumerate((1.0, 1.02, factor)):
+        truth = truth_of(())
+        truth["linear_stiffness"] *= ratio**2
+        exact = free_decay(force_of((), truth), AMPLITUDE, TIME - RELEASE_TIME)
+        records.append(noisy(rng, f"part {k}", TIME, exact))
+    backbones = batch_of(records).backbones
+    if is_one_batch:
+        check_one_batch(backbones)
+        return
+    message = r"not of one batch: at an amplitude of \S+ m part 1 moves at 5\.\d+ Hz and part 2 at (8\.9|9)"
+    with pytest.raises(InputError, match=message):
+        check_one_batch(backbones)
 
 
 # rivals

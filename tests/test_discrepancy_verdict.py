@@ -567,6 +567,35 @@ HARDENING = mechanism_of("spring", 0.992, 0.98, cubic_stiffness=0.96, quintic_st
 HYSTERESIS = mechanism_of("hysteresis", 0.996, 0.93, iwan=0.46, jenkins=0.31, bouc_wen=0.2, coulomb_friction=0.001)
 
 
+@pytest.mark.parametrize(
+    ("exponent", "error", "begins"),
+    [
+        (0.75, 0.05, "A damping force that rises less than in proportion to the speed is missing"),
+        (0.75, 0.2, "Damping that rises with speed is missing"),
+        (2.0, 0.1, "Damping that rises with speed is missing"),
+    ],
+)
+def test_a_damper_whose_damping_falls_with_speed_is_told_as_one(exponent, error, begins):
+    drag = replace(
+        mechanism_of("drag", 0.98, 0.9, power_damping=0.97), parameters={"power_damping_exponent": (exponent, error)}
+    )
+    decision = decision_of("found", named_level=NamedLevel.MECHANISM, mechanisms=(drag,))
+    assert verdict_words.sentence(decision).startswith(begins)
+
+
+@pytest.mark.parametrize(("chances", "is_said"), [((0.5, 0.45), False), ((0.4, 0.2), True)])
+def test_advice_says_what_a_test_need_not_rule_out(cubic_records, chances, is_said):
+    """Where much is for something else, a test that tells two sets apart need not decide."""
+    sets = (("cubic_stiffness",), ("quadratic_damping",))
+    search = Search(batch_of(cubic_records), pb.Oscillator(MASS), CANDIDATES, 1)
+    for names in ((), *sets):
+        search.fit_set(names)
+    decision = decision_of("ambiguous", best=sets[0], listed=sets, probabilities=dict(zip(sets, chances, strict=True)))
+    said = words.advice(search, decision)
+    assert any("are for something else than what remains" in item for item in said) == is_said
+    assert said[0].startswith("cubic stiffness and quadratic damping") or said[0].startswith("no amplitude")
+
+
 def decision_of(verdict: str, **options) -> Decision:
     lack = SimpleNamespace(share=0.012, p_value=1e-9)
     fields = {"best": ("a",), "probability": 0.97, "p_missing": 0.3, "probabilities": {}, "evidences": {}, **options}

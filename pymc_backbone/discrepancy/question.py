@@ -28,6 +28,7 @@ TOLERANCE: Mapping[str, float] = {"frequency": 0.001, "damping": 0.03, "offset":
 """Change of the backbones below which a missing effect does not matter, by default: relative; of the amplitude."""
 WAVEFORM_SHARE = 0.1
 """Part of the tolerance on damping, as a share of the motion, that waveforms may depart by unexplained."""
+_APART = 1.5  # ratio of the frequencies of one specimen and the next, from which they are no batch
 _VANISHED = 1e-9  # of the force at a typical strength: rounding
 MOST_EFFECTS = 3
 """Effects that can be missing together."""
@@ -86,6 +87,7 @@ def ask(
     """Return the question, every argument checked; arguments as in `find_missing_effect`."""
     limits = tolerances(tolerance)
     batch, notes = batch_of(oscillator, data, measuring)
+    check_one_batch(batch.backbones)
     chosen = possible_effects(oscillator, candidates, batch)
     untold = untold_effects(chosen, own_effects(candidates), batch)
     if untold and len(untold) == len(chosen):
@@ -106,6 +108,36 @@ def ask(
         tolerance=limits,
         notes=(*notes, *batch.notes, *_untold_words(untold)),
     )
+
+
+def check_one_batch(backbones: xr.Dataset) -> None:
+    """Raise `InputError` where specimens fall into groups whose frequencies at one amplitude are far apart.
+
+    Parameters
+    ----------
+    backbones : xarray.Dataset
+        At levels.
+
+    Raises
+    ------
+    InputError
+        A specimen has half as high a frequency again as the next, at the same level.
+    """
+    if FREQUENCY not in backbones["observable"].values:
+        return
+    unit = backbones.attrs.get("amplitude_unit", "m")
+    values = backbones["value"].sel(observable=FREQUENCY).transpose("specimen", "level").values
+    for level, column in zip(backbones["level"].values, values.T, strict=True):
+        order = np.argsort(column)[: np.count_nonzero(np.isfinite(column))]
+        steps = column[order[1:]] / column[order[:-1]]
+        if steps.size and steps.max() > _APART:
+            k = int(np.argmax(steps))
+            low, high = (str(backbones["specimen"].values[order[i]]) for i in (k, k + 1))
+            raise InputError(
+                f"the records are not of one batch: at an amplitude of {float(level):.3g} {unit} {low} moves at "
+                f"{column[order[k]]:.4g} Hz and {high} at {column[order[k + 1]]:.4g} Hz; structures that are meant to "
+                "be alike differ by far less: give each kind a folder of its own, or one mode of them with `band`."
+            )
 
 
 def untold_effects(names: Sequence[str], own: Mapping[str, Effect], batch: Batch) -> tuple[str, ...]:

@@ -34,6 +34,9 @@ _ASKED = 3  # sets that are asked with a drift beside them where none leaves noi
 _HELPED = 20.0  # fall of chi-square by a drift from which other laws of the same mechanisms are asked
 _NEAR = 2.0  # reduced chi-square with a drift up to which they are
 _AGREED = 0.8  # of what all records drift, that is one way where they agree
+_WORTH_SETTLING = (
+    15.0  # chi-square above what leaves least, up to which a steady drift does as well as one that settles
+)
 _BENT = 0.5  # of what the base leaves, that a drift leaves at most which bends the backbones as much as a law does
 
 
@@ -78,21 +81,28 @@ def drifting_sets(search: Search) -> dict[Set, Drifting]:
 
 
 def _settled(search: Search, found: dict[Set, Drifting]) -> dict[Set, Drifting]:
-    """Return the same with drifts that settle, where no steady one leaves noise beside a set and such a one does.
+    """Return the same with drifts that settle, where one beside a set leaves noise, and a steady one more.
 
-    Where a set leaves noise, or does so with a steady drift beside it, a smaller one with a drift that settles has to
-    be likelier than all these. Where none does, releases have to say that it is no law of the amplitude.
+    Where a set leaves noise, or does so with a steady drift beside it, one that lacks an effect of the best has to be
+    likelier with a drift that settles than all these. Where none does, releases have to say that it is no law of the
+    amplitude.
     """
     batch, best = search.batch, search.best()
     known = [search.fits[best], *(item.fit for item in found.values())]
     is_exact = any(evidence.leaves_noise(batch, item) for item in known)
-    asked = sorted((names for names in found if names in search.fits), key=lambda names: found[names].fit.cost)
-    if is_exact:
-        asked = [names for names in asked if len(names) < max(len(best), 1)]
-    for names in dict.fromkeys([(), *asked[:_ASKED]]):
-        if names not in asked or is_heavy(search.layout(names)) or evidence.leaves_noise(batch, found[names].fit):
+    lowest = min(item.cost for item in known)
+    if is_exact:  # what lacks one effect, which the drift may be
+        asked = list(combinations(best, max(len(best) - 1, 0)))
+    else:
+        asked = sorted(found, key=lambda names: found[names].fit.cost)[:_ASKED]
+    for names in dict.fromkeys([(), *asked]):
+        alone = None if is_heavy(search.layout(names)) else search.fit_set(names)
+        if alone is None:
             continue
-        with_time = settled(batch, search.fits[names], found[names].fit)
+        steady = found[names].fit if names in found else drift_fit(batch, alone.layout, alone.state)
+        if steady is None or (evidence.leaves_noise(batch, steady) and steady.cost < lowest + _WORTH_SETTLING):
+            continue
+        with_time = settled(batch, alone, steady)
         if with_time is None:
             continue
         if _is_likeliest(search, found, names, with_time) if is_exact else with_time.is_of_time:

@@ -17,6 +17,7 @@ from .verdict import MECHANISM_NAMED, AdequateBy, NamedLevel, Verdict
 _SPOKEN = 5  # sets or laws that the sentence holds
 _HEADED = 3  # sets in the headline, where a list of them follows
 _REST = 0.1  # probability of no known set from which the sentence speaks of it
+_CLEARLY = 2.0  # standard errors
 _UNLIKELY = 0.02  # probability of a law below which the sentence does not hold it
 _JOINT = 1.02  # sum of the probabilities of laws over that of their mechanism, beyond which sets hold several
 DRIFTS = "a drift with time explains the records better than any effect of amplitude"
@@ -72,7 +73,15 @@ def _of_mechanism(item: MissingMechanism, is_like: bool) -> str:
         beside = [f"{in_words(law.effect)} ({_chance(law.probability)})" for law in laws[1:] if law.probability > _REST]
         which += f", beside it perhaps {', '.join(beside)}" if beside else ""
     share = f"{_chance(item.probability)}, {100.0 * item.share_of_gap:.0f} % of the gap"
-    return f"{MECHANISMS[item.mechanism].capitalize()} is missing ({share}); {which}."
+    return f"{_in_full(item).capitalize()} is missing ({share}); {which}."
+
+
+def _in_full(item: MissingMechanism) -> str:
+    """Return a mechanism in words: of a damper whose damping falls with the speed, that it does."""
+    exponent, error = item.parameters.get("power_damping_exponent", (np.inf, 0.0))
+    if exponent + _CLEARLY * error < 1.0 and item.laws[0].effect == "power_damping":
+        return "a damping force that rises less than in proportion to the speed"
+    return MECHANISMS[item.mechanism]
 
 
 def _of_mechanisms(decision: Decision) -> str:
@@ -139,7 +148,7 @@ def _of_inexact(decision: Decision, others: Sequence[str]) -> str:
         what = "Something is missing, but no set is exact and these records do not tell mechanisms apart"
         return f"{what}: {kinds}.{beside}"
     known = " ".join(
-        f"{MECHANISMS[item.mechanism].capitalize()} is missing ({_chance(item.probability)}, "
+        f"{_in_full(item).capitalize()} is missing ({_chance(item.probability)}, "
         f"{100.0 * item.share_of_gap:.0f} % of the gap)."
         for item in certain
     )

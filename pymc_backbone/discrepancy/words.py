@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from .._common.checks import OBSERVABLES, BoolArray, FloatArray, IntArray
-from .._common.text import amplitude, capitalised, in_a_sentence, in_words, span
+from .._common.text import amplitude, capitalised, in_a_sentence, in_words, per_cent, span
 from ..effects import BASE_EFFECTS
 from ..oscillator import Oscillator
 from . import starts
@@ -29,6 +29,7 @@ _OWN = 0.3  # of a departure, that the effect itself brings about as the model h
 _AT_BOUND = 1.2  # times the narrowest scatter, up to which it is none that is seen
 _NINETY_FIVE = 1.96  # standard errors
 _SEPARATED = 5.0  # logarithm of the odds that decides
+_ELSE = 0.12  # probability of what is not listed, from which advice says that a test need not rule it out
 
 
 def reasons(
@@ -303,6 +304,12 @@ def advice(search: Search, decision: Decision) -> tuple[str, ...]:
                 f"at the present amplitudes it takes about {more:.1f} times as many records, or {np.sqrt(more):.1f} "
                 f"times less noise, to tell {pair} apart."
             )
+    other = 1.0 - sum(decision.probabilities.get(names, 0.0) for names in decision.listed)
+    if other > _ELSE:
+        sentences.append(
+            f"{per_cent(other)} are for something else than what remains, which such a test need not rule out: "
+            "`pymc-backbone plan` says how probable it is that a test decides."
+        )
     return tuple(sentences)
 
 

@@ -143,10 +143,24 @@ class FreePart:
                 "choose the band around a mode."
             )
         if frequency is None:
+            self._check_gaps()
             raise InputError(f"{self.name}: no oscillation stands out of the record; check the column, or give a band.")
         check_per_cycle(self.rate, frequency, self.name)
         check_clipping(values, self.reading, time, frequency, self.step, self.name)
         return frequency
+
+    def _check_gaps(self) -> None:
+        """Raise `InputError` where samples are missing for longer than the motion allows: what fills them hides it."""
+        gaps, rate = self.samples.gaps, self.rate
+        if not gaps.size:
+            return
+        ends = np.array([*(gaps[:, 0] - self.samples.start), self.whole.size / rate])
+        begins = np.array([0.0, *(gaps.sum(axis=1) - self.samples.start)])
+        longest = int(np.argmax(ends - begins))
+        part = self.whole[round(begins[longest] * rate) : round(ends[longest] * rate)]
+        frequency = dominant_frequency(part, rate, self.band) if part.size >= MINIMUM_SAMPLES else None
+        if frequency is not None:
+            self.samples.check_gaps(frequency, np.inf, self.name)
 
     def _released(self, values: FloatArray) -> tuple[FloatArray, bool]:
         """Return the values from the release on, and whether anything before it was cut."""
