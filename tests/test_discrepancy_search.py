@@ -28,7 +28,7 @@ from pymc_backbone.discrepancy.curves import (
 )
 from pymc_backbone.discrepancy.decide import decide, doubted, is_none_other
 from pymc_backbone.discrepancy.decision import NAMED
-from pymc_backbone.discrepancy.drift_course import DRIFT, changes_of, course_of, passed, passed_so_far
+from pymc_backbone.discrepancy.drift_course import DRIFT, changes_of, course_of, covered, covered_so_far
 from pymc_backbone.discrepancy.drift_proposals import beside_drifts, single_beside_drifts
 from pymc_backbone.discrepancy.joint_fit import fit
 from pymc_backbone.discrepancy.layout import make_layout
@@ -784,8 +784,8 @@ def test_derivatives_beside_a_drift_that_settles_are_those_of_differences(order)
     for settling in (0.0, 2.0, 40.0):
         course = course_of(times, nuisances, order, 1.0, settling)
         step = 1e-6
-        rate = np.gradient(passed_so_far(times, settling), times, edge_order=2)
-        np.testing.assert_allclose(rate[1:-1], passed(times, settling)[1:-1], atol=0.02)
+        rate = np.gradient(covered_so_far(times, settling), times, edge_order=2)
+        np.testing.assert_allclose(rate[1:-1], covered(times, settling)[1:-1], atol=0.02)
         more, less = nuisances.copy(), nuisances.copy()
         more[3] += step
         less[3] -= step
@@ -794,7 +794,7 @@ def test_derivatives_beside_a_drift_that_settles_are_those_of_differences(order)
         np.testing.assert_allclose(course.hastened, slope, atol=1e-8)
     steady, slow = (course_of(times, nuisances, order, 1.0, settling) for settling in (0.0, 1e-6))
     np.testing.assert_allclose(slow.later, steady.later, rtol=1e-4, atol=1e-12)
-    assert passed(np.array([0.0, 1.0]), 3.0).tolist() == [0.0, 1.0]
+    assert covered(np.array([0.0, 1.0]), 3.0).tolist() == [0.0, 1.0]
 
 
 def test_a_drift_is_not_enough_where_an_effect_is_missing(cubic):

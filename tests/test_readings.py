@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from pymc_backbone.discrepancy import first_cycles
 from pymc_backbone.discrepancy.disturbance import Disturbance, Disturbed, line_modes, sentences
 from pymc_backbone.discrepancy.first_cycles import Begun, begun
 from pymc_backbone.discrepancy.promising import is_promising
-from pymc_backbone.discrepancy.readings import disturbed, early_line
+from pymc_backbone.discrepancy.readings import _is_one_line, disturbed, early_line
 from pymc_backbone.discrepancy.search import Search
 
 from .discrepancy_cases import (
@@ -145,6 +146,25 @@ def test_no_line_is_taken_from_a_search_where_there_is_none(rng, effects):
     assert early_line(search) is None
 
 
+@pytest.mark.parametrize(
+    ("orders", "shares", "decay", "is_one"),
+    [
+        ((2.2, 2.2, 2.21, 2.2), (0.01, 0.02, 0.012, 0.009), 1.0, True),
+        ((2.2, 2.2, 2.21, 2.9), (0.01, 0.02, 0.012, 1e-4), 1.0, True),  # one of four does not show it
+        ((2.2, 2.6, 2.21, 2.9), (0.01, 0.01, 0.01, 0.01), 1.0, False),  # what a set lacks
+        ((2.2, 2.2, 2.2, 2.2), (0.02, 1e-4, 0.02, 1e-4), 1.0, False),
+        ((2.2, 2.2, 2.2, 2.2), (0.01, 0.01, 0.01, 0.01), 20.0, False),  # gone after a cycle
+    ],
+)
+def test_a_line_is_one_where_most_records_hold_it(orders, shares, decay, is_one):
+    batch = SimpleNamespace(records=[SimpleNamespace(frequency=5.0)] * len(orders))
+    items = [
+        Disturbance(0.0, 4.0, 0.0, 1.0, frequency=5.0 * order, decay=decay, cosine=share)
+        for order, share in zip(orders, shares, strict=True)
+    ]
+    assert _is_one_line(batch, items) == is_one
+
+
 def test_a_line_beside_a_set_that_no_law_explains_is_taken_away_where_records_show_the_same(rng):
     """A first step: what is missing comes to light without it."""
     place = 2.47 * FREQUENCY
@@ -264,6 +284,19 @@ def test_only_the_first_cycles_are_off_where_they_are_not_free(cycles, disturbed
         0.1 * np.sqrt(squares), 25.0, 3
     )  # of a noise that was taken for ten times as loud
     assert quieter == disturbed
+
+
+@pytest.mark.parametrize(("decays", "disturbed"), [(0.006, 1), (0.05, 0)])
+def test_a_hand_that_is_hardly_felt_is_seen_where_no_law_leaves_so_much_less_after_it(decays, disturbed):
+    """In most of several records: thirty times the noise, and twice the noise in the next cycle."""
+    fall = np.exp(2.0 * np.pi * decays)
+    squares = np.repeat([30.0, 2.0, *np.ones(30)], 25)
+    found = first_cycles._disturbed(np.sqrt(squares), 25.0, 3, 10.0, 5.0 * fall**10)
+    assert found == disturbed
+    assert first_cycles._disturbed(np.sqrt(squares), 25.0, 3) == 0
+    time = np.arange(800) / 25.0
+    motion = np.exp(-2.0 * np.pi * decays * time) * np.cos(2.0 * np.pi * time)
+    assert first_cycles._decrement(motion, 32.0) == pytest.approx(2.0 * np.pi * decays, rel=0.02)
 
 
 def test_a_spring_behind_a_filter_that_settles_is_named_and_the_cut_is_said(rng):

@@ -15,7 +15,7 @@ import xarray as xr
 
 from .._common.checks import OBSERVABLES, BoolArray, FloatArray, IntArray
 from ..simulation.decay import Simulator
-from .drift_course import DRIFT, Course, course_of, passed, passed_so_far
+from .drift_course import DRIFT, Course, course_of, covered, covered_so_far
 from .whitening import EDGE, average, means
 
 TOLERANCE = 1e-7  # of one integration step: waveforms to 3e-6 of the amplitude, far below any noise here
@@ -213,9 +213,9 @@ class TurningTerm:
         n = self.times.size
         length = float(self.times[-1] - self.times[0])
         share = times / length
-        early = DRIFT * length * passed_so_far(share, self.settling)
+        early = DRIFT * length * covered_so_far(share, self.settling)
         loss *= self.fade
-        there = DRIFT * passed(share, self.settling)
+        there = DRIFT * covered(share, self.settling)
         less = np.exp(-0.5 * loss * share**2) / np.sqrt(1.0 + drift * there)
         residuals = np.concatenate(
             [

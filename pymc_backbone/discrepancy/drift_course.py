@@ -62,7 +62,7 @@ def changes_of(drifts: FloatArray, variances: FloatArray) -> dict[str, float]:
     return {"frequency": DRIFT * float(frequency), "damping": _FADE * float(damping)}
 
 
-def passed(share: FloatArray, settling: float) -> FloatArray:
+def covered(share: FloatArray, settling: float) -> FloatArray:
     """Return how much of a drift of frequency is there after these shares of a record.
 
     In proportion to the time, or as what ``settling`` times over a record comes nearer to its end by a factor e: a
@@ -71,7 +71,7 @@ def passed(share: FloatArray, settling: float) -> FloatArray:
     return share if settling == 0.0 else np.expm1(-settling * share) / np.expm1(-settling)
 
 
-def passed_so_far(share: FloatArray, settling: float) -> FloatArray:
+def covered_so_far(share: FloatArray, settling: float) -> FloatArray:
     """Return the integral of that from the release on."""
     if settling == 0.0:
         return 0.5 * share**2
@@ -90,11 +90,11 @@ def course_of(time: FloatArray, nuisances: FloatArray, order: int, fade: float, 
     elapsed = np.maximum(time - release_time, 0.0)
     share = 0.5 * fade * (elapsed / length) ** 2
     # y(s(t)) exp(-loss share) over the root of the pace ds/dt is the displacement: its rates have that pace in them
-    there = passed(elapsed / length, settling)
+    there = covered(elapsed / length, settling)
     pace = 1.0 + drift * DRIFT * there
     factor = np.exp(-loss * share) * pace ** (order - 0.5) if loss != 0.0 or drift != 0.0 else None
     hastened = (order - 0.5) * DRIFT * there / pace
-    return Course(DRIFT * length * passed_so_far(elapsed / length, settling), share, factor, hastened)
+    return Course(DRIFT * length * covered_so_far(elapsed / length, settling), share, factor, hastened)
 
 
 def levels_before(
@@ -104,7 +104,7 @@ def levels_before(
 
     ``share`` is how much of the record has passed there.
     """
-    pace = 1.0 + drift * DRIFT * passed(share, settling)
+    pace = 1.0 + drift * DRIFT * covered(share, settling)
     before: FloatArray = levels * np.exp(0.5 * loss * share**2) * np.sqrt(pace)
     return before
 
@@ -119,14 +119,14 @@ def drifted(
     settling: float = 0.0,
 ) -> tuple[FloatArray, FloatArray]:
     """Return frequency [Hz] and decrement (l,) that are passed after these shares of a record of some length [s]."""
-    faster = frequency * (1.0 + drift * DRIFT * passed(share, settling))
+    faster = frequency * (1.0 + drift * DRIFT * covered(share, settling))
     pace = faster / frequency
     hardens = drift * DRIFT * _growing(share, settling) / pace  # by which the amplitude falls, too
     return faster, damping + (loss * share + 0.5 * hardens) / (length * faster)
 
 
 def _growing(share: FloatArray, settling: float) -> FloatArray:
-    """Return the derivative of `passed` with respect to the share of the record."""
+    """Return the derivative of `covered` with respect to the share of the record."""
     if settling == 0.0:
         return np.ones_like(share)
     rate: FloatArray = settling * np.exp(-settling * share) / -np.expm1(-settling)
@@ -138,9 +138,9 @@ __all__ = [
     "Course",
     "changes_of",
     "course_of",
+    "covered",
+    "covered_so_far",
     "drifted",
     "fade_of",
     "levels_before",
-    "passed",
-    "passed_so_far",
 ]  # fmt: skip

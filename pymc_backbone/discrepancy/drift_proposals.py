@@ -14,7 +14,7 @@ import numpy as np
 
 from .batch import Batch
 from .data_term import LevelTerm
-from .drift_course import DRIFT, passed
+from .drift_course import DRIFT, covered
 from .normal_equations import State
 from .propose import Proposal, propose
 from .scatter import SCATTER, WIDE_SCATTER
@@ -69,7 +69,7 @@ def _beside_drifts(batch: Batch, r: int) -> LevelTerm:
     elapsed = (cycles.time[order] - batch.own[r, 3]) / length
     share = np.interp(term.levels, cycles.smoothed_amplitude[order], elapsed)[term.rows[:, 1]]
     is_frequency, is_damping = term.rows[:, 0] == 0, term.rows[:, 0] == 1
-    faster = np.where(is_frequency, DRIFT * passed(share, batch.waveform[r].settling) * term.values, 0.0)
+    faster = np.where(is_frequency, DRIFT * covered(share, batch.waveform[r].settling) * term.values, 0.0)
     less = np.where(is_damping, batch.waveform[r].fade * share / (length * batch.records[r].frequency), 0.0)
     root = np.linalg.inv(term.whitening)
     covariance = root @ root.T + np.outer(faster, faster) + np.outer(less, less)

@@ -16,7 +16,9 @@ _MOST = 3  # cycles that are no free motion: of more, something else is wrong
 _BEYOND = 1.2  # cycles that are left out after these
 _FEWEST = 8.0  # cycles that have to remain
 _FIRST_ALONE = 5.0  # chi-square of the first cycles over that of the one after them, from which it is they alone
-_CLEARLY = 100.0  # and over that of noise
+_CLEARLY = 100.0  # and over that of noise ...
+_SEEN = 10.0  # ... or so much in most records, where they are more than any law leaves by which the motion falls:
+_STEEPEST = 10.0  # the square of a force of the fifth power of the amplitude
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,12 +56,14 @@ def begun(search: Search) -> Begun | None:
 
     A hand, a trigger, a hammer that strikes twice, a filter that has to settle: a fit is off by hundreds of times the
     noise there, and by much less in the cycle after it. Where most records show it, one chain has measured them, and
-    all are cut. None where records are compared through a band-pass.
+    all are cut. A hand that is hardly felt is off by ten times the noise: most records have to show it, and less of
+    what follows than any law leaves. None where records are compared through a band-pass.
     """
     batch, best = search.batch, search.best()
     if not batch.has_open_records:
         return None
     seen: dict[str, int] = {}
+    hardly: dict[str, int] = {}
     long_enough = []
     for r, (term, record) in enumerate(zip(batch.waveform, batch.records, strict=True)):
         left = evidence.residuals_of(term, search.fits[best], r)
@@ -67,9 +71,16 @@ def begun(search: Search) -> Begun | None:
         if cycles < _FEWEST + 1.0 + _BEYOND or left.size < 4.0 * cycles:
             continue
         long_enough.append(r)
-        disturbed = _disturbed(left, left.size / cycles, min(_MOST, int(cycles - _FEWEST - _BEYOND)))
+        most = min(_MOST, int(cycles - _FEWEST - _BEYOND))
+        fall = float(np.exp(_decrement(term.compared(term.values), cycles)))
+        disturbed = _disturbed(left, left.size / cycles, most)
         if disturbed:
             seen[batch.specimens[r]] = disturbed
+        slightly = disturbed or _disturbed(left, left.size / cycles, most, _SEEN, _FIRST_ALONE * fall**_STEEPEST)
+        if slightly:
+            hardly[batch.specimens[r]] = slightly
+    if 2 * len(hardly) > len(long_enough) > 1:
+        seen = hardly
     usual = int(np.ceil(np.median([*seen.values()]))) if 2 * len(seen) > len(long_enough) else 0
     places = {}
     for r in long_enough:
@@ -80,16 +91,24 @@ def begun(search: Search) -> Begun | None:
     return Begun(places) if places else None
 
 
-def _disturbed(left: FloatArray, each: float, most: int) -> int:
+def _decrement(values: FloatArray, cycles: float) -> float:
+    """Return the logarithmic decrement over a cycle of motion, by the halves of a record."""
+    around = values - values.mean()
+    early, late = (float((part**2).mean()) for part in np.array_split(around, 2))
+    return max(float(np.log(early / max(late, 1e-300))), 0.0) / cycles  # a half apart, and squares of the amplitude
+
+
+def _disturbed(left: FloatArray, each: float, most: int, clearly: float = _CLEARLY, alone: float = _FIRST_ALONE) -> int:
     """Return how many first cycles of residuals, with so many values each, are no free motion; 0 where none is.
 
-    What is no free motion may have been taken for noise: the later half of the record says how much of it there is.
+    They leave ``clearly`` times what noise does, and the cycle after them that over ``alone``. What is no free motion
+    may have been taken for noise: the later half of the record says how much of it there is.
     """
     noise = min(1.0, float((left[left.size // 2 :] ** 2).mean()))
     squares = [float((left[round(k * each) : round((k + 1) * each)] ** 2).mean()) for k in range(most + 1)]
     for k in range(1, most + 1):
         first = float(np.mean(squares[:k]))
-        if first > _FIRST_ALONE * squares[k] and first > _CLEARLY * noise:
+        if first > alone * squares[k] and first > clearly * noise:
             return k
     return 0
 

@@ -45,6 +45,8 @@ _LINE = 25.0  # peak of the residuals' periodogram over its median that a line h
 _FAR = 4.0  # bins between a line and a harmonic, where it is looked for
 _APART = 2.0  # bins between them, once it is found
 _DECAYS = (0.0, 3.0, 10.0)  # of lines over a record, as they are looked for
+_MOST_RECORDS, _AS_HIGH = 0.6, 4.0  # share of the records that hold one line, and ratio of its heights there
+_RINGS = 0.3  # decay of a line over its frequency, from which it does not ring: 5 % of critical damping
 _ALIKE = 0.03  # difference of the orders of one line in specimens that are alike
 
 
@@ -98,8 +100,8 @@ def early_line(search: FittedSets) -> Disturbed | None:
     """Return the line of another mode, or of what runs nearby, in what the likeliest set so far leaves; None for none.
 
     Asked in the middle of a search: no set leaves noise beside a line, however many are fitted. Beside one of the two
-    likeliest sets, or of the best of them and the model as it is with a drift, whichever leaves least without the line;
-    where none of these leaves noise, half of the records have to show the same line.
+    likeliest sets, or of the best of them and the model as it is with a drift, whichever leaves least without the line.
+    It has to be the same in most records, and seen in half of them where none of these sets leaves noise.
     """
     batch = search.batch
     if not batch.has_open_records:
@@ -116,7 +118,7 @@ def early_line(search: FittedSets) -> Disturbed | None:
         start = drift_fit(batch, alone.layout, alone.state) if is_drifting else alone
         price = 4.0 * _COST * len(batch.specimens)
         left = None if start is None else _beside(batch, start, start.cost - price, has_line=True, is_bent=False)
-        if left is not None and (left.is_noise or is_common):
+        if left is not None and _is_one_line(batch, left.items) and (left.is_noise or is_common):
             found.append((left, names))
             if left.is_noise:
                 break
@@ -124,6 +126,22 @@ def early_line(search: FittedSets) -> Disturbed | None:
         return None
     left, names = min(found, key=lambda item: (not item[0].is_noise, item[0].cost))
     return Disturbed(dict(zip(batch.specimens, left.items, strict=True)), names)
+
+
+def _is_one_line(batch: Batch, items: list[Disturbance]) -> bool:
+    """Return whether most records hold the same line: as high, at one frequency or one order of that of the motion.
+
+    What a set lacks is taken for a line, too: of another order in each record, hardly there in some, or gone at once.
+    """
+    places = np.array([item.frequency for item in items])
+    orders = places / np.array([record.frequency for record in batch.records])
+    shares = np.array([item.line for item in items])
+    heights = shares * np.array([item.scale for item in items])
+    most = _MOST_RECORDS * len(items)
+    rings = np.array([item.decay for item in items]) < _RINGS * places
+    is_there = [rings & (np.abs(at / np.median(at) - 1.0) < _ALIKE) for at in (orders, places)]
+    is_high = [(size > np.median(size) / _AS_HIGH) & (size < _AS_HIGH * np.median(size)) for size in (shares, heights)]
+    return any(np.count_nonzero(there & high) >= most for there in is_there for high in is_high)
 
 
 def _is_common_line(batch: Batch, found: Fit) -> bool:

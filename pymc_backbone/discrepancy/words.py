@@ -63,7 +63,7 @@ def reasons(
             if sentence
         ]
         unseen = "the waveforms show it" if batch.has_records else "all levels together show it"
-        text = "; ".join(parts) if parts else f"too small to be seen at single levels; {unseen}"
+        text = "; ".join(parts) if parts else f"not to be told from single levels; {unseen}"
         sentences.append(f"{capitalised(in_words(name))}: {text}.{_said_by_the_library(summaries[name], bool(parts))}")
     if scatter is not None and names:
         sentences.append(scatter_sentence(scatter, len(names)))
@@ -174,7 +174,7 @@ def _power_law(batch: Batch, without_it: FloatArray, brought: FloatArray, row: i
     slope_error = max(float(1.0 / np.sqrt(np.sum(w * (x - centre) ** 2))), 0.01)  # two digits are told: never as 0.00
     if row < 2 and slope < _VANISHING and (row == 0 or slope > -_VANISHING):
         return _change(OBSERVABLES[row], mean[good][alike], error[good][alike], own[alike], levels[good][alike], units)
-    at = int(np.flatnonzero(good)[np.argmax(np.abs(mean[good]))])
+    at = int(np.flatnonzero(good)[-1 if slope > 0.0 else 0])  # where it is largest but for the noise
     verb = {(0, 1): "rises", (0, -1): "falls", (1, 1): "rises", (1, -1): "falls"}.get((row, int(sign)), "moves")
     trend = "grows with amplitude" if slope > 0.0 else "grows as amplitude falls"
     return (
