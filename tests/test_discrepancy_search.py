@@ -839,7 +839,9 @@ def test_a_mode_that_is_gone_long_before_the_motion_is_seen_where_it_was(left, s
     term = replace(linear.batch.waveform[0], time=time, values=values, size=time.size)
     batch = replace(linear.batch.subset([0]), waveform=(term,))
     best = SimpleNamespace(chi_square=[left * term.size])
-    assert second_mode_check(batch, best).passed  # beside a name it is no reason to doubt that
+    named = second_mode_check(batch, best)
+    assert named.passed  # beside a name it is no reason to doubt that, and is told where it is looked for
+    assert ("too small to speak against" in named.message) == seen
     check = second_mode_check(batch, best, is_adequate=True)
     assert check.passed != seen
     if seen:

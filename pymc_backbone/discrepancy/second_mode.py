@@ -22,6 +22,7 @@ from .study import Check
 _BEATING = 0.02  # of the motion, from which a line is another mode ...
 _SEEN, _NO_NOISE = 0.005, 2.0  # ... and where the model leaves so many times the noise
 _BELOW = 0.01  # ... and below the frequency of the mode, where nothing else is
+_TOLD = 0.001  # of the motion, from which a line is told although it is too small for these
 _EARLY, _FEWEST_CYCLES = (4, 10), 10.0  # parts of a record, and how many cycles they hold at least
 
 
@@ -35,6 +36,7 @@ def second_mode_check(batch: Batch, best: Fit, *, is_adequate: bool = False) -> 
     """
     name = "no second mode"
     worst: tuple[float, float, str] = (0.0, 0.0, "")
+    small: tuple[float, float, str] = (0.0, 0.0, "")
     for r, term in enumerate(batch.waveform):
         if batch.records[r].band is not None:
             continue  # one mode has been chosen, the others are kept out
@@ -53,12 +55,21 @@ def second_mode_check(batch: Batch, best: Fit, *, is_adequate: bool = False) -> 
                 share = line.height / (np.sqrt(2.0) * motion)
                 if share > max(worst[0], smallest):
                     worst = (share, line.frequency, batch.specimens[r])
+            if (share := beside[0].height / (np.sqrt(2.0) * motion)) > small[0]:
+                small = (share, beside[0].frequency, batch.specimens[r])
     if worst[0] > 0.0:
         return Check(
             name,
             False,
             f"{worst[2]} holds a line at {worst[1]:.4g} Hz, {per_cent(worst[0])} of the motion, that no effect of a "
             "single mode makes: a second mode beats with it; keep one mode with `band`",
+        )
+    if small[0] > _TOLD:
+        return Check(
+            name,
+            True,
+            f"what the model leaves of {small[2]} holds a line at {small[1]:.4g} Hz, {per_cent(small[0])} of the "
+            "motion there, as another mode leaves: too small to speak against what was found",
         )
     return Check(name, True, "what the model leaves holds no line beside the harmonics of the mode")
 
