@@ -21,6 +21,7 @@ _FIRST_TURNS = 108  # turning points that may refute a set with a drift, before 
 _STEADY = 0.5  # of what a set leaves, that a steady drift leaves at most beside which one is asked that settles
 _SETTLES = (0.1, 5.0)  # time constants that are asked, in lengths of the records
 _ROUGH, _NEAR_ENOUGH, _MOST = 0.1, 0.02, 14  # in the logarithm of that: by turning points, samples; most fits of these
+_ON = 12  # iterations over the samples, from where the nearest time constant ended
 _AROUND = 0.7  # in the logarithm of that, about what the turning points tell, where the samples are asked
 _FOLLOWS = 10.0  # reduced chi-square of the turning points that no drift leaves which explains the records
 _SETTLING, _OF_PEAK = 0.25, 5  # share of drifts that settle; time constants that tell how closely one is known
@@ -130,7 +131,9 @@ def settled(batch: Batch, alone: Fit, steady: Fit) -> Settled | None:
         return _NOT_FITTED * alone.cost if fitted is None else fitted.cost  # finite, as parabolas are laid through it
 
     def over_samples(log_share: float) -> float:
-        fitted = drift_fit(batch.settling(float(np.exp(log_share)) * length), alone.layout, steady.state)
+        terms = batch.settling(float(np.exp(log_share)) * length).waveform
+        begin = found[min(found, key=lambda at: abs(at - log_share))].state
+        fitted = fit(alone.layout, terms, begin, iterations=_ON, nuisances=nuisances)
         if fitted is not None:
             found[log_share] = fitted
         return _NOT_FITTED * alone.cost if fitted is None else fitted.cost
@@ -140,11 +143,13 @@ def settled(batch: Batch, alone: Fit, steady: Fit) -> Settled | None:
     begun = minimize_scalar(over_turning_points, bounds=(low, high), method="bounded", options={"xatol": _ROUGH})
     if begun.fun > _FOLLOWS * sum(term.size for term in batch.turning):
         return None
+    first = drift_fit(batch.settling(float(np.exp(begun.x)) * length), alone.layout, steady.state)
+    if first is None:
+        return None
+    found[float(begun.x)] = first
     near = (max(float(begun.x) - _AROUND, low), min(float(begun.x) + _AROUND, high))
     minimize_scalar(over_samples, bounds=near, method="bounded", options={"xatol": _NEAR_ENOUGH, "maxiter": _MOST})
-    place = min(found, key=lambda item: found[item].cost, default=None)
-    if place is None:
-        return None
+    place = min(found, key=lambda item: found[item].cost)
     odds = _log_odds({at: item.cost for at, item in found.items()}, place, high - low)
     share = float(np.exp(place))
     with_it = batch.settling(share * length, odds)
