@@ -92,10 +92,12 @@ def begun(search: Search) -> Begun | None:
 
 
 def _decrement(values: FloatArray, cycles: float) -> float:
-    """Return the logarithmic decrement over a cycle of motion, by the halves of a record."""
-    around = values - values.mean()
-    early, late = (float((part**2).mean()) for part in np.array_split(around, 2))
-    return max(float(np.log(early / max(late, 1e-300))), 0.0) / cycles  # a half apart, and squares of the amplitude
+    """Return the logarithmic decrement over a cycle of motion, by the first quarters of a record; of noise, zero."""
+    around = values - values[values.size // 2 :].mean()
+    early, late = (float((part**2).mean()) for part in np.array_split(around, 4)[:2])
+    return max(
+        2.0 * float(np.log(early / max(late, 1e-300))) / cycles, 0.0
+    )  # a quarter apart, squares of the amplitude
 
 
 def _disturbed(left: FloatArray, each: float, most: int, clearly: float = _CLEARLY, alone: float = _FIRST_ALONE) -> int:
