@@ -34,9 +34,7 @@ _ASKED = 3  # sets that are asked with a drift beside them where none leaves noi
 _HELPED = 20.0  # fall of chi-square by a drift from which other laws of the same mechanisms are asked
 _NEAR = 2.0  # reduced chi-square with a drift up to which they are
 _AGREED = 0.8  # of what all records drift, that is one way where they agree
-_WORTH_SETTLING = (
-    15.0  # chi-square above what leaves least, up to which a steady drift does as well as one that settles
-)
+_WORTH_SETTLING = 15.0  # chi-square above what leaves least, up to which a steady drift will do
 _BENT = 0.5  # of what the base leaves, that a drift leaves at most which bends the backbones as much as a law does
 
 
