@@ -639,7 +639,7 @@ def test_backbones_are_asked_beside_drifts_where_a_drift_explains_half(cubic, mo
     base = search.fits[()]
     drifting = replace(base, chi_square=share * base.chi_square, penalty=share * base.penalty)
     monkeypatch.setattr(rivals, "drift_fit", lambda *_, **__: drifting)
-    monkeypatch.setattr(rivals, "drift_bonus", lambda *_: 0.0)
+    monkeypatch.setattr(drift_fits, "drift_bonus", lambda *_: 0.0)
     monkeypatch.setattr(rivals, "settled", lambda *_: None)
     monkeypatch.setattr(rivals, "_ask_backbones", lambda _, found: asked.append(list(found)))
     rivals.drifting_sets(search)

@@ -13,6 +13,7 @@ from .descent import first_limit, is_heavy
 from .drift_kinds import drift_bonus
 from .evidence import Drifting
 from .fitted_sets import FittedSets
+from .followed_sets import NOISE
 from .joint_fit import Fit, fit
 from .layout import Layout
 from .normal_equations import DRIFTS, State
@@ -25,7 +26,6 @@ _ON = 12  # iterations over the samples, from where the nearest time constant en
 _AROUND = 0.7  # in the logarithm of that, about what the turning points tell, where the samples are asked
 _FOLLOWS = 10.0  # reduced chi-square of the turning points that no drift leaves which explains the records
 _SETTLING, _OF_PEAK = 0.25, 5  # share of drifts that settle; time constants that tell how closely one is known
-_NOISE = 0.01  # p-value of the residuals from which they are taken for noise
 _NOT_FITTED = 1e3  # times what the set leaves, as which a time constant counts that cannot be fitted
 _ALIKE_DRIFTS = 0.05  # by which drifts that are alike may differ, relative to their size
 _OF_LAW = 0.5  # of the power of a law that settles so fast, up to which with two standard errors drifts are none of it
@@ -56,6 +56,11 @@ def drift_fit(batch: Batch, layout: Layout, state: State, limit: float = np.inf)
     return min(both, key=lambda item: item.cost) if both else None
 
 
+def weighed(batch: Batch, found: Fit, alone: Fit) -> Drifting:
+    """Return a fit with a drift, and what its evidence gains over that of the set ``alone``; that it settles minded."""
+    return Drifting(found, drift_bonus(found, alone) + batch.settling_odds)
+
+
 def drift_alone(search: FittedSets) -> Drifting | None:
     """Return the model as it is with a drift in time, if that leaves noise; asked before larger sets are."""
     if not search.batch.has_open_records:
@@ -65,7 +70,7 @@ def drift_alone(search: FittedSets) -> Drifting | None:
     if found is None:
         return None
     if evidence.leaves_noise(search.batch, found):
-        return Drifting(found, drift_bonus(found, base))
+        return weighed(search.batch, found, base)
     # what law explains releases of different amplitude, no drift that settles does better
     with_time = None if _is_noise_left(search) else settled(search.batch, base, found)
     if with_time is None or not with_time.is_of_time:
@@ -107,7 +112,7 @@ class Settled(NamedTuple):
 
     def drifting(self, alone: Fit) -> Drifting:
         """Return the fit with what its evidence gains over that of the set ``alone``."""
-        return Drifting(self.fit, drift_bonus(self.fit, alone) + self.batch.settling_odds)
+        return weighed(self.batch, self.fit, alone)
 
 
 def settled(batch: Batch, alone: Fit, steady: Fit) -> Settled | None:
@@ -171,7 +176,7 @@ def _log_odds(costs: dict[float, float], place: float, width: float) -> float:
 def _is_noise_left(search: FittedSets) -> bool:
     """Return whether a set that is soon simulated leaves nothing but noise."""
     lowest = min(search.fits.values(), key=lambda item: item.cost)
-    return not is_heavy(lowest.layout) and evidence.lack_of_fit(search.batch, lowest).p_value > _NOISE
+    return not is_heavy(lowest.layout) and evidence.lack_of_fit(search.batch, lowest).p_value > NOISE
 
 
-__all__ = ["Settled", "drift_alone", "drift_fit", "settled"]
+__all__ = ["Settled", "drift_alone", "drift_fit", "settled", "weighed"]

@@ -16,6 +16,8 @@ from .varied_sets import VariedSets
 
 FEW_FOLLOWED = 6
 """Sets that are followed where not even the backbones are explained."""
+NOISE = 0.01
+"""P-value of the residuals from which they are taken for noise."""
 REACH = 12.0
 """Difference of the logarithm of evidence by the backbones within which the waveforms are asked, too."""
 _FIRST = 3  # sets that are followed before it is asked whether something is in front of the records
@@ -24,7 +26,6 @@ _STILL = 6  # simple sets within reach that are followed although the effort is 
 _PASSED = 6  # less likely simple sets that are followed before one that costs much
 _FLOOR = 1.1  # ratio of costs within which sets leave the same
 _TOLD = 0.9  # probability of a drift in time beside the base, from which larger sets are not asked
-_NOISE = 0.01  # p-value of the residuals from which they are taken for noise
 
 
 @dataclass
@@ -184,7 +185,7 @@ class FollowedSets(VariedSets):
     def _is_settled(self) -> bool:
         """Return whether the most probable set is a simple one that leaves nothing but noise."""
         best = self.best()
-        return not self._is_costly(best) and evidence.lack_of_fit(self.batch, self.fits[best]).p_value > _NOISE
+        return not self._is_costly(best) and evidence.lack_of_fit(self.batch, self.fits[best]).p_value > NOISE
 
 
-__all__ = ["FEW_FOLLOWED", "REACH", "FollowedSets"]
+__all__ = ["FEW_FOLLOWED", "NOISE", "REACH", "FollowedSets"]

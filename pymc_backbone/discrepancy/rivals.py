@@ -17,8 +17,7 @@ from .batch import Batch
 from .curves import measured
 from .descent import is_heavy
 from .drift_course import changes_of
-from .drift_fits import Settled, drift_fit, settled
-from .drift_kinds import drift_bonus
+from .drift_fits import Settled, drift_fit, settled, weighed
 from .drift_proposals import sets_beside_drifts, single_beside_drifts
 from .evidence import Drifting
 from .joint_fit import Fit
@@ -117,10 +116,10 @@ def _is_likeliest(search: Search, found: dict[Set, Drifting], names: Set, with_t
     fits = {**search.fits, **{other: item.fit for other, item in beside.items()}}
     # the residuals of what leaves least say how much the samples tell
     batch = with_time.batch if fits[asked].cost <= min(item.cost for item in fits.values()) else search.batch
-    weighed = evidence.probabilities(
+    posterior = evidence.probabilities(
         fits, batch, len(search.candidates), {other: item.bonus for other, item in beside.items()}, search.variants
     )
-    return max(weighed, key=lambda other: weighed[other].log_posterior) == asked
+    return max(posterior, key=lambda other: posterior[other].log_posterior) == asked
 
 
 def _ask_plain(search: Search, found: dict[Set, Drifting], limit: float) -> None:
@@ -138,7 +137,7 @@ def _ask_plain(search: Search, found: dict[Set, Drifting], limit: float) -> None
         if drifting is None or drifting.cost > worst or (alone := search.fit_set(names)) is None:
             continue
         if drifting.cost < alone.cost - _HELPED:
-            found[names] = Drifting(drifting, _bonus(search, drifting, alone))
+            found[names] = weighed(search.batch, drifting, alone)
 
 
 def _is_bent(search: Search, found: dict[Set, Drifting]) -> bool:
@@ -165,7 +164,7 @@ def _ask_backbones(search: Search, found: dict[Set, Drifting]) -> None:
             if drifting is None or not is_lower or drifting.cost > _NEAR * search.count:
                 continue
             if (alone := search.fit_set(names)) is not None:
-                found[names] = Drifting(drifting, _bonus(search, drifting, alone))
+                found[names] = weighed(search.batch, drifting, alone)
                 is_exact = is_exact or evidence.leaves_noise(search.batch, drifting)
         if is_exact:
             return
@@ -199,12 +198,7 @@ def _ask(search: Search, sets: Iterable[Set], found: dict[Set, Drifting], limit:
     ]
     for names, drifting in zip(starts, in_threads(jobs), strict=True):
         if drifting is not None:
-            found[names] = Drifting(drifting, _bonus(search, drifting, starts[names]))
-
-
-def _bonus(search: Search, drifting: Fit, alone: Fit) -> float:
-    """Return by how much the drift's evidence grows, that it settles minded."""
-    return drift_bonus(drifting, alone) + search.batch.settling_odds
+            found[names] = weighed(search.batch, drifting, starts[names])
 
 
 def _of_the_same_kind(search: Search, names: Set) -> list[Set]:
