@@ -248,6 +248,7 @@ ORACLES: dict[str, Callable[[], Spring]] = {
     "coulomb_friction": lambda: Spring(lambda x, v, d, p: p[0] * d),
     "quadratic_damping": lambda: Spring(lambda x, v, d, p: p[0] * d * v * v),
     "asymmetric_drag": lambda: Spring(lambda x, v, d, p: p[0] * (1.0 + p[1] * d) * d * v * v),
+    "bilinear_damping": lambda: Spring(lambda x, v, d, p: 0.5 * p[0] * (1.0 + d) * v),
     "cubic_damping": lambda: Spring(lambda x, v, d, p: p[0] * v**3),
     "displacement_dependent_damping": lambda: Spring(lambda x, v, d, p: p[0] * x * x * v),
     "bilinear_stiffness": lambda: Spring(lambda x, v, d, p, side: p[0] * x if side > 0.0 else 0.0, lambda p: (0.0,)),

@@ -252,6 +252,25 @@ def test_release_is_found(kind: str, quantity: int, per_cycle: int, noise: float
     assert not warnings_of(decay)
 
 
+@pytest.mark.parametrize("loud", [1.5, 2.5])
+def test_cycles_on_a_stop_are_not_taken_for_a_drive(loud: float, rng: np.random.Generator) -> None:
+    """On the stop the swing takes another time, and the fundamental of the free swing is less than the motion.
+
+    Against a stiff spring behind a gap, on one side, released from some times the gap; integrated by SciPy.
+    """
+    gap, stop, decrement = 0.003, 30.0, 0.02
+
+    def rate(_time: float, state: Array) -> list[float]:
+        x, v = state
+        return [v, -(OMEGA**2) * (x + stop * max(x - gap, 0.0)) - decrement / np.pi * OMEGA * v]
+
+    time = np.arange(0.0, 60.0 / FREQUENCY, 1.0 / (66.0 * FREQUENCY))
+    motion = solve_ivp(rate, (0.0, time[-1]), [-loud * gap, 0.0], t_eval=time, rtol=1e-8, atol=1e-11).y[0]
+    decay = condition(record(time, motion + 1e-3 * gap * rng.normal(size=time.size)))
+    assert decay.time[0] < 1.0 / FREQUENCY
+    assert not any("driven" in note for note in decay.notes)
+
+
 @pytest.mark.parametrize("pulse", [0.02, 0.08, 0.15, 0.3])
 @pytest.mark.parametrize("quantity", ["displacement", "velocity", "acceleration"])
 @pytest.mark.parametrize("stiffness", [-0.25, 0.0, 1.0])

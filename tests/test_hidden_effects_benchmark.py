@@ -137,7 +137,7 @@ def test_strength_is_the_force_of_a_spring_over_the_linear_one(effect: str, rng:
 @pytest.mark.parametrize("index, effect", list(enumerate(NEW)))
 def test_new_effects_move_as_the_package_says(index: int, effect: str) -> None:
     for number in (index, index + len(NEW)):
-        batch = make_batch(9, number, NEW_EFFECTS)
+        batch = make_batch(10, number, NEW_EFFECTS)
         truth = batch.truth
         assert truth["hidden"] == truth["hidden_in_library"] == [effect] and not truth["is_outside"]
         oscillator = Oscillator(truth["mass"], [effect])

@@ -56,7 +56,7 @@ def test_both_generators_move_alike(effect: str, rng: np.random.Generator) -> No
     np.testing.assert_allclose(second.turn_values[:turns], first.turn_values[:turns], rtol=0.0, atol=scale * amplitude)
 
 
-@pytest.mark.parametrize("index", [2, 4, 5])
+@pytest.mark.parametrize("index", [2, 4, 6])
 def test_batches_agree_with_the_first_generators_integrator(index: int) -> None:
     batch = make_second_batch(31, index)
     truth = batch.truth

@@ -23,6 +23,7 @@ TRUTHS = {
     "hertz_contact": (0.4 * STIFFNESS / AMPLITUDE**0.5, 0.2 * AMPLITUDE),
     "magnetic_stiffness": (0.01 * FORCE, 2.0 * AMPLITUDE, 4.0),
     "asymmetric_drag": (0.015 * MASS / AMPLITUDE, 0.7),
+    "bilinear_damping": (0.03 * MASS * OMEGA,),
     "absolute_displacement_damping": (0.04 * MASS * OMEGA / AMPLITUDE,),
 }
 DAHL = {"dahl_friction": (0.1 * STIFFNESS, 0.01 * FORCE)}

@@ -40,6 +40,7 @@ BAND_C, BAND = (INDEX[name] for name in OUTSIDE["deadband_damper"])
 PAIR_F, MAGNET_D, PAIR_N = (INDEX[name] for name in NEW["magnetic_stiffness"])
 ABS_C = INDEX["absolute_displacement_damping"]
 BOTH_C, BOTH_R = (INDEX[name] for name in NEW["asymmetric_drag"])
+BUMP = INDEX["bilinear_damping"]
 DAHL_K, DAHL_F = (INDEX[name] for name in NEW["dahl_friction"])
 HERTZ_K, HERTZ_GAP = (INDEX[name] for name in NEW["hertz_contact"])
 ARM_K, ARM_TIME = (INDEX[name] for name in NEW["maxwell_element"])
@@ -63,7 +64,7 @@ def acceleration(t, y, direction, probe, slider, bed, p):
     force = (p[K] + p[K_RATE] * t) * x + (p[C] + p[C_RATE] * t) * v
     force = _common(force, y, direction, probe, slider, bed, p)
     force = _outside(force, x, v, direction, probe, p)
-    force = _new(force, y, probe, p)
+    force = _new(force, y, direction, probe, p)
     growth = p[INERTIA]
     x2 = x * x
     return -(force / p[MASS] + growth * x * v * v) / (1.0 + growth * x2)
@@ -121,7 +122,7 @@ def _outside(force, x, v, direction, probe, p):
 
 
 @numba.njit(cache=True)
-def _new(force, y, probe, p):
+def _new(force, y, direction, probe, p):
     """Add the effects of `systems.NEW` that are not among the others; magnets are never reached."""
     x, v, deflection, stretch = y[0], y[1], y[3], y[4]
     side = math.copysign(1.0, probe)
@@ -141,6 +142,8 @@ def _new(force, y, probe, p):
         force += p[PAIR_F] * ((1.0 - u) ** -n - (1.0 + u) ** -n - 2.0 * n * u)
     if p[BOTH_C] != 0.0:
         force += p[BOTH_C] * (v * abs(v) + p[BOTH_R] * v * v)
+    if direction > 0.0:
+        force += p[BUMP] * v
     if p[POWER_C] != 0.0:
         u = v / p[POWER_C_V]
         force += p[POWER_C] * u * (u * u + ROUNDED**2) ** (0.5 * (p[POWER_C_N] - 1.0))

@@ -39,6 +39,7 @@ WORDS: dict[str, str] = {
     "cubic_damping": "drag",
     "power_damping": "drag",
     "asymmetric_drag": "drag",
+    "bilinear_damping": "damping_asymmetry",
     "displacement_dependent_damping": "displacement_damping",
     "absolute_displacement_damping": "displacement_damping",
     "maxwell_element": "other",

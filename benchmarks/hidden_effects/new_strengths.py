@@ -71,6 +71,10 @@ def _two_way(strength: float, rng: np.random.Generator, k: float, big: float, om
     return {"asymmetric_drag": strength / _ratio(unit, k, big), "drag_asymmetry": asymmetry}, strength
 
 
+def _bump(strength: float, rng: np.random.Generator, k: float, big: float, omega: float) -> Drawn:
+    return {"bilinear_damping": strength / _ratio(0.5 * math.pi * omega * big**2, k, big)}, strength
+
+
 def _dahl(strength: float, rng: np.random.Generator, k: float, big: float, omega: float) -> Drawn:
     way = log_uniform(rng, 0.1, 0.8) * big
     # The steady loop between -A and A, whose ends are way * tanh(A / way).
@@ -160,6 +164,7 @@ def _structural(strength: float, rng: np.random.Generator, k: float, big: float,
 _DRAWN: dict[str, Callable[[float, np.random.Generator, float, float, float], Drawn]] = {
     "absolute_displacement_damping": _absolute,
     "asymmetric_drag": _two_way,
+    "bilinear_damping": _bump,
     "dahl_friction": _dahl,
     "hertz_contact": _hertz,
     "magnetic_stiffness": _magnets,

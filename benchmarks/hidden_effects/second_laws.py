@@ -183,6 +183,11 @@ def _asymmetric_drag(p: Values, release: float) -> Term:
     return Term(lambda x, v, s, at: c * (s + r) * v * v)
 
 
+def _bump(p: Values, release: float) -> Term:
+    c = p["bilinear_damping"]
+    return Term(lambda x, v, s, at: c * v if s > 0.0 else 0.0)
+
+
 def _jenkins(p: Values, release: float) -> Term:
     k, slip = p["slider_stiffness"], p["slip_force"]
     return Masing(lambda u: min(k * u, slip), slip / k, release)
@@ -235,6 +240,7 @@ TERMS: dict[str, Callable[[Values, float], Term]] = {
     "viscous": _of_speed("viscous_damping", 1),
     "absolute_displacement_damping": _absolute,
     "asymmetric_drag": _asymmetric_drag,
+    "bilinear_damping": _bump,
     "bilinear_stiffness": _bilinear,
     "bouc_wen": _bouc_wen,
     "coulomb_friction": _of_speed("friction_force", 0),

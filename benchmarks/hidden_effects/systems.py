@@ -47,6 +47,7 @@ NEW: dict[str, tuple[str, ...]] = {
     "stribeck_friction": ("kinetic_friction", "stribeck_excess", "stribeck_speed"),
     "structural_damping": ("structural_damping",),
     "asymmetric_drag": ("asymmetric_drag", "drag_asymmetry"),  # last: batches of the others stay what they were
+    "bilinear_damping": ("bilinear_damping",),
 }
 """Effects that the package holds beside these, as variants or to be named, with its names of their parameters."""
 

@@ -18,7 +18,9 @@ TypicalFunction = Callable[[float, float, float], tuple[float, ...]]
 HeldFunction = Callable[[float, float, float], float]
 Role = Literal["strength", "slip_force", "gap", "exponent", "power_coefficient", "shape", "ordinate", "plain"]
 ROLES: tuple[Role, ...] = get_args(Role)
-Mechanism = Literal["spring", "asymmetry", "clearance", "hysteresis", "drag", "displacement_damping"]
+Mechanism = Literal[
+    "spring", "asymmetry", "clearance", "hysteresis", "drag", "displacement_damping", "damping_asymmetry"
+]
 MECHANISMS: Mapping[str, str] = MappingProxyType(
     {
         "spring": "hardening or softening of the spring",
@@ -27,6 +29,7 @@ MECHANISMS: Mapping[str, str] = MappingProxyType(
         "hysteresis": "friction-like hysteresis",
         "drag": "damping that rises with speed",
         "displacement_damping": "damping that rises with displacement",
+        "damping_asymmetry": "a damper that differs between the two directions",
         "other": "another mechanism",
         "rising_damping": "damping that rises with the amplitude",
         "changing_stiffness": "stiffness that changes with the amplitude",
@@ -199,9 +202,9 @@ class Effect:
     needs_rotation : bool
         Whether the law holds for an angle only, as that of a pendulum does: it is looked for where the motion is
         measured in radians, and elsewhere only when it is named.
-    mechanism : {"spring", "asymmetry", "clearance", "hysteresis", "drag", "displacement_damping"}, optional
-        What the effect does, whatever its law: where records do not tell one law from another, that is named. Effects
-        without one count together as another mechanism.
+    mechanism : str, optional
+        What the effect does, whatever its law, a key of `MECHANISMS`: where records do not tell one law from another,
+        that is named. Effects without one count together as another mechanism.
     mechanism_below : tuple of (str, float, str), optional
         A parameter, and the mechanism that the effect has where that is below a value.
     variant_of : tuple of str

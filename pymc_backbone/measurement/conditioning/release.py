@@ -16,6 +16,8 @@ _LEVEL = 0.97
 _QUIET = 0.5
 _WINDOW = 0.65
 _PLATEAU_FALL = 0.06
+_GROWN, _SWUNG = 0.85, 0.9  # of its maximum, that the envelope and the swing were below before they grew
+_AROUND = 1.3  # cycles over which a swing is seen
 _PIECE = 1 << 18
 _SPAN_OF_NOISE = 6.0  # standard deviations that the noise of a flat start spans at most
 
@@ -80,18 +82,32 @@ def end_of_drive(values: FloatArray, sampling_rate: float, frequency: float, int
     """Return a sample safely after the end of forcing, or None where the record is free from its start.
 
     Forcing is seen in the envelope: it has grown to its maximum, or stayed level there, for more than a cycle and a
-    half. The decay begins one and a half cycles after the bend, for the envelope is that blunt.
+    half. The decay begins one and a half cycles after the bend, for the envelope is that blunt. So must the swing have
+    grown, or stayed: the fundamental of one frequency is less than the motion while a stop or a strong spring makes
+    that swing at another.
     """
     period = sampling_rate / frequency
     level = envelope(values, sampling_rate, frequency, integrations)
     top = int(np.argmax(level))
     first, last = _plateau(level, top)
-    is_level = _is_level(level, first, last, period)
-    has_grown = first > 1.6 * period and float(level[:first].min()) < 0.85 * float(level[top])
+    swing = _swing(values, period)
+    is_level = _is_level(level, first, last, period) and _is_level(swing, first, last, period)
+    has_grown = (
+        first > 1.6 * period
+        and float(level[:first].min()) < _GROWN * float(level[top])
+        and float(swing[:first].min()) < _SWUNG * float(swing[top])
+    )
     if not (is_level or has_grown):
         return None
     bend = _bend(level, first, last) if is_level else top
     return min(int(bend + 1.5 * period), values.size - 1)
+
+
+def _swing(values: FloatArray, period: float) -> FloatArray:
+    """Return by how much a record moves to and fro within somewhat more than a cycle around each sample."""
+    window = max(round(_AROUND * period), 3)
+    swing: FloatArray = maximum_filter1d(values, window) - minimum_filter1d(values, window)
+    return swing
 
 
 def _plateau(level: FloatArray, top: int) -> tuple[int, int]:
