@@ -11,9 +11,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from .._common.checks import FloatArray
 from .._common.text import per_cent
 from . import evidence
 from .batch import Batch
+from .close_modes import CloseModes, close_modes
 from .harmonic_lines import frequencies_of
 from .joint_fit import Fit
 from .lines import line_below, line_beside, line_near
@@ -32,17 +34,24 @@ def second_mode_check(batch: Batch, best: Fit, *, is_adequate: bool = False) -> 
     In the beginning of the records, too, where nothing is said to be missing (``is_adequate``) or where what is leaves
     more than noise: something has to be there, and a mode of a higher frequency has mostly decayed soon. Where nothing
     is said to be missing all the same, smaller lines count. Below the frequency of the mode a smaller line counts:
-    a single mode has none there, and a mass that moves along, as of a liquid, bends the backbones.
+    a single mode has none there, and a mass that moves along, as of a liquid, bends the backbones. Two modes so close
+    that nothing lies between them are looked for where more than noise is left, behind a band-pass as well.
     """
     name = "no second mode"
+    if (pair := _close(batch, best)) is not None:
+        return Check(
+            name,
+            False,
+            f"{pair.specimen} is the sum of two modes at {pair.frequency:.5g} and {pair.other:.5g} Hz, the other with "
+            f"{per_cent(pair.share)} of the amplitude: they beat, and no band keeps one of them; hit or hold the "
+            "structure where one of the two hardly moves, or take them apart by sensors at several places",
+        )
     worst: tuple[float, float, str] = (0.0, 0.0, "")
     small: tuple[float, float, str] = (0.0, 0.0, "")
     for r, term in enumerate(batch.waveform):
         if batch.records[r].band is not None:
             continue  # one mode has been chosen, the others are kept out
-        # not whitened: the estimate of the noise holds a second mode too, and whitening would take most of it away
-        plain = replace(term, whiten=lambda columns: columns)
-        left = evidence.residuals_of(plain, best, r)
+        left = _left(batch, best, r)
         between = frequencies_of(batch.levels[r], batch.records[r].frequency)
         is_left = best.chi_square[r] > _NO_NOISE * term.size
         least = _SEEN if is_adequate and is_left else _BEATING
@@ -72,6 +81,22 @@ def second_mode_check(batch: Batch, best: Fit, *, is_adequate: bool = False) -> 
             "motion there, as another mode leaves: too small to speak against what was found",
         )
     return Check(name, True, "what the model leaves holds no line beside the harmonics of the mode")
+
+
+def _left(batch: Batch, best: Fit, r: int) -> FloatArray:
+    """Return what a fit leaves of the samples of a record, not whitened.
+
+    The estimate of the noise holds a second mode too, and whitening would take most of it away.
+    """
+    return evidence.residuals_of(replace(batch.waveform[r], whiten=lambda columns: columns), best, r)
+
+
+def _close(batch: Batch, best: Fit) -> CloseModes | None:
+    """Return two modes that beat in the records, where the best set leaves more than noise of most of them."""
+    is_left = [best.chi_square[r] > _NO_NOISE * term.size for r, term in enumerate(batch.waveform)]
+    if not is_left or np.mean(is_left) < 0.5:
+        return None
+    return close_modes(batch, [_left(batch, best, r) for r in range(len(is_left))])
 
 
 def _parts(size: int, cycles: float) -> list[slice]:

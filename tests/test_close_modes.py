@@ -1,0 +1,79 @@
+"""Two modes that beat, told from one nonlinear mode whose decay two damped oscillations imitate as well."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from pymc_backbone.discrepancy import second_mode
+from pymc_backbone.discrepancy.close_modes import close_modes
+
+FREQUENCY, OTHER, RATE = 40.0, 40.5, 1600.0
+TIME = np.arange(0.0, 4.0, 1.0 / RATE)
+
+
+def beating(size: float, share: float, phase: float) -> np.ndarray:
+    """The sum of two linear modes of nearly one frequency."""
+    first = np.exp(-0.8 * TIME) * np.cos(2.0 * np.pi * FREQUENCY * TIME)
+    return size * (first + share * np.exp(-1.2 * TIME) * np.cos(2.0 * np.pi * OTHER * TIME + phase))
+
+
+def nonlinear(size: float) -> np.ndarray:
+    """A softening spring with drag, by SciPy: frequency and damping change with the amplitude."""
+    omega = 2.0 * np.pi * FREQUENCY
+
+    def rate(_time: float, y: np.ndarray) -> list[float]:
+        return [y[1], -(omega**2) * (y[0] - 0.05 * y[0] ** 3) - 1.6 * y[1] - 0.02 * y[1] * abs(y[1])]
+
+    run = solve_ivp(rate, (0.0, TIME[-1]), [size, 0.0], "DOP853", t_eval=TIME, rtol=1e-9, atol=1e-12)
+    return run.y[0]
+
+
+def batch_of(records: list[np.ndarray], rng: np.random.Generator) -> SimpleNamespace:
+    noisy = [item + 1e-3 * np.abs(item).max() * rng.normal(size=item.size) for item in records]
+    return SimpleNamespace(
+        waveform=[SimpleNamespace(time=TIME, values=item, size=item.size) for item in noisy],
+        records=[SimpleNamespace(frequency=FREQUENCY, band=(30.0, 50.0)) for _ in noisy],
+        specimens=[f"hit {r}" for r in range(len(noisy))],
+    )
+
+
+def test_two_modes_that_beat_are_found(rng):
+    records = [
+        beating(size, share, phase) for size, share, phase in [(1.0, 0.5, 0.3), (0.5, 0.3, 2.0), (2.0, 0.6, 1.0)]
+    ]
+    batch = batch_of(records, rng)
+    found = close_modes(batch, [0.2 * item for item in records])
+    assert found is not None and found.specimen in batch.specimens
+    assert (found.frequency, found.other) == pytest.approx((FREQUENCY, OTHER), abs=0.005)
+    assert found.share == pytest.approx({"hit 0": 0.5, "hit 1": 0.3, "hit 2": 0.6}[found.specimen], abs=0.02)
+
+
+@pytest.mark.parametrize("sizes", [(1.0,), (1.0, 0.6, 0.3)])
+def test_one_nonlinear_mode_is_no_beat(sizes, rng):
+    """Although the sum of two damped oscillations leaves a thousandth of it, and a set that is wrong leaves a fifth."""
+    records = [nonlinear(size) for size in sizes]
+    assert close_modes(batch_of(records, rng), [0.2 * item for item in records]) is None
+
+
+def test_what_a_set_explains_as_well_is_no_beat(rng):
+    records = [beating(size, 0.5, 0.3) for size in (1.0, 0.5)]
+    assert close_modes(batch_of(records, rng), [2e-3 * item for item in records]) is None
+
+
+def test_modes_whose_frequencies_change_from_record_to_record_are_none(rng):
+    """As where one mode of a structure meets another that the release moves."""
+    records = [beating(1.0, 0.5, 0.3), 0.5 * nonlinear(1.0) + 0.3 * np.exp(-TIME) * np.cos(2.0 * np.pi * 41.5 * TIME)]
+    assert close_modes(batch_of(records, rng), [0.2 * item for item in records]) is None
+
+
+def test_a_beat_is_told_behind_a_band_pass_too(rng, monkeypatch):
+    batch = batch_of([beating(1.0, 0.5, 0.3), beating(0.5, 0.5, 1.0)], rng)
+    monkeypatch.setattr(second_mode, "_left", lambda batch, best, r: 0.2 * batch.waveform[r].values)
+    check = second_mode.second_mode_check(batch, SimpleNamespace(chi_square=[1e3 * TIME.size] * 2))
+    assert not check.passed and "two modes at 40 and 40.5 Hz" in check.message and "no band keeps one" in check.message
+    explained = second_mode.second_mode_check(batch, SimpleNamespace(chi_square=[1.0 * TIME.size] * 2))
+    assert explained.passed
