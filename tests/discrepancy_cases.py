@@ -148,12 +148,15 @@ def drifting_records(
     damping: tuple[float, float] = (1, 0),
     one_side: float = 0.0,
     settling: float = 0.0,
+    drag: tuple[float, float] = (0.0, 2.0),
 ) -> list[Record]:
     """Specimens whose stiffness changes linearly with time by ``change`` over the record, by SciPy.
 
     ``cubic`` is the force of a cubic spring at `AMPLITUDE`, over that of the linear one; ``damping`` that at release
     over `DAMPING`, and by how much of itself it changes over the record; ``one_side`` how much stiffer it is on the
-    positive side. With ``settling`` the change comes nearer to its end by a factor e so many times over the record.
+    positive side; ``drag`` the force of a damper with a power of the speed at the largest speed, over that of the
+    spring at `AMPLITUDE`, and its exponent. With ``settling`` the change comes nearer to its end by a factor e so many
+    times over the record.
     """
     length = TIME[-1] - RELEASE_TIME
     records = []
@@ -167,7 +170,9 @@ def drifting_records(
             harder = cubic * STIFFNESS * state[0] * (state[0] / AMPLITUDE) ** 2
             harder += one_side * STIFFNESS * max(state[0], 0.0)
             loss = DAMPING * damping[0] * (1.0 + damping[1] * t / length)
-            return [state[1], -(stiffness * state[0] + harder + loss * state[1]) / MASS]
+            speed = state[1] / (AMPLITUDE * OMEGA)
+            dragged = drag[0] * STIFFNESS * AMPLITUDE * np.sign(speed) * abs(speed) ** drag[1]
+            return [state[1], -(stiffness * state[0] + harder + loss * state[1] + dragged) / MASS]
 
         after = np.maximum(TIME - RELEASE_TIME, 0.0)
         held = np.unique(after)

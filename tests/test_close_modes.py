@@ -59,6 +59,14 @@ def test_one_nonlinear_mode_is_no_beat(sizes, rng):
     assert close_modes(batch_of(records, rng), [0.2 * item for item in records]) is None
 
 
+def test_partials_beside_the_two_speak_against_neither(rng):
+    """A string has a partial at twice the frequency, which neither the best set nor the two modes explain."""
+    partial = 0.08 * np.exp(-2.0 * TIME) * np.cos(2.0 * np.pi * 2.03 * FREQUENCY * TIME)
+    records = [size * (beating(1.0, 0.5, 0.3) + partial) for size in (1.0, 0.5)]
+    left = [0.2 * beating(size, 0.5, 0.3) + size * partial for size in (1.0, 0.5)]
+    assert close_modes(batch_of(records, rng), left) is not None
+
+
 def test_what_a_set_explains_as_well_is_no_beat(rng):
     records = [beating(size, 0.5, 0.3) for size in (1.0, 0.5)]
     assert close_modes(batch_of(records, rng), [2e-3 * item for item in records]) is None

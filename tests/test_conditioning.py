@@ -214,6 +214,21 @@ def test_a_few_missing_samples_are_interpolated_and_many_are_refused() -> None:
         condition(record(time[keep], x[keep]))
 
 
+@pytest.mark.parametrize(
+    ("ratio", "said"),
+    [
+        (1.3, r"a mode at 1[23]\.\d+ Hz, \d+% .* keep one, for example with `band=\("),
+        (1.2, "a mode at 1[12].* too close for a `band`"),
+    ],
+)
+def test_modes_that_beat_at_once_are_refused_with_what_to_do(ratio: float, said: str, rng: np.random.Generator) -> None:
+    """All modes of a struck structure in one record: the amplitude grows again after a few cycles."""
+    time = np.arange(0.0, 60.0 / FREQUENCY, 1.0 / (66.0 * FREQUENCY))
+    both = np.exp(-0.6 * time) * (np.cos(OMEGA * time) + 0.8 * np.cos(ratio * OMEGA * time))
+    with pytest.raises(InputError, match="before the amplitude grows again, expected at least 5; " + said):
+        condition(record(time, both + 1e-3 * rng.normal(size=time.size)))
+
+
 # ---- release ------------------------------------------------------------------------------------
 
 

@@ -1268,6 +1268,26 @@ def test_a_plain_law_beside_a_drift_rivals_a_contact_that_makes_up_for_both():
     assert beside.centre[0] == pytest.approx(0.04 * STIFFNESS, rel=0.1)
 
 
+@pytest.mark.parametrize("exponent", [1.3, 2.0])
+def test_a_drag_with_an_exponent_of_its_own_is_asked_beside_a_drift(exponent):
+    """Alone it follows the drift; begun from the square of the speed with a drift beside it, it comes to rest."""
+    batch = batch_of(drifting_records(np.random.default_rng(5), -0.02, 3, drag=(0.1, exponent)))
+    search = Search(batch, Oscillator(MASS), ("quadratic_damping",), 1, variants=("power_damping",))
+    names = ("quadratic_damping",)
+    alone = search.fit_set(names)
+    plain = drift_fits.drift_fit(batch, alone.layout, alone.state)
+    found = {names: drift_fits.weighed(batch, plain, alone)}
+    rivals._ask_variants(search, found, np.inf)
+    if exponent == 2.0:
+        assert set(found) == {names}
+        return
+    varied = found[("power_damping",)].fit
+    assert varied.cost < plain.cost - 20.0
+    assert varied.value_of("power_damping_exponent") == pytest.approx(exponent, abs=0.1)
+    # half the change of stiffness, in units of 5 %: three records tell it to 0.01
+    assert varied.state.own[:, 5].mean() == pytest.approx(-0.5 * 0.02 / 0.05, abs=0.03)
+
+
 def test_sliders_alone_are_asked_beside_drifts():
     batch = batch_of(drifting_records(np.random.default_rng(5), 0.04))
     search = Search(batch, Oscillator(MASS), ("jenkins",), 1)

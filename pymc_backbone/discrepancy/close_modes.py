@@ -61,11 +61,13 @@ def close_modes(batch: Batch, left: Sequence[FloatArray]) -> CloseModes | None:
     least = _BEAT[0] if max(sizes) > _OTHER * min(sizes) else _BEAT[1]
     seen: list[tuple[float, CloseModes]] = []
     for r, (term, rest) in enumerate(zip(batch.waveform, left, strict=True)):
-        found = _two_modes(term.time[: rest.size], term.values[: rest.size], batch.records[r].frequency, least)
+        time, frequency = term.time[: rest.size], batch.records[r].frequency
+        found = _two_modes(time, term.values[: rest.size], frequency, least)
         if found is None:
             continue
-        modes, squares = found
-        ratio = squares / max(float(rest @ rest), 1e-300)
+        modes, theirs = found
+        sizes_left = [float(np.sum(np.abs(_envelope(time, item, frequency)[0]) ** 2)) for item in (theirs, rest)]
+        ratio = sizes_left[0] / max(sizes_left[1], 1e-300)  # about the mode: harmonics and partials are neither's
         if ratio < _LEFT:
             seen.append((ratio, CloseModes(batch.specimens[r], *modes)))
     if not seen or len(seen) < _MOST * len(left):
@@ -79,8 +81,10 @@ def close_modes(batch: Batch, left: Sequence[FloatArray]) -> CloseModes | None:
 
 def _two_modes(
     time: FloatArray, values: FloatArray, frequency: float, least: float
-) -> tuple[tuple[float, float, float], float] | None:
-    """Return frequencies and share of amplitude of two damped oscillations, and the squares that they leave."""
+) -> tuple[tuple[float, float, float], FloatArray] | None:
+    """Return frequencies and share of amplitude of two damped oscillations, and what they leave (n,)."""
+    if frequency * (time[-1] - time[0]) < _SHORTEST:
+        return None
     poles = _poles_of_envelope(time, values, frequency)
     if poles is None:
         return None
@@ -92,7 +96,7 @@ def _two_modes(
 
     start = np.array([poles[0].real, poles[0].imag, poles[1].real, poles[1].imag])
     result = least_squares(rest, start, x_scale=np.full(4, scale), max_nfev=20)
-    _, coefficients = _fitted(clock, values, result.x)
+    explained, coefficients = _fitted(clock, values, result.x)
     size = np.hypot(coefficients[0::2][:2], coefficients[1::2][:2])
     decay, omega = result.x[0::2], result.x[1::2]
     large, small = (0, 1) if size[0] >= size[1] else (1, 0)
@@ -101,7 +105,7 @@ def _two_modes(
     if not is_beat or (decay >= 0.0).any() or (omega <= 0.0).any() or share < _LEAST_SHARE:
         return None
     hertz = omega / (2.0 * np.pi)
-    return (float(hertz[large]), float(hertz[small]), share), float(2.0 * result.cost)
+    return (float(hertz[large]), float(hertz[small]), share), values - explained
 
 
 def _fitted(clock: FloatArray, values: FloatArray, poles: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -123,15 +127,9 @@ def _poles_of_envelope(time: FloatArray, values: FloatArray, frequency: float) -
     .. [1] Hua Y., Sarkar T. K. (1990) Matrix pencil method for estimating parameters of exponentially damped/undamped
        sinusoids in noise. IEEE Transactions on Acoustics, Speech, and Signal Processing 38(5), 814-824.
     """
-    step = float(np.median(np.diff(time)))
-    cycle = max(round(1.0 / (frequency * step)), 1)
-    if time.size < _SHORTEST * cycle:
-        return None
-    omega = 2.0 * np.pi / (cycle * step)  # whole samples in a cycle: the mean over one takes the mirror image away
-    envelope = (values - values.mean()) * np.exp(-1j * omega * (time - time[0]))
-    means = np.convolve(envelope, np.full(cycle, 1.0 / cycle), mode="valid")
-    every = max(means.size // _POINTS, 1)
-    z = means[::every]
+    envelope, omega, step = _envelope(time, values, frequency)
+    every = max(envelope.size // _POINTS, 1)
+    z = envelope[::every]
     if z.size < 12:
         return None
     columns = z.size // 3
@@ -142,6 +140,18 @@ def _poles_of_envelope(time: FloatArray, values: FloatArray, frequency: float) -
     if not (np.abs(roots) > 1e-6).all():
         return None
     return np.asarray(np.log(roots) / (every * step) + 1j * omega, dtype=np.complex128)
+
+
+def _envelope(time: FloatArray, values: FloatArray, frequency: float) -> tuple[NDArray[np.complex128], float, float]:
+    """Return the complex amplitude about a frequency, the angular frequency it is of, and the time step.
+
+    The mean over one cycle of whole samples takes the mirror image and the harmonics away.
+    """
+    step = float(np.median(np.diff(time)))
+    cycle = max(round(1.0 / (frequency * step)), 1)
+    omega = 2.0 * np.pi / (cycle * step)
+    turned = (values - values.mean()) * np.exp(-1j * omega * (time - time[0]))
+    return np.convolve(turned, np.full(cycle, 1.0 / cycle), mode="valid"), omega, step
 
 
 __all__ = ["CloseModes", "close_modes"]

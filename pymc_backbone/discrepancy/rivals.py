@@ -12,7 +12,7 @@ from scipy.special import stdtr
 from .._common.checks import FloatArray
 from .._common.text import per_cent
 from .._common.threads import in_threads
-from . import evidence
+from . import evidence, starts
 from .batch import Batch
 from .curves import measured
 from .descent import is_heavy
@@ -25,6 +25,7 @@ from .normal_equations import DRIFTS, NUISANCES
 from .search import Search, Set
 from .side_by_side import ABREAST, fit_side_by_side
 from .study import Check
+from .varied_sets import NEEDED, is_akin
 
 _ALIKE = 4.0  # scatters as expected, that a specimen is off at least which is not alike
 _EXPECTED = 8  # specimens that would have told that scatter as well as it is known beforehand
@@ -42,7 +43,8 @@ def drifting_sets(search: Search) -> dict[Set, Drifting]:
 
     These are what is in the most probable set, where that is not a single effect that leaves noise, and the other laws
     of its mechanism where that effect is a variant of these; where no set leaves noise, what is in the next ones, too.
-    Where a drift helps one of them, the same is asked of the other laws of its mechanisms. Sets with an equation of
+    Where a drift helps one of them, the same is asked of the other laws of its mechanisms, and where none leaves noise
+    even so of variants in the place of its effects. Sets with an equation of
     their own are asked where they lack one effect only, or nothing simpler is left; where turning points refuted the
     most probable set, no set that remembers is. Where a drift alone explains half of what is missing, the backbones are
     asked beside drifts: for every effect where nothing leaves noise even so, and where something does, for those that
@@ -72,8 +74,10 @@ def drifting_sets(search: Search) -> dict[Set, Drifting]:
     if search.batch.has_open_records and (best or not is_exact) and _is_bent(search, found):
         if is_exact:
             _ask_plain(search, found, limit)
-        elif not any(evidence.leaves_noise(search.batch, item.fit) for item in found.values()):
+        elif not _is_explained(search, found):
             _ask_backbones(search, found)
+    if not is_exact and not _is_explained(search, found):
+        _ask_variants(search, found, limit)
     return _settled(search, found)
 
 
@@ -138,6 +142,38 @@ def _ask_plain(search: Search, found: dict[Set, Drifting], limit: float) -> None
             continue
         if drifting.cost < alone.cost - _HELPED:
             found[names] = weighed(search.batch, drifting, alone)
+
+
+def _is_explained(search: Search, found: dict[Set, Drifting]) -> bool:
+    """Return whether a set leaves noise with a drift beside it."""
+    return any(evidence.leaves_noise(search.batch, item.fit) for item in found.values())
+
+
+def _ask_variants(search: Search, found: dict[Set, Drifting], limit: float) -> None:
+    """Add the sets that a drift brings nearest the noise with variants in the place of effects, where these leave less.
+
+    Begun from their fits, their drift with them: a drag with an exponent of its own had lost its way beside a drift,
+    for alone it had followed the drift.
+    """
+    near = [item for item in found if item and found[item].fit.cost < _NEAR * search.count]
+    near.sort(key=lambda item: (len(item), found[item].fit.cost))
+    for names, name in [(item, name) for item in near[:_ASKED] for name in item]:
+        if any(len(item) < len(names) and evidence.leaves_noise(search.batch, found[item].fit) for item in found):
+            return  # nothing more is needed
+        plain = found[names].fit
+        for variant in search.variants:
+            varied = tuple(sorted({*names, variant} - {name}))
+            if variant in names or not is_akin(name, variant) or is_heavy(search.layout(varied)):
+                continue
+            layout = search.layout(varied)
+            begun = starts.in_place_of(layout, plain, search.batch.angular_frequency)
+            drifting = drift_fit(search.batch, layout, begun, limit)
+            if drifting is None or drifting.cost > plain.cost - NEEDED:
+                continue
+            if varied in found and found[varied].fit.cost <= drifting.cost:
+                continue
+            if (alone := search.fit_set(varied)) is not None:
+                found[varied] = weighed(search.batch, drifting, alone)
 
 
 def _is_bent(search: Search, found: dict[Set, Drifting]) -> bool:

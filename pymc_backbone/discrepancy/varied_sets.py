@@ -30,7 +30,7 @@ class VariedSets(RevisitedSets):
             for variant in self.variants:
                 names = tuple(sorted({*(other for other in best if other != name), variant}))
                 is_new = variant != name and len(names) == len(best) and names not in self.fits
-                if not (is_new and _is_akin(name, variant)) or (self._is_costly(names) and not self._is_costly(best)):
+                if not (is_new and is_akin(name, variant)) or (self._is_costly(names) and not self._is_costly(best)):
                     continue
                 if self._is_spent and (self._is_costly(names) or not self.explains(self.fits[best])):
                     continue  # of what explains the records, the few that are soon fitted are asked all the same
@@ -117,10 +117,10 @@ class VariedSets(RevisitedSets):
         return None if self._is_far(names) else self.fit_set(names)
 
 
-def _is_akin(name: str, variant: str) -> bool:
+def is_akin(name: str, variant: str) -> bool:
     """Return whether a variant is one of an effect, or of what that effect is a variant of."""
     of_effect = LIBRARY[name].variant_of if name in LIBRARY else ()
     return not {name, *of_effect}.isdisjoint(LIBRARY[variant].variant_of)
 
 
-__all__ = ["NEEDED", "VariedSets"]
+__all__ = ["NEEDED", "VariedSets", "is_akin"]

@@ -18,7 +18,7 @@ from .free_part import FreePart, dropped
 from .noise import NoiseSpectrum, amplitude_floor, noise_in_band, noise_of, noise_spectrum, quiet_spectrum
 from .plausibility import MINIMUM_CYCLES, check_cycles, check_decays, check_stops_growing
 from .release import end_of_drive, end_of_motion, envelope, regrowth
-from .second_mode import SecondMode, find_second_mode
+from .second_mode import SecondMode, against_beats, find_second_mode
 from .second_release import later_motion
 from .tracking import Track, track
 from .wander import Wander, find_wander
@@ -233,7 +233,9 @@ class _Conditioning:
                 "s (a second release or impact, or beating modes): only the part before is used; choose another part "
                 "with `start` and `stop`, or a mode with `band`"
             )
-            path = check_cycles(path.until(end), self.name, "before the amplitude grows again")
+            remedy = against_beats(find_second_mode(values, self.rate, path), path.frequency)
+            what = "before the amplitude grows again"
+            path = check_cycles(path.until(end), self.name, what, remedy, MINIMUM_CYCLES + 1.0)
             self.cycles_after = 0.0
         else:
             first = int(np.ceil(end * self.rate))

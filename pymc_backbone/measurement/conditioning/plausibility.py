@@ -121,17 +121,18 @@ def _runs_of_peaks(at: BoolArray, beyond: BoolArray) -> tuple[IntArray, IntArray
     return first[begin], np.maximum.reduceat(last - first, begin)
 
 
-def check_cycles(path: Track | None, name: str, what: str) -> Track:
+_LONGER = "record longer, release from a larger amplitude or reduce the noise"
+
+
+def check_cycles(
+    path: Track | None, name: str, what: str, remedy: str = _LONGER, least: float = MINIMUM_CYCLES
+) -> Track:
     """Return the track, or raise when there are too few cycles."""
     # two outer cycles of a record are beyond the track
     cycles = 0.0 if path is None else path.cycles + 2.0
-    if path is None or cycles < MINIMUM_CYCLES or not path.amplitude.max() > 0.0:
-        found = "fewer than 4" if path is None else f"{cycles:.1f}"
-        raise InputError(
-            f"{name}: {found} cycles {what}, expected at least {MINIMUM_CYCLES:g}; record longer, release from "
-            f"a larger "
-            "amplitude or reduce the noise."
-        )
+    if path is None or cycles < least or not path.amplitude.max() > 0.0:
+        found = f"fewer than {least:g}" if path is None or f"{cycles:.1f}" == f"{least:.1f}" else f"{cycles:.1f}"
+        raise InputError(f"{name}: {found} cycles {what}, expected at least {least:g}; {remedy}.")
     return path
 
 

@@ -18,6 +18,7 @@ _MAXIMUM_SAMPLES = 60_000
 _MAXIMUM_HARMONICS = 7
 _LOWEST_ORDER = 0.15
 _CLOSE_SHARE = 0.1
+_NO_BAND = 0.25  # of the frequency, within which no band keeps one mode of two
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,18 @@ def find_second_mode(values: FloatArray, sampling_rate: float, path: Track) -> S
     x = values[first_sample:stop]
     residual = x - _phase_locked(x, time, path, cycles)
     return _highest_peak(x, residual, sampling_rate, path.until(last), cycles)
+
+
+def against_beats(second: SecondMode | None, mode: float) -> str:
+    """Return what can be done where an amplitude grows again too soon: another blow, or modes that beat."""
+    if second is None:
+        return "choose the part after a second release with `start`, or one mode of several with `band`"
+    other = f"a mode at {second.frequency:.4g} Hz, {second.share:.0%} of the spectral peak"
+    seen = f"{other}, beats with that at {mode:.4g} Hz"
+    if abs(second.frequency - mode) < _NO_BAND * mode:
+        return f"{seen}, too close for a `band`: hit or hold the structure where one of the two hardly moves"
+    low, high = second.suggested_band(mode)
+    return f"{seen}: keep one, for example with `band=({low:.3g}, {high:.3g})`"
 
 
 def _phase_locked(values: FloatArray, time: FloatArray, path: Track, cycles: float) -> FloatArray:
