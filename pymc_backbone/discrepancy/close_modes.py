@@ -24,6 +24,7 @@ _BEAT = (1.5, 3.0)  # difference of the frequencies over the faster decay rate; 
 _OTHER = 1.3  # ratio of the largest to the smallest motion from which releases are not alike
 _ALIKE = 0.2  # of that difference, by which the frequencies of records may differ
 _SHORTEST = 8.0  # cycles
+_CLOSE = 0.15  # of the frequency of the mode: what is farther off makes a line of its own, or is outside of a band
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ def close_modes(batch: Batch, left: Sequence[FloatArray]) -> CloseModes | None:
         if found is None:
             continue
         modes, theirs = found
-        sizes_left = [float(np.sum(np.abs(_envelope(time, item, frequency)[0]) ** 2)) for item in (theirs, rest)]
+        sizes_left = [float(np.sum(np.abs(envelope_about(time, item, frequency)[0]) ** 2)) for item in (theirs, rest)]
         ratio = sizes_left[0] / max(sizes_left[1], 1e-300)  # about the mode: harmonics and partials are neither's
         if ratio < _LEFT:
             seen.append((ratio, CloseModes(batch.specimens[r], *modes)))
@@ -85,7 +86,7 @@ def _two_modes(
     """Return frequencies and share of amplitude of two damped oscillations, and what they leave (n,)."""
     if frequency * (time[-1] - time[0]) < _SHORTEST:
         return None
-    poles = _poles_of_envelope(time, values, frequency)
+    poles = _poles_ofenvelope_about(time, values, frequency)
     if poles is None:
         return None
     clock = time - time[0]
@@ -102,7 +103,8 @@ def _two_modes(
     large, small = (0, 1) if size[0] >= size[1] else (1, 0)
     share = float(size[small] / max(size[large], 1e-300))
     is_beat = abs(omega[0] - omega[1]) > least * float(np.max(-decay))
-    if not is_beat or (decay >= 0.0).any() or (omega <= 0.0).any() or share < _LEAST_SHARE:
+    is_close = (np.abs(omega / (2.0 * np.pi * frequency) - 1.0) < _CLOSE).all()
+    if not is_beat or not is_close or (decay >= 0.0).any() or (omega <= 0.0).any() or share < _LEAST_SHARE:
         return None
     hertz = omega / (2.0 * np.pi)
     return (float(hertz[large]), float(hertz[small]), share), values - explained
@@ -119,7 +121,7 @@ def _fitted(clock: FloatArray, values: FloatArray, poles: FloatArray) -> tuple[F
     return basis @ coefficients, coefficients
 
 
-def _poles_of_envelope(time: FloatArray, values: FloatArray, frequency: float) -> NDArray[np.complex128] | None:
+def _poles_ofenvelope_about(time: FloatArray, values: FloatArray, frequency: float) -> NDArray[np.complex128] | None:
     """Return the poles (2,) [1/s] of two damped oscillations in the complex envelope, by a matrix pencil [1]_.
 
     References
@@ -127,7 +129,7 @@ def _poles_of_envelope(time: FloatArray, values: FloatArray, frequency: float) -
     .. [1] Hua Y., Sarkar T. K. (1990) Matrix pencil method for estimating parameters of exponentially damped/undamped
        sinusoids in noise. IEEE Transactions on Acoustics, Speech, and Signal Processing 38(5), 814-824.
     """
-    envelope, omega, step = _envelope(time, values, frequency)
+    envelope, omega, step = envelope_about(time, values, frequency)
     every = max(envelope.size // _POINTS, 1)
     z = envelope[::every]
     if z.size < 12:
@@ -142,7 +144,9 @@ def _poles_of_envelope(time: FloatArray, values: FloatArray, frequency: float) -
     return np.asarray(np.log(roots) / (every * step) + 1j * omega, dtype=np.complex128)
 
 
-def _envelope(time: FloatArray, values: FloatArray, frequency: float) -> tuple[NDArray[np.complex128], float, float]:
+def envelope_about(
+    time: FloatArray, values: FloatArray, frequency: float
+) -> tuple[NDArray[np.complex128], float, float]:
     """Return the complex amplitude about a frequency, the angular frequency it is of, and the time step.
 
     The mean over one cycle of whole samples takes the mirror image and the harmonics away.
@@ -154,4 +158,4 @@ def _envelope(time: FloatArray, values: FloatArray, frequency: float) -> tuple[N
     return np.convolve(turned, np.full(cycle, 1.0 / cycle), mode="valid"), omega, step
 
 
-__all__ = ["CloseModes", "close_modes"]
+__all__ = ["CloseModes", "close_modes", "envelope_about"]

@@ -366,6 +366,23 @@ def mind_second_mode(decision: Decision, *, is_beside_drift: bool = False) -> De
     return replace(decision, has_second_mode=True)
 
 
+def mind_what_moves_on(decision: Decision) -> Decision:
+    """Return what can be said where something goes on moving the structures: what is certain all the same.
+
+    Where no set explains the records and no mechanism is certain, what is left is that, and no missing effect.
+    """
+    is_open = decision.verdict is Verdict.UNEXPLAINED or (
+        decision.verdict is Verdict.AMBIGUOUS and decision.is_approximate
+    )
+    if not is_open or any(item.is_certain for item in decision.mechanisms) or decision.has_second_mode:
+        return decision
+    return replace(
+        decision, verdict=Verdict.UNEXPLAINED, is_moved_on=True, best=(), below=(), simulated=None, listed=(),
+        unfinished=(), nearest=None, mechanisms=(), remainder=(), on_backbones=None,
+        probability=decision.probabilities.get((), 0.0),
+    )  # fmt: skip
+
+
 def mind_bent_sensor(search: Search, decision: Decision) -> Decision:
     """Return what can be said of a spring behind a sensor that bends: its mechanism.
 

@@ -58,6 +58,8 @@ class Decision:
         Sets whose fit holds a drift in time beside their effects.
     has_second_mode : bool
         Whether a second mode beats in the records.
+    is_moved_on : bool
+        Whether something goes on moving the structures, and what no set explains is no larger.
     against : float
         Reduced chi-square at which the best set leaves the backbones, where these speak against it; else NaN.
     unfinished : tuple of tuple of str
@@ -98,6 +100,7 @@ class Decision:
     drift_probability: float = 0.0
     drifts: tuple[Set, ...] = ()
     has_second_mode: bool = False
+    is_moved_on: bool = False
     against: float = float("nan")
     unfinished: tuple[Set, ...] = ()
     is_approximate: bool = False

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import comb
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
@@ -193,6 +193,14 @@ def residuals_of(term: DataTerm, found: Fit, specimen: int) -> FloatArray:
     vector = found.parameters(specimen)
     compared = term.compare(found.layout.simulator, vector, own[2:NUISANCES])
     return np.zeros(term.size) if compared is None else compared[0]
+
+
+def residuals_as_measured(term: WaveformTerm, found: Fit, specimen: int) -> FloatArray:
+    """Return what a fit leaves of the samples of one specimen, not whitened.
+
+    The estimate of the noise holds what disturbs the samples, too, and whitening would take most of it away.
+    """
+    return residuals_of(replace(term, whiten=lambda columns: columns), found, specimen)
 
 
 def effective_size(term: DataTerm, found: Fit, specimen: int) -> float:

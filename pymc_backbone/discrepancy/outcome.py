@@ -31,12 +31,15 @@ class Outcome:
         The base with a drift in time; None without records.
     second_mode : Check
         Whether a second mode beats in the records.
+    ambient : Check
+        Whether something goes on moving the structures.
     """
 
     search: Search
     decision: Decision
     drifting: Fit | None
     second_mode: Check
+    ambient: Check
 
     @property
     def base(self) -> Fit:
@@ -74,6 +77,7 @@ def checks_of(question: Question, outcome: Outcome, verification: Verification) 
             settling=batch.settling_time,
         ),
         outcome.second_mode,
+        outcome.ambient,
         rivals.alike_check(batch, outcome.model, is_exact=not decision.is_approximate),
         rivals.data_terms_check(
             outcome.judged,

@@ -168,9 +168,8 @@ def _ask_variants(search: Search, found: dict[Set, Drifting], limit: float) -> N
             layout = search.layout(varied)
             begun = starts.in_place_of(layout, plain, search.batch.angular_frequency)
             drifting = drift_fit(search.batch, layout, begun, limit)
-            if drifting is None or drifting.cost > plain.cost - NEEDED:
-                continue
-            if varied in found and found[varied].fit.cost <= drifting.cost:
+            known = found[varied].fit.cost if varied in found else np.inf
+            if drifting is None or drifting.cost > min(plain.cost - NEEDED, known):
                 continue
             if (alone := search.fit_set(varied)) is not None:
                 found[varied] = weighed(search.batch, drifting, alone)

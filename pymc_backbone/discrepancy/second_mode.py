@@ -7,11 +7,8 @@ decrement, a spring that differs between the sides, a clearance or a drag make a
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from .._common.checks import FloatArray
 from .._common.text import per_cent
 from . import evidence
 from .batch import Batch
@@ -51,7 +48,7 @@ def second_mode_check(batch: Batch, best: Fit, *, is_adequate: bool = False) -> 
     for r, term in enumerate(batch.waveform):
         if batch.records[r].band is not None:
             continue  # one mode has been chosen, the others are kept out
-        left = _left(batch, best, r)
+        left = evidence.residuals_as_measured(term, best, r)
         between = frequencies_of(batch.levels[r], batch.records[r].frequency)
         is_left = best.chi_square[r] > _NO_NOISE * term.size
         least = _SEEN if is_adequate and is_left else _BEATING
@@ -83,20 +80,12 @@ def second_mode_check(batch: Batch, best: Fit, *, is_adequate: bool = False) -> 
     return Check(name, True, "what the model leaves holds no line beside the harmonics of the mode")
 
 
-def _left(batch: Batch, best: Fit, r: int) -> FloatArray:
-    """Return what a fit leaves of the samples of a record, not whitened.
-
-    The estimate of the noise holds a second mode too, and whitening would take most of it away.
-    """
-    return evidence.residuals_of(replace(batch.waveform[r], whiten=lambda columns: columns), best, r)
-
-
 def _close(batch: Batch, best: Fit) -> CloseModes | None:
     """Return two modes that beat in the records, where the best set leaves more than noise of most of them."""
     is_left = [best.chi_square[r] > _NO_NOISE * term.size for r, term in enumerate(batch.waveform)]
     if not is_left or np.mean(is_left) < 0.5:
         return None
-    return close_modes(batch, [_left(batch, best, r) for r in range(len(is_left))])
+    return close_modes(batch, [evidence.residuals_as_measured(term, best, r) for r, term in enumerate(batch.waveform)])
 
 
 def _parts(size: int, cycles: float) -> list[slice]:

@@ -233,6 +233,11 @@ def _of_unexplained(decision: Decision) -> str:
     if decision.has_second_mode and decision.drift_probability <= 0.5:
         partial = f"; beside it the best explanation is {named(decision.best)}" if decision.best else ""
         return f"Something is in the records that the model does not have: a second mode beats with it{partial}."
+    if decision.is_moved_on:
+        return (
+            "Something is in the records that the model does not have: the structure is moved on after its release, as "
+            "much at the end as at the begin; nothing stands out of that."
+        )
     if not decision.is_single_valued:
         return (
             "Something is missing, but what no set of known effects explains differs between records at the same "

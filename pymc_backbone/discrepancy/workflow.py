@@ -21,10 +21,12 @@ from ..measurement.options import Measuring
 from ..measurement.reading.record import Record
 from ..oscillator import Oscillator
 from . import plan_words, rivals, verdict_words, words
+from .ambient import ambient_check
 from .candidate_table import candidates_of
 from .curve_records import ForceCurves
 from .curves import simulate
-from .decide import decide, is_none_other, mind_bent_sensor, mind_second_mode
+from .decide import decide, is_none_other, mind_bent_sensor, mind_second_mode, mind_what_moves_on
+from .decision import Decision
 from .descent import is_heavy
 from .design import Contender, Plan, contender, present_design
 from .drift_fits import drift_alone
@@ -190,7 +192,9 @@ def _curves(
         is_named = bool(certain_sets(search, decision.mechanisms, (decision.model,)))
     if is_named:
         start, gap = outcome.model, float("nan") if held_out is None else held_out.after
-    elif is_open or (decision.verdict is Verdict.UNEXPLAINED and not decision.has_second_mode):
+    elif is_open or (
+        decision.verdict is Verdict.UNEXPLAINED and not (decision.has_second_mode or decision.is_moved_on)
+    ):
         start, gap = outcome.base, float("nan") if held_out is None else held_out.before
     else:
         return None
@@ -238,9 +242,17 @@ def _decided(known: Undisturbed) -> Outcome:
         if not second_mode.passed:
             is_beside = base_drifting is not None and not second_mode_check(question.batch, base_drifting).passed
             decision = mind_second_mode(decision, is_beside_drift=is_beside)
+    ambient = ambient_check(question.batch, search.fits[decision.model], is_explained=not _is_left(decision))
+    if not ambient.passed:
+        decision = mind_what_moves_on(decision)
     if known.is_bent:
         decision = mind_bent_sensor(search, decision)
-    return Outcome(search, decision, base_drifting, second_mode)
+    return Outcome(search, decision, base_drifting, second_mode, ambient)
+
+
+def _is_left(decision: Decision) -> bool:
+    """Return whether what is said of the records leaves more than noise."""
+    return decision.is_approximate or decision.verdict is Verdict.UNEXPLAINED
 
 
 def _study(

@@ -1,0 +1,83 @@
+"""What goes on moving a structure after its release: wind, traffic, people, machines.
+
+It excites the mode as the release did, so it is no line beside the motion and no white noise, and an estimate of the
+noise of the sensor holds next to nothing of it. What a wrong law leaves goes with the motion; this does not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .._common.checks import FloatArray
+from .._common.text import per_cent
+from ..measurement.rough_turning import rough_noise
+from .batch import Batch
+from .close_modes import envelope_about
+from .evidence import residuals_as_measured
+from .joint_fit import Fit
+from .study import Check
+
+_PARTS = 4  # of a record, of which the first and the last are compared
+_DECAYED = 4.0  # times as large as in the last part the motion is in the first at least
+_NO_DECAY = 0.4  # of what is in the last part, that is no decay of the model
+_GOES_ON = 3.0  # times as much is left in the first part as in the last at most
+_OVER_NOISE = 3.0  # times what white noise as loud as what changes from sample to sample would have there
+_MOST = 0.6  # of the records in which that must be so
+
+
+@dataclass(frozen=True)
+class _Moved:
+    specimen: str
+    share: float  # of the largest motion
+
+
+def ambient_check(batch: Batch, best: Fit, *, is_explained: bool = False) -> Check:
+    """Look for what moves the structure at the end of the records as much as it does at their begin.
+
+    Only where the best set leaves more than noise (``is_explained`` says that it does not): what is left there then is
+    not the structure's.
+    """
+    name = "nothing else moves the structure"
+    if not batch.has_records:
+        return Check(name, True, "not testable without records")
+    if is_explained:
+        return Check(name, True, "what the model leaves is noise")
+    seen = [found for r in range(len(batch.waveform)) if (found := _moved(batch, best, r)) is not None]
+    if len(seen) < _MOST * len(batch.waveform):
+        return Check(name, True, "what the model leaves goes with the motion, or is noise")
+    most = max(seen, key=lambda item: item.share)
+    return Check(
+        name,
+        False,
+        f"what moves {most.specimen} at its end is no decay, {per_cent(most.share)} of the largest motion at the "
+        "frequency of the mode, and as much runs through the whole record: something goes on moving the structure "
+        "(wind, traffic, people, machines); measure when that rests, or release from a larger amplitude",
+    )
+
+
+def _moved(batch: Batch, best: Fit, r: int) -> _Moved | None:
+    """Return what goes on moving one specimen, or None."""
+    left = residuals_as_measured(batch.waveform[r], best, r)
+    term, frequency = batch.waveform[r], batch.records[r].frequency
+    time, values = term.time[: left.size], term.values[: left.size]
+
+    def sizes(columns: FloatArray) -> FloatArray:
+        """Return the amplitude about the frequency of the mode in each part."""
+        parts = np.array_split(np.abs(envelope_about(time, columns, frequency)[0]), _PARTS)
+        return np.array([float(np.sqrt(np.mean(part**2))) for part in parts])
+
+    if frequency * (time[-1] - time[0]) < 4.0 * _PARTS:
+        return None
+    motion, rest = sizes(values), sizes(left)
+    per_cycle = 1.0 / (frequency * float(np.median(np.diff(time))))
+    noise = rough_noise(left) / np.sqrt(per_cycle)
+    has_decayed = motion[0] > _DECAYED * motion[-1]
+    goes_on = rest[-1] > _NO_DECAY * motion[-1] and rest[0] < _GOES_ON * rest[-1]
+    if not (has_decayed and goes_on and rest[-1] > _OVER_NOISE * noise):
+        return None
+    return _Moved(batch.specimens[r], float(rest[-1] / motion[0]))
+
+
+__all__ = ["ambient_check"]

@@ -1,0 +1,67 @@
+"""What goes on moving a structure after its release, told from what a wrong law leaves and from noise."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from pymc_backbone.discrepancy import ambient
+from pymc_backbone.discrepancy.ambient import ambient_check
+from pymc_backbone.discrepancy.decide import mind_what_moves_on
+from pymc_backbone.discrepancy.verdict import Verdict
+from pymc_backbone.discrepancy.verdict_words import sentence
+
+from .test_discrepancy_verdict import decision_of, mechanism_of
+
+FREQUENCY, RATE, RATIO = 2.0, 200.0, 0.01
+TIME = np.arange(0.0, 40.0, 1.0 / RATE)
+DECAY = np.exp(-2.0 * np.pi * RATIO * FREQUENCY * TIME) * np.cos(2.0 * np.pi * FREQUENCY * TIME)
+
+
+def wind(rng: np.random.Generator, size: float) -> np.ndarray:
+    """The response of the mode to white noise, as large at the end as at the begin."""
+    omega, step = 2.0 * np.pi * FREQUENCY, 1.0 / RATE
+    radius = np.exp(-RATIO * omega * step)
+    long = lfilter([1.0], [1.0, -2.0 * radius * np.cos(omega * step), radius**2], rng.normal(size=3 * TIME.size))
+    moved = long[-TIME.size :]
+    return size * moved / moved.std()
+
+
+def check_of(rests: list[np.ndarray], rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, **options):
+    terms = [SimpleNamespace(time=TIME, values=DECAY + rest, size=TIME.size) for rest in rests]
+    monkeypatch.setattr(ambient, "residuals_as_measured", lambda term, best, r: rests[r])
+    batch = SimpleNamespace(
+        waveform=terms, records=[SimpleNamespace(frequency=FREQUENCY)] * len(terms), has_records=True,
+        specimens=[f"heel drop {r}" for r in range(len(terms))],
+    )  # fmt: skip
+    return ambient_check(batch, SimpleNamespace(), **options)
+
+
+def test_wind_is_told_from_what_a_law_leaves(rng, monkeypatch):
+    noise = [1e-4 * rng.normal(size=TIME.size) for _ in range(3)]
+    blown = check_of([wind(rng, 0.01) + item for item in noise], rng, monkeypatch)
+    assert not blown.passed and "goes on moving the structure" in blown.message
+    share = float(blown.message.split(", ")[1].split(" %")[0])
+    assert 0.7 < share < 4.0  # per cent of the largest motion, whose mean over the first part is half of that
+    # a wrong law leaves what goes with the motion, a sensor what is white; and two of three is not most
+    assert check_of([0.05 * DECAY + item for item in noise], rng, monkeypatch).passed
+    assert check_of([100.0 * item for item in noise], rng, monkeypatch).passed
+    assert check_of([wind(rng, 0.01) + noise[0], *noise[1:]], rng, monkeypatch).passed
+    assert check_of([wind(rng, 0.01) + item for item in noise], rng, monkeypatch, is_explained=True).passed
+
+
+def test_what_wind_leaves_is_no_missing_effect_and_what_is_certain_stays():
+    certain = (mechanism_of("hysteresis", 0.99, 0.9, iwan=0.99),)
+    doubtful = (mechanism_of("clearance", 0.4, 0.7, freeplay=0.4),)
+    for verdict, mechanisms, is_changed in [
+        (Verdict.UNEXPLAINED, doubtful, True), (Verdict.UNEXPLAINED, certain, False), (Verdict.FOUND, doubtful, False)
+    ]:  # fmt: skip
+        decision = decision_of(verdict=verdict, best=("freeplay",), mechanisms=mechanisms)
+        minded = mind_what_moves_on(decision)
+        assert minded.is_moved_on == is_changed and (minded is decision) != is_changed
+        if is_changed:
+            assert minded.verdict is Verdict.UNEXPLAINED and minded.best == () and not minded.mechanisms
+            assert "moved on after its release" in sentence(minded)
