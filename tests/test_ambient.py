@@ -30,11 +30,11 @@ def wind(rng: np.random.Generator, size: float) -> np.ndarray:
     return size * moved / moved.std()
 
 
-def check_of(rests: list[np.ndarray], rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, **options):
+def check_of(rests: list[np.ndarray], rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, band=None, **options):
     terms = [SimpleNamespace(time=TIME, values=DECAY + rest, size=TIME.size) for rest in rests]
     monkeypatch.setattr(ambient, "residuals_as_measured", lambda term, best, r: rests[r])
     batch = SimpleNamespace(
-        waveform=terms, records=[SimpleNamespace(frequency=FREQUENCY)] * len(terms), has_records=True,
+        waveform=terms, records=[SimpleNamespace(frequency=FREQUENCY, band=band)] * len(terms), has_records=True,
         specimens=[f"heel drop {r}" for r in range(len(terms))],
     )  # fmt: skip
     return ambient_check(batch, SimpleNamespace(), **options)
@@ -46,6 +46,10 @@ def test_wind_is_told_from_what_a_law_leaves(rng, monkeypatch):
     assert not blown.passed and "goes on moving the structure" in blown.message
     share = float(blown.message.split(", ")[1].split(" %")[0])
     assert 0.7 < share < 4.0  # per cent of the largest motion, whose mean over the first part is half of that
+    # another mode, outside of a band, is there in the beginning
+    other = 0.5 * np.exp(-1.0 * TIME) * np.cos(2.0 * np.pi * 1.5 * FREQUENCY * TIME)
+    banded = [wind(rng, 0.01) + other + item for item in noise]
+    assert not check_of(banded, rng, monkeypatch, band=(1.6, 2.4)).passed and check_of(banded, rng, monkeypatch).passed
     # a wrong law leaves what goes with the motion, a sensor what is white; and two of three is not most
     assert check_of([0.05 * DECAY + item for item in noise], rng, monkeypatch).passed
     assert check_of([100.0 * item for item in noise], rng, monkeypatch).passed

@@ -73,8 +73,9 @@ def _moved(batch: Batch, best: Fit, r: int) -> _Moved | None:
     motion, rest = sizes(values), sizes(left)
     per_cycle = 1.0 / (frequency * float(np.median(np.diff(time))))
     noise = rough_noise(left) / np.sqrt(per_cycle)
-    has_decayed = motion[0] > _DECAYED * motion[-1]
-    goes_on = rest[-1] > _NO_DECAY * motion[-1] and rest[0] < _GOES_ON * rest[-1]
+    first = 0 if batch.records[r].band is None else 1  # other modes, which a band keeps out, have decayed then
+    has_decayed = motion[first] > _DECAYED * motion[-1]
+    goes_on = rest[-1] > _NO_DECAY * motion[-1] and rest[first] < _GOES_ON * rest[-1]
     if not (has_decayed and goes_on and rest[-1] > _OVER_NOISE * noise):
         return None
     return _Moved(batch.specimens[r], float(rest[-1] / motion[0]))
