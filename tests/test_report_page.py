@@ -15,7 +15,7 @@ from pymc_backbone.reporting.candidate_plots import plot_parameters
 from pymc_backbone.reporting.gap_plots import plot_before_after, plot_held_out
 from pymc_backbone.reporting.html import prose, table
 from pymc_backbone.reporting.report import report_html
-from pymc_backbone.reporting.words import next_steps
+from pymc_backbone.reporting.words import next_steps, verdict_means
 
 from .study_cases import make_study
 from .test_report import Page
@@ -50,6 +50,12 @@ def test_a_warning_on_all_records_is_something_to_do_and_a_record_keeps_its_name
     )
     assert next_steps(study)[:2] == [f"{first} differs; look at it.", "The sensor bends."]
     assert not any("second mode" in step or "well" in step for step in next_steps(study))
+
+
+def test_where_no_set_is_told_the_page_does_not_speak_of_one(studies):
+    study = dataclasses.replace(studies[Verdict.UNEXPLAINED], extended=None, missing_effects=())
+    assert "the best set explains a part" in verdict_means(studies[Verdict.UNEXPLAINED])
+    assert "the best set" not in verdict_means(study) and "leaves something of the records" in verdict_means(study)
 
 
 def test_an_unexplained_gap_has_no_probability_of_a_set_on_top(studies):

@@ -56,7 +56,7 @@ def where(study: Study) -> str:
     )
     if not rows:
         said = "At no level do the backbones of base model and measurement differ beyond their error"
-        waveforms = "" if study.verdict == Verdict.ADEQUATE else "; what is missing shows in the waveforms"
+        waveforms = "" if study.verdict == Verdict.ADEQUATE else "; what is left shows in the waveforms"
         return section("Where", paragraph(f"{said}{waveforms}."))
     return section("Where base model and measurement differ", table(columns, rows))
 

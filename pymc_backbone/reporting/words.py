@@ -62,6 +62,8 @@ def verdict_means(study: Study) -> str:
         item.status == Status.BEST and item.has_drift and not item.effects for item in study.candidates
     ):
         return "There is a gap, and the base model explains it with a frequency or a damping that changes with time."
+    if study.verdict == Verdict.UNEXPLAINED and study.extended is None:
+        return "The base model leaves something of the records that no effect known to the program explains."
     if study.verdict != Verdict.FOUND:
         return VERDICT_MEANS.get(study.verdict, "")
     if study.named_level == NamedLevel.MECHANISM and study.ambiguous_sets:
