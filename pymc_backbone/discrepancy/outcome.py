@@ -77,7 +77,6 @@ def checks_of(question: Question, outcome: Outcome, verification: Verification) 
             settling=batch.settling_time,
         ),
         outcome.second_mode,
-        outcome.ambient,
         rivals.alike_check(batch, outcome.model, is_exact=not decision.is_approximate),
         rivals.data_terms_check(
             outcome.judged,
@@ -87,6 +86,7 @@ def checks_of(question: Question, outcome: Outcome, verification: Verification) 
             is_drifting=not decision.model and () in decision.drifts,
             is_of_two_sides=has_mid_line(batch, outcome.model),
         ),
+        outcome.ambient,
     )
 
 
