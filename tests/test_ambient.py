@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 
 from pymc_backbone.discrepancy import ambient
 from pymc_backbone.discrepancy.ambient import ambient_check
-from pymc_backbone.discrepancy.decide import mind_what_moves_on
+from pymc_backbone.discrepancy.minded import mind_what_moves_on
 from pymc_backbone.discrepancy.verdict import Verdict
 from pymc_backbone.discrepancy.verdict_words import sentence
 

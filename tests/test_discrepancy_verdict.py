@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 
 import pymc_backbone as pb
 from pymc_backbone._common.text import capitalised, in_words
-from pymc_backbone.discrepancy import candidate_table, decide, inexact, rivals, shares, verdict_words, words
+from pymc_backbone.discrepancy import candidate_table, decide, inexact, minded, rivals, shares, verdict_words, words
 from pymc_backbone.discrepancy.batch import batch_of_backbones
 from pymc_backbone.discrepancy.decision import Decision, as_one
 from pymc_backbone.discrepancy.evidence import Evidence, LackOfFit
@@ -785,12 +785,12 @@ def test_no_name_is_given_against_the_backbones(left, is_named, monkeypatch):
     batch = SimpleNamespace(has_records=True, is_behind_filter=False)
     search = SimpleNamespace(batch=batch, fits={("a",): None, ("a", "b"): None})
     named = decision_of("found", named_level=NamedLevel.LAW, ranked=(("a", "b"), ("a",)), drifts=(("a", "b"),))
-    minded = decide._mind_backbones(search, named)
-    assert (minded.verdict == "found") == (minded.named_level == "law") == is_named
+    heeded = decide._mind_backbones(search, named)
+    assert (heeded.verdict == "found") == (heeded.named_level == "law") == is_named
     if not is_named:
-        assert minded.listed == (("a",),)
-        assert "with a drift in time beside it explains the samples, but leaves" in verdict_words.sentence(minded)
-        assert words.advice(SimpleNamespace(fits={}), minded)[0].startswith("release from other amplitudes")
+        assert heeded.listed == (("a",),)
+        assert "with a drift in time beside it explains the samples, but leaves" in verdict_words.sentence(heeded)
+        assert words.advice(SimpleNamespace(fits={}), heeded)[0].startswith("release from other amplitudes")
     by_mechanism = replace(named, named_level=NamedLevel.MECHANISM)
     assert decide._mind_backbones(search, by_mechanism) is by_mechanism
     alone = replace(named, drifts=(("a",),))  # what the backbones of a set without a drift say may be their own fault
@@ -895,9 +895,9 @@ def test_the_table_says_how_much_less_probable_a_set_is():
 def test_a_second_mode_takes_back_names_and_leaves_the_decision_as_it_was(before, after, listed):
     given = (("a",), ("b",)) if before == "ambiguous" else ()
     decision = decision_of(before, listed=given, adequate_by=AdequateBy.STATISTICS if before == "adequate" else None)
-    minded = decide.mind_second_mode(decision)
-    assert (minded.verdict, minded.listed, minded.adequate_by) == (after, listed, None)
-    assert minded.has_second_mode and not decision.has_second_mode and decision.verdict == before
+    beaten = minded.mind_second_mode(decision)
+    assert (beaten.verdict, beaten.listed, beaten.adequate_by) == (after, listed, None)
+    assert beaten.has_second_mode and not decision.has_second_mode and decision.verdict == before
     with pytest.raises(dataclasses.FrozenInstanceError):
         decision.verdict = Verdict.FOUND
 
@@ -905,7 +905,7 @@ def test_a_second_mode_takes_back_names_and_leaves_the_decision_as_it_was(before
 @pytest.mark.parametrize(("is_beside", "told"), [(True, "a second mode beats with it"), (False, "a drift with time")])
 def test_a_line_that_is_there_beside_a_drift_is_told_before_it(is_beside, told):
     decision = decision_of("unexplained", drift_probability=0.9)
-    assert told in verdict_words.sentence(decide.mind_second_mode(decision, is_beside_drift=is_beside))
+    assert told in verdict_words.sentence(minded.mind_second_mode(decision, is_beside_drift=is_beside))
 
 
 @pytest.mark.parametrize("p_value", [1e-12, 1e-4, 0.01, 0.2, 0.6])
@@ -1076,10 +1076,10 @@ def test_laws_of_one_mechanism_that_take_each_other_back_are_one_curve(monkeypat
         decision_of("found", named_level=NamedLevel.LAW, best=springs, probability=0.92),
         mechanisms=(mechanism_of("spring", 0.96, 1.0, magnetic_stiffness=0.92, power_stiffness=0.92),),
     )
-    said = verdict_words.sentence(decide._without_laws(decision))
+    said = verdict_words.sentence(decide.without_laws(decision))
     assert "spring is missing (96 %, 100 % of the gap); its laws are magnetic stiffness and power stiffness" in said
     assert "together, or ones like them, not exactly" in said
-    open_still = decide._without_laws(replace(decision, mechanisms=()))
+    open_still = decide.without_laws(replace(decision, mechanisms=()))
     assert (open_still.verdict, open_still.named_level, open_still.listed) == (Verdict.AMBIGUOUS, None, (springs,))
 
 

@@ -86,7 +86,7 @@ def _two_modes(
     """Return frequencies and share of amplitude of two damped oscillations, and what they leave (n,)."""
     if frequency * (time[-1] - time[0]) < _SHORTEST:
         return None
-    poles = _poles_ofenvelope_about(time, values, frequency)
+    poles = _poles_of_envelope(time, values, frequency)
     if poles is None:
         return None
     clock = time - time[0]
@@ -121,7 +121,7 @@ def _fitted(clock: FloatArray, values: FloatArray, poles: FloatArray) -> tuple[F
     return basis @ coefficients, coefficients
 
 
-def _poles_ofenvelope_about(time: FloatArray, values: FloatArray, frequency: float) -> NDArray[np.complex128] | None:
+def _poles_of_envelope(time: FloatArray, values: FloatArray, frequency: float) -> NDArray[np.complex128] | None:
     """Return the poles (2,) [1/s] of two damped oscillations in the complex envelope, by a matrix pencil [1]_.
 
     References

@@ -31,7 +31,6 @@ _COMPENSATED = 2.0  # times as much as is left, beyond which an imitation is mor
 _STANDS_IN = 0.2  # how probable it is that the weakest of several effects stands in for what the library lacks
 _SMALL = 12.0  # gap that it closes, in standard deviations of the noise, beyond which that is rarer
 _LARGE = 0.01  # share of the motion that this gap is, beyond which that is rarer, too
-_OF_SPRINGS = frozenset(("spring", "asymmetry", "clearance"))  # mechanisms
 _ONE_FORCE = frozenset(("spring", "asymmetry"))  # the odd and the even part of one
 _WEIGHT_OF_NOISE = 0.1  # how much rarer residuals like noise are where the library lacks what is missing
 
@@ -248,7 +247,7 @@ def _by_mechanism(search: Search, decision: Decision) -> Decision:
     )
     known = replace(decision, mechanisms=mechanisms)
     if decision.named_level is NamedLevel.LAW and (_is_one_curve(search, best) or _is_inexact_alone(search, decision)):
-        return _without_laws(known)
+        return without_laws(known)
     is_open = decision.verdict is Verdict.AMBIGUOUS and is_exact and not decision.unfinished
     is_against = best in decision.drifts and _backbones_disagree(search, best)
     is_doubtful = is_against or decision.drift_probability >= DRIFT_POSSIBLE
@@ -277,7 +276,7 @@ def _is_inexact_alone(search: Search, decision: Decision) -> bool:
     return alone < 0.5 * decision.probability and any(search.mechanism_of(name) in kinds for name in decision.below)
 
 
-def _without_laws(decision: Decision) -> Decision:
+def without_laws(decision: Decision) -> Decision:
     """Return a decision that named laws with their mechanisms instead, where these are told apart."""
     if is_told_apart(decision.mechanisms):
         return replace(decision, named_level=NamedLevel.MECHANISM)
@@ -342,56 +341,6 @@ def _backbones_disagree(search: Search, names: Set) -> bool:
     """Return whether a set leaves the backbones far off; behind a filter they are not those of the motion."""
     batch = search.batch
     return not batch.is_behind_filter and level_chi_square(batch, search.fits[names]) >= AGREE
-
-
-def mind_second_mode(decision: Decision, *, is_beside_drift: bool = False) -> Decision:
-    """Return what can be said of records in which a second mode beats.
-
-    Its line is no effect of a single mode, and the estimate of the noise holds it: "nothing is missing" is not true,
-    and a name rests on a misfit that the second mode may have made. So may a drift in time of the base: where the line
-    is beside that, too, it is the line that is told.
-    """
-    if is_beside_drift:
-        decision = replace(decision, drift_probability=0.0)
-    if decision.verdict is Verdict.ADEQUATE:
-        return replace(decision, has_second_mode=True, verdict=Verdict.UNEXPLAINED, adequate_by=None)
-    if decision.verdict is Verdict.FOUND:
-        return replace(
-            decision,
-            has_second_mode=True,
-            verdict=Verdict.AMBIGUOUS,
-            named_level=None,
-            listed=decision.listed or (decision.best,),
-        )
-    return replace(decision, has_second_mode=True)
-
-
-def mind_what_moves_on(decision: Decision) -> Decision:
-    """Return what can be said where something goes on moving the structures: what is certain all the same.
-
-    Where no set explains the records and no mechanism is certain, what is left is that, and no missing effect.
-    """
-    is_open = decision.verdict is Verdict.UNEXPLAINED or (
-        decision.verdict is Verdict.AMBIGUOUS and decision.is_approximate
-    )
-    if not is_open or any(item.is_certain for item in decision.mechanisms) or decision.has_second_mode:
-        return decision
-    return replace(
-        decision, verdict=Verdict.UNEXPLAINED, is_moved_on=True, best=(), below=(), simulated=None, listed=(),
-        unfinished=(), nearest=None, mechanisms=(), remainder=(), on_backbones=None,
-        probability=decision.probabilities.get((), 0.0),
-    )  # fmt: skip
-
-
-def mind_bent_sensor(search: Search, decision: Decision) -> Decision:
-    """Return what can be said of a spring behind a sensor that bends: its mechanism.
-
-    Seen through a bent sensor, a mass that changes with the displacement is one that does not, on another spring: the
-    records are those of the same law of force in a coordinate of its own.
-    """
-    kinds = {search.mechanism_of(name) for name in decision.best}
-    is_spring = decision.named_level is NamedLevel.LAW and bool(kinds & _OF_SPRINGS)
-    return _without_laws(decision) if is_spring else decision
 
 
 def _complete(search: Search) -> None:

@@ -25,7 +25,7 @@ from .ambient import ambient_check
 from .candidate_table import candidates_of
 from .curve_records import ForceCurves
 from .curves import simulate
-from .decide import decide, is_none_other, mind_bent_sensor, mind_second_mode, mind_what_moves_on
+from .decide import decide, is_none_other
 from .decision import Decision
 from .descent import is_heavy
 from .design import Contender, Plan, contender, present_design
@@ -36,6 +36,7 @@ from .fitted_sets import BUDGET, FittedSets, Progress
 from .force_curve import force_curves
 from .inexact import certain_sets
 from .locate import where_different
+from .minded import mind_bent_sensor, mind_second_mode, mind_what_moves_on
 from .outcome import Outcome, checks_of
 from .plan import plan_tests
 from .portraits import portraits
