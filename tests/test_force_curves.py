@@ -17,6 +17,7 @@ from pymc_backbone.discrepancy.curve_bands import bands_of, simultaneous
 from pymc_backbone.discrepancy.curve_fit import CurveFit, Known, fit_curves
 from pymc_backbone.discrepancy.curve_laws import with_laws
 from pymc_backbone.discrepancy.curve_words import Judgement, sentence
+from pymc_backbone.discrepancy.decision import Decision
 from pymc_backbone.discrepancy.families import FAMILIES, Shape, _curve, judged, places, proposals
 from pymc_backbone.discrepancy.force_curve import fit_remainder, force_curves
 from pymc_backbone.discrepancy.joint_fit import fit
@@ -471,23 +472,26 @@ SPRING_TOO = MissingMechanism("spring", 0.6, 0.3, (), ())
 
 
 @pytest.mark.parametrize(
-    ("verdict", "level", "is_approximate", "best", "mechanisms", "beside"),
+    ("verdict", "level", "is_approximate", "is_moved_on", "best", "mechanisms", "beside"),
     [
-        (Verdict.UNEXPLAINED, None, True, ("cubic_stiffness",), (), "base"),
-        (Verdict.FOUND, NamedLevel.MECHANISM, True, ("quadratic_damping",), (DRAG,), "model"),
-        (Verdict.FOUND, NamedLevel.LAW, False, ("quadratic_damping",), (DRAG,), None),
-        (OPEN, None, False, ("quadratic_damping",), (DRAG,), None),
-        (OPEN, None, True, ("quadratic_damping",), (DRAG, SPRING_TOO), "model"),
-        (OPEN, None, True, ("cubic_stiffness", "quadratic_damping"), (DRAG, SPRING_TOO), "base"),
-        (OPEN, None, True, ("cubic_stiffness",), (SPRING_TOO,), "base"),
-        (Verdict.ADEQUATE, None, False, (), (), None),
+        (Verdict.UNEXPLAINED, None, True, False, ("cubic_stiffness",), (), "base"),
+        (Verdict.UNEXPLAINED, None, True, True, ("cubic_stiffness",), (), None),
+        (Verdict.FOUND, NamedLevel.MECHANISM, True, False, ("quadratic_damping",), (DRAG,), "model"),
+        (Verdict.FOUND, NamedLevel.LAW, False, False, ("quadratic_damping",), (DRAG,), None),
+        (OPEN, None, False, False, ("quadratic_damping",), (DRAG,), None),
+        (OPEN, None, True, False, ("quadratic_damping",), (DRAG, SPRING_TOO), "model"),
+        (OPEN, None, True, False, ("cubic_stiffness", "quadratic_damping"), (DRAG, SPRING_TOO), "base"),
+        (OPEN, None, True, False, ("cubic_stiffness",), (SPRING_TOO,), "base"),
+        (Verdict.ADEQUATE, None, False, False, (), (), None),
     ],
 )
-def test_curves_stand_beside_what_is_certain(monkeypatch, verdict, level, is_approximate, best, mechanisms, beside):
+def test_curves_stand_beside_what_is_certain(
+    monkeypatch, verdict, level, is_approximate, is_moved_on, best, mechanisms, beside
+):
     kinds = {"quadratic_damping": "drag", "cubic_stiffness": "spring"}
-    decision = SimpleNamespace(
-        verdict=verdict, named_level=level, is_approximate=is_approximate, model=best, mechanisms=mechanisms,
-        on_backbones=None, has_second_mode=False,
+    decision = Decision(
+        verdict, best, 0.9, 1.0, lack=None, probabilities={}, evidences={}, named_level=level, mechanisms=mechanisms,
+        is_approximate=is_approximate, is_moved_on=is_moved_on,
     )  # fmt: skip
     outcome = SimpleNamespace(
         search=SimpleNamespace(fits={}, mechanism_of=kinds.get), decision=decision, drifting=None, base="base",
