@@ -118,6 +118,34 @@ SINH = Effect(
 
 
 @numba.njit
+def _quartic_mass(x, p):
+    return p[0] * x**4
+
+
+@numba.njit
+def _quartic_mass_gradient(x, p, out):
+    out[0] = 4.0 * p[0] * x**3
+    out[1] = x**4
+
+
+@numba.njit
+def _quartic_mass_force(x, v, direction, z, p):
+    return 2.0 * p[0] * x**3 * v**2
+
+
+FOLLOWER = Effect(
+    name="follower",
+    summary="A mass on a link that moves along with the square of the displacement squared; no gradient of its force.",
+    text="m4 (x^4 x'' + 2 x^3 x'^2)",
+    latex="m_4",
+    parameters=(_parameter("follower", lambda m, a, w: 0.0, lambda m, a, w: m / a**4),),
+    force=_quartic_mass_force,
+    added_mass=_quartic_mass,
+    added_mass_gradient=_quartic_mass_gradient,
+)
+
+
+@numba.njit
 def _stop_force(x, v, direction, z, p):
     return p[0] * (x - p[1]) if x > p[1] else 0.0
 

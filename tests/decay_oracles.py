@@ -25,6 +25,9 @@ class Spring:
         self.law, self.kinks = law, kinks
         self.n_states = 0
 
+    def mass(self, p, x):
+        return 0.0
+
     def start(self, p, x):
         return np.empty(0)
 
@@ -43,6 +46,16 @@ class Spring:
 
     def turn(self, p, x, z, d):
         return z
+
+
+class MovingMass(Spring):
+    """A mass p[0] x^2 that moves along: what Lagrange's equation holds beside its share of the acceleration."""
+
+    def __init__(self) -> None:
+        super().__init__(lambda x, v, d, p: (2.0 * p[0] * x * v) * v - 0.5 * (2.0 * p[0] * x) * v**2)
+
+    def mass(self, p, x):
+        return p[0] * x**2
 
 
 class Slider(Spring):
@@ -267,6 +280,7 @@ ORACLES: dict[str, Callable[[], Spring]] = {
     "structural_damping": lambda: Spring(lambda x, v, d, p, side: p[0] * side * x * d, lambda p: (0.0,)),
     "tabulated_stiffness": lambda: Spring(tabulated_stiffness),
     "tabulated_damping": lambda: Spring(tabulated_damping),
+    "nonlinear_inertia": MovingMass,
     "dahl_friction": Dahl,
     "maxwell_element": MaxwellArm,
 }
@@ -320,7 +334,8 @@ class Decay:
         x, v = y[0], y[1]
         total = sum(part.force(p, x, v, self.d, z) for part, p, z in self._split(y))
         rates = [r for part, p, z in self._split(y) for r in part.rate(p, x, v, self.d, z)]
-        return np.array([v, -total / self.mass, *rates])
+        heavier = self.mass + sum(part.mass(p, x) for part, p in self.parts)
+        return np.array([v, -total / heavier, *rates])
 
     def half_cycle(self):
         """Go on to the next turning point; return (time, displacement), or None where it sticks."""

@@ -53,6 +53,9 @@ def test_wind_is_told_from_what_a_law_leaves(rng, monkeypatch):
     # a wrong law leaves what goes with the motion, a sensor what is white; and two of three is not most
     assert check_of([0.05 * DECAY + item for item in noise], rng, monkeypatch).passed
     assert check_of([100.0 * item for item in noise], rng, monkeypatch).passed
+    # nor does a law whose frequency is off, which is out of step until the end
+    wrong = np.minimum(TIME / 30.0, 1.0) ** 3 * DECAY
+    assert check_of([wrong + item for item in noise], rng, monkeypatch).passed
     assert check_of([wind(rng, 0.01) + noise[0], *noise[1:]], rng, monkeypatch).passed
     assert check_of([wind(rng, 0.01) + item for item in noise], rng, monkeypatch, is_explained=True).passed
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.special import ellipk
+from scipy.special import ellipe, ellipk
 
 from pymc_backbone.effects import LIBRARY
 from pymc_backbone.oscillator import Oscillator
@@ -15,6 +15,7 @@ from .decay_cases import (
     AMPLITUDE,
     COMBINATIONS,
     EFFECTS,
+    FOLLOWER,
     MASS,
     MAXWELL,
     OMEGA,
@@ -168,7 +169,19 @@ def test_iwan_is_the_bed_of_sliders_it_stands_for():
     np.testing.assert_allclose(found.turning_times, times, rtol=3e-6)
 
 
-@pytest.mark.parametrize("user", [MAXWELL, SINH, STOP], ids=lambda effect: effect.name)
+@pytest.mark.parametrize("share", [-0.4, 0.05, 1.0])
+def test_the_undamped_period_with_a_mass_that_moves_along_is_the_elliptic_integral(share):
+    """Energy: with ``x = A sin(angle)`` the period is the integral of the root of ``1 + share sin(angle)^2``."""
+    stiffness = MASS * OMEGA**2
+    oscillator = Oscillator(MASS, "nonlinear_inertia")
+    p = [stiffness, 0.0, share * MASS / AMPLITUDE**2]
+    found = simulate_decay(oscillator, p, AMPLITUDE, n_cycles=3)
+    period = 4.0 / OMEGA * ellipe(-share)
+    np.testing.assert_allclose(found.turning_times, 0.5 * period * np.arange(found.turning_times.size), rtol=1e-8)
+    np.testing.assert_allclose(np.abs(found.turning_values), AMPLITUDE, rtol=1e-8)
+
+
+@pytest.mark.parametrize("user", [MAXWELL, SINH, STOP, FOLLOWER], ids=lambda effect: effect.name)
 def test_user_effects_are_integrated_as_exactly_as_the_librarys(user, monkeypatch):
     class Maxwell(Slider):
         def start(self, p, x):
@@ -186,8 +199,13 @@ def test_user_effects_are_integrated_as_exactly_as_the_librarys(user, monkeypatc
         def events(self, p, d):
             return []
 
+    class Follower(Spring):
+        def mass(self, p, x):
+            return p[0] * x**4
+
     own = {
         "maxwell": Maxwell,
+        "follower": lambda: Follower(lambda x, v, d, p: (4.0 - 2.0) * p[0] * x**3 * v**2),
         "sinh_stiffness": lambda: Spring(lambda x, v, d, p: p[0] * p[1] * np.sinh(x / p[1])),
         "one_stop": lambda: Spring(lambda x, v, d, p, side: p[0] * (x - p[1]) * (side > 0.0), lambda p: (p[1],)),
     }

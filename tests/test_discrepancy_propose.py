@@ -107,7 +107,8 @@ def _added(name: str, share: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     if np.abs(look[:, 1]).max() < 1e-6 * DAMPER:
         angle = (np.arange(256) + 0.5) * 2.0 * np.pi / 256
         for k, level in enumerate(levels):
-            force = [effect.force(level * np.cos(t), 0.0, 1.0, np.zeros(1), weak) for t in angle]
+            motion = level * np.array([np.cos(angle), -OMEGA * np.sin(angle), -(OMEGA**2) * np.cos(angle)])
+            force = [effect.along(*instant, np.zeros(1), weak) for instant in motion.T]
             third = 2.0 * np.mean(force * np.cos(3.0 * angle)) / (8.0 * SPRING)
             seen[1, k] -= 2.0 * third / level * plain[1, k]
     seen[1] += plain[1] * np.gradient(look[:, 3] * levels, levels, edge_order=2)

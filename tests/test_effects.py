@@ -402,8 +402,9 @@ def test_a_variant_does_what_its_first_original_does():
             original = LIBRARY[effect.variant_of[0]]
             assert effect.mechanism == original.mechanism or {effect.mechanism, original.mechanism} == {
                 "clearance", "asymmetry"
-            } or effect.name == "bilinear_damping"  # fmt: skip
-            # the mid-line of a bilinear spring is that of a bilinear damper, whose force is another
+            } or effect.name in ("bilinear_damping", "nonlinear_inertia")  # fmt: skip
+            # the mid-line of a bilinear spring is that of a bilinear damper, whose force is another; the backbones of
+            # a spring are those of an inertia
 
 
 def test_an_unknown_role_is_named_with_its_nearest():
@@ -433,6 +434,13 @@ def test_mechanism_is_what_the_force_does(effect, rng):
         assert effect.mechanism == ("hysteresis" if is_rate_independent else None)
         return
     assert effect.mechanism in MECHANISMS and effect.mechanism != "other"
+    assert (effect.mechanism == "inertia") == (effect.added_mass is not None)
+    if effect.added_mass is not None:  # of its kinetic energy m(x) v^2 / 2: half the slope of the mass, times v^2
+        slopes = np.zeros(1 + p.size)
+        for place in x:
+            effect.added_mass_gradient(place, p, slopes)
+            assert effect.force(place, v[-1], 1.0, np.zeros(0), p) == pytest.approx(0.5 * slopes[0] * v[-1] ** 2)
+        return
     slow, fast, back = force(x, v[0], 1.0), force(x, v[-1], 1.0), force(x, v[0], -1.0)
     is_elastic = np.array_equal(slow, fast) and np.array_equal(slow, back)
     is_odd = np.allclose(slow, -slow[::-1], atol=1e-12 * FORCE)
@@ -459,6 +467,12 @@ def test_an_unknown_mechanism_is_named_with_its_nearest():
     with pytest.raises(InputError, match="hysteresis"):
         Effect("mine", "", "", "", (), force=LIBRARY["freeplay"].force, mechanism="histeresis")
     assert Effect("mine", "", "", "", (), force=LIBRARY["freeplay"].force).mechanism is None
+
+
+def test_a_mass_without_its_gradient_is_refused():
+    inertia = LIBRARY["nonlinear_inertia"]
+    with pytest.raises(InputError, match="needs both added_mass and added_mass_gradient"):
+        Effect("mine", "", "", "", inertia.parameters, force=inertia.force, added_mass=inertia.added_mass)
 
 
 def test_uncompiled_force_is_refused():
@@ -659,6 +673,7 @@ FORMULAS = {
     "quadratic_damping": lambda x, v, p: p[0] * v * abs(v),
     "asymmetric_drag": lambda x, v, p: p[0] * v * abs(v) + p[0] * p[1] * v**2,
     "bilinear_damping": lambda x, v, p: p[0] * v if v > 0 else 0.0,
+    "nonlinear_inertia": lambda x, v, p: p[0] * x * v**2,
     "cubic_damping": lambda x, v, p: p[0] * v**3,
     "displacement_dependent_damping": lambda x, v, p: p[0] * x**2 * v,
     "absolute_displacement_damping": lambda x, v, p: p[0] * abs(x) * v,

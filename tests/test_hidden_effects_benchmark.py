@@ -131,7 +131,12 @@ def test_strength_is_the_force_of_a_spring_over_the_linear_one(effect: str, rng:
             - STIFFNESS * x
             for x in (AMPLITUDE, -AMPLITUDE)
         ]
-        assert strength == pytest.approx(max(map(abs, ends)) / (STIFFNESS * AMPLITUDE))
+        share = max(map(abs, ends)) / (STIFFNESS * AMPLITUDE)
+        if effect == "nonlinear_inertia":  # the share of the mass that moves along, or is missing, takes of the force
+            along = math.copysign(strength, parameters["nonlinear_inertia"])
+            assert share == pytest.approx(abs(along / (1.0 + along)))
+        else:
+            assert strength == pytest.approx(share)
 
 
 @pytest.mark.parametrize("index, effect", list(enumerate(NEW)))
@@ -146,7 +151,10 @@ def test_new_effects_move_as_the_package_says(index: int, effect: str) -> None:
             time = record.time - record.release_time
             theirs = simulate_waveform(oscillator, own, time, record.release_amplitude).displacement
             # The package interpolates between steps of 1e-9; forces with roots at contact cost either a little more.
-            np.testing.assert_allclose(record.exact, theirs, rtol=0.0, atol=1e-6 * record.release_amplitude)
+            # A power of the speed far below 1 rises within a thousandth of a turn at rest, which steps pass over.
+            is_steep = specimen.get("power_damping_exponent", 1.0) < 0.5
+            limit = (3e-5 if is_steep else 1e-6) * record.release_amplitude
+            np.testing.assert_allclose(record.exact, theirs, rtol=0.0, atol=limit)
 
 
 def test_new_effects_are_those_of_the_package_that_the_other_kinds_do_not_hide() -> None:
@@ -174,6 +182,8 @@ def test_a_law_drawn_as_outside_that_the_package_holds_is_the_same_force(law: st
         rounding = 1e-4  # the package rounds below 0.1 % of the reference speed; the noise is at 2e-3
     elif law == "one_way_drag":
         own |= {"asymmetric_drag": 0.5 * own.pop("one_way_drag"), "drag_asymmetry": 1.0}
+    elif law == "displacement_dependent_inertia":
+        own |= {"nonlinear_inertia": truth["mass"] * own.pop("inertia_growth")}
     oscillator = Oscillator(truth["mass"], [name])
     time = record.time - record.release_time
     theirs = simulate_waveform(oscillator, own, time, record.release_amplitude).displacement

@@ -24,6 +24,7 @@ TRUTHS = {
     "magnetic_stiffness": (0.01 * FORCE, 2.0 * AMPLITUDE, 4.0),
     "asymmetric_drag": (0.015 * MASS / AMPLITUDE, 0.7),
     "bilinear_damping": (0.03 * MASS * OMEGA,),
+    "nonlinear_inertia": (0.2 * MASS / AMPLITUDE**2,),
     "absolute_displacement_damping": (0.04 * MASS * OMEGA / AMPLITUDE,),
 }
 DAHL = {"dahl_friction": (0.1 * STIFFNESS, 0.01 * FORCE)}

@@ -41,6 +41,7 @@ PAIR_F, MAGNET_D, PAIR_N = (INDEX[name] for name in NEW["magnetic_stiffness"])
 ABS_C = INDEX["absolute_displacement_damping"]
 BOTH_C, BOTH_R = (INDEX[name] for name in NEW["asymmetric_drag"])
 BUMP = INDEX["bilinear_damping"]
+MOVES_ALONG = INDEX["nonlinear_inertia"]
 DAHL_K, DAHL_F = (INDEX[name] for name in NEW["dahl_friction"])
 HERTZ_K, HERTZ_GAP = (INDEX[name] for name in NEW["hertz_contact"])
 ARM_K, ARM_TIME = (INDEX[name] for name in NEW["maxwell_element"])
@@ -65,7 +66,7 @@ def acceleration(t, y, direction, probe, slider, bed, p):
     force = _common(force, y, direction, probe, slider, bed, p)
     force = _outside(force, x, v, direction, probe, p)
     force = _new(force, y, direction, probe, p)
-    growth = p[INERTIA]
+    growth = p[INERTIA] + p[MOVES_ALONG] / p[MASS]
     x2 = x * x
     return -(force / p[MASS] + growth * x * v * v) / (1.0 + growth * x2)
 

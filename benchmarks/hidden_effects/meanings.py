@@ -42,11 +42,16 @@ WORDS: dict[str, str] = {
     "bilinear_damping": "damping_asymmetry",
     "displacement_dependent_damping": "displacement_damping",
     "absolute_displacement_damping": "displacement_damping",
+    "nonlinear_inertia": "inertia",
     "maxwell_element": "other",
 }
 """The mechanism of each effect in the words of the package."""
 
-EITHER = {"rising_damping": {"drag", "displacement_damping"}, "changing_stiffness": {"spring", "clearance"}}
+EITHER = {
+    "rising_damping": {"drag", "displacement_damping"},
+    "changing_stiffness": {"spring", "clearance"},
+    "changing_frequency": {"spring", "inertia"},
+}
 """What is said where one of two mechanisms is certain, but not which."""
 
 _RIGHTLY: dict[str, set[str]] = {
@@ -63,7 +68,7 @@ _RIGHTLY: dict[str, set[str]] = {
     # A stop on one side whose damping acts while it touches, and grows with how far it is pressed.
     "impact_stop": {"clearance", "asymmetry", "displacement_damping"},
     # In the coordinate in which the inertia is constant the same motion has a spring that hardens or softens.
-    "displacement_dependent_inertia": {"spring"},
+    "displacement_dependent_inertia": {"inertia", "spring"},
     # The damper acts beyond a displacement. Nothing touches that has a stiffness, so it is no contact.
     "deadband_damper": {"displacement_damping"},
     # Half of it is drag in both directions; the other half, the square of the speed on both, moves the mid-line with

@@ -17,6 +17,8 @@ _ANGLE = np.linspace(0.0, 2.0 * math.pi, 4001)
 _SINE = np.sin(_ANGLE)
 _STIFFEST = 3.5
 """Largest stiffness of a stop over that of the spring."""
+_LIGHTEST = 0.25
+"""Largest share of the mass that is missing at the release."""
 
 
 def draw_new(
@@ -73,6 +75,11 @@ def _two_way(strength: float, rng: np.random.Generator, k: float, big: float, om
 
 def _bump(strength: float, rng: np.random.Generator, k: float, big: float, omega: float) -> Drawn:
     return {"bilinear_damping": strength / _ratio(0.5 * math.pi * omega * big**2, k, big)}, strength
+
+
+def _inertia(strength: float, rng: np.random.Generator, k: float, big: float, omega: float) -> Drawn:
+    share = strength if rng.random() < 0.5 else -min(strength, _LIGHTEST)
+    return {"nonlinear_inertia": share * k / (omega * big) ** 2}, abs(share)
 
 
 def _dahl(strength: float, rng: np.random.Generator, k: float, big: float, omega: float) -> Drawn:
@@ -169,6 +176,7 @@ _DRAWN: dict[str, Callable[[float, np.random.Generator, float, float, float], Dr
     "hertz_contact": _hertz,
     "magnetic_stiffness": _magnets,
     "maxwell_element": _arm,
+    "nonlinear_inertia": _inertia,
     "offset_freeplay": _offset_play,
     "one_sided_stiffness": _one_sided,
     "power_damping": _power_damper,

@@ -30,12 +30,15 @@ class Term:
         Of the state: ``rate(v, state, s)``.
     loaded : float
         The state after slow loading from rest to the release.
+    mass : callable or None
+        Mass that moves along, ``mass(x)``.
     """
 
     force: Force
     kinks: tuple[float, ...] = ()
     rate: Callable[[float, float, float], float] | None = None
     loaded: float = 0.0
+    mass: Callable[[float], float] | None = None
 
     def turn(self, x: float, s: float) -> None:
         """Take note of a turning point after motion in direction ``s``."""
@@ -188,6 +191,12 @@ def _bump(p: Values, release: float) -> Term:
     return Term(lambda x, v, s, at: c * v if s > 0.0 else 0.0)
 
 
+def _inertia(p: Values, release: float) -> Term:
+    # Lagrange: d/dt (m(x) x') - m'(x) x'^2 / 2 with m(x) = m2 x^2, the part with x'' apart.
+    m2 = p["inertia_growth"] * p["mass"] if "inertia_growth" in p else p["nonlinear_inertia"]
+    return Term(lambda x, v, s, at: 2.0 * m2 * x * v * v - m2 * x * v * v, mass=lambda x: m2 * x * x)
+
+
 def _jenkins(p: Values, release: float) -> Term:
     k, slip = p["slider_stiffness"], p["slip_force"]
     return Masing(lambda u: min(k * u, slip), slip / k, release)
@@ -249,6 +258,7 @@ TERMS: dict[str, Callable[[Values, float], Term]] = {
     "dahl_friction": _dahl,
     "deadband_damper": _deadband,
     "displacement_dependent_damping": _van_der_pol,
+    "displacement_dependent_inertia": _inertia,
     "freeplay": _freeplay,
     "hertz_contact": _hertz,
     "impact_stop": _impact_stop,
@@ -258,6 +268,7 @@ TERMS: dict[str, Callable[[Values, float], Term]] = {
     "magnetic_attraction": _magnet,
     "magnetic_stiffness": _magnets,
     "maxwell_element": _arm,
+    "nonlinear_inertia": _inertia,
     "offset_freeplay": _offset_freeplay,
     "one_sided_stiffness": _one_sided,
     "one_way_drag": _one_way,

@@ -66,14 +66,15 @@ def decay(
 
     def pull(y: np.ndarray, s: float, at: float) -> float:
         x, v = y[0] * release, y[1] * release * omega
-        total, place = 0.0, 2
+        total, place, heavier = 0.0, 2, mass
         for term in terms:
+            heavier += term.mass(x) if term.mass else 0.0
             if term.rate:
                 total += term.force(x, y[place] * release, s, at)
                 place += 1
             else:
                 total += term.force(x, v, s, at)
-        return -total / unit
+        return -total / unit * mass / heavier
 
     def slope(t: float, y: np.ndarray, s: float, at: float) -> list[float]:
         v = y[1] * release * omega

@@ -48,6 +48,7 @@ NEW: dict[str, tuple[str, ...]] = {
     "structural_damping": ("structural_damping",),
     "asymmetric_drag": ("asymmetric_drag", "drag_asymmetry"),  # last: batches of the others stay what they were
     "bilinear_damping": ("bilinear_damping",),
+    "nonlinear_inertia": ("nonlinear_inertia",),
 }
 """Effects that the package holds beside these, as variants or to be named, with its names of their parameters."""
 
@@ -69,6 +70,7 @@ LIBRARY_NAMES_OF_OUTSIDE: dict[str, str] = {
     "stribeck_friction": "stribeck_friction",
     "structural_damping": "structural_damping",
     "one_way_drag": "asymmetric_drag",
+    "displacement_dependent_inertia": "nonlinear_inertia",
 }
 """Laws of `OUTSIDE` that an effect of the package describes by now: the same force, written in other parameters, or
 with an exponent of one half, or an asymmetry of one. A magnet on one side is not the package's pair of magnets: its

@@ -1,7 +1,8 @@
 """What goes on moving a structure after its release: wind, traffic, people, machines.
 
 It excites the mode as the release did, so it is no line beside the motion and no white noise, and an estimate of the
-noise of the sensor holds next to nothing of it. What a wrong law leaves goes with the motion; this does not.
+noise of the sensor holds next to nothing of it. What a wrong law leaves goes with the motion; this does not. A model
+whose frequency is off is out of step at the end, and leaves all of a motion that decays there as it should.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .._common.checks import FloatArray
 from .._common.text import per_cent
@@ -24,6 +26,7 @@ _DECAYED = 4.0  # times as large as in the last part the motion is in the first 
 _NO_DECAY = 0.4  # of what is in the last part, that is no decay of the model
 _GOES_ON = 3.0  # times as much is left in the first part as in the last at most
 _OVER_NOISE = 3.0  # times what white noise as loud as what changes from sample to sample would have there
+_NO_EXPONENTIAL = 0.1  # of what is in the last part, that is no exponential decay of one frequency
 _MOST = 0.6  # of the records in which that must be so
 
 
@@ -63,14 +66,14 @@ def _moved(batch: Batch, best: Fit, r: int) -> _Moved | None:
     term, frequency = batch.waveform[r], batch.records[r].frequency
     time, values = term.time[: left.size], term.values[: left.size]
 
-    def sizes(columns: FloatArray) -> FloatArray:
-        """Return the amplitude about the frequency of the mode in each part."""
-        parts = np.array_split(np.abs(envelope_about(time, columns, frequency)[0]), _PARTS)
-        return np.array([float(np.sqrt(np.mean(part**2))) for part in parts])
+    def parts(columns: FloatArray) -> list[NDArray[np.complex128]]:
+        """Return the complex amplitude about the frequency of the mode in each part."""
+        return np.array_split(envelope_about(time, columns, frequency)[0], _PARTS)
 
     if frequency * (time[-1] - time[0]) < 4.0 * _PARTS:
         return None
-    motion, rest = sizes(values), sizes(left)
+    moving = parts(values)
+    motion, rest = np.array([_size(part) for part in moving]), np.array([_size(part) for part in parts(left)])
     per_cycle = 1.0 / (frequency * float(np.median(np.diff(time))))
     noise = rough_noise(left) / np.sqrt(per_cycle)
     first = 0 if batch.records[r].band is None else 1  # other modes, which a band keeps out, have decayed then
@@ -78,7 +81,22 @@ def _moved(batch: Batch, best: Fit, r: int) -> _Moved | None:
     goes_on = rest[-1] > _NO_DECAY * motion[-1] and rest[first] < _GOES_ON * rest[-1]
     if not (has_decayed and goes_on and rest[-1] > _OVER_NOISE * noise):
         return None
+    if _size(moving[-1] - _exponential(moving[-1])) < _NO_EXPONENTIAL * motion[-1]:
+        return None
     return _Moved(batch.specimens[r], float(rest[-1] / motion[0]))
+
+
+def _size(amplitudes: NDArray[np.complex128]) -> float:
+    return float(np.sqrt(np.mean(np.abs(amplitudes) ** 2)))
+
+
+def _exponential(amplitudes: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Return the exponential nearest to complex amplitudes, by their logarithm."""
+    weight = np.abs(amplitudes)
+    logarithm = np.log(np.maximum(weight, 1e-300)) + 1j * np.unwrap(np.angle(amplitudes))
+    columns = np.column_stack([np.ones(weight.size), np.linspace(-1.0, 1.0, weight.size)])
+    nearest = np.linalg.lstsq(columns * weight[:, None], logarithm * weight, rcond=None)[0]
+    return np.asarray(np.exp(columns @ nearest))
 
 
 __all__ = ["ambient_check"]

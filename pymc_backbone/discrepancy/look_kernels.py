@@ -21,9 +21,10 @@ from ..simulation.forces import (
     Z_FIRST,
     Z_LAST,
     Model,
+    added_mass,
     effect_force,
     state_rates,
-    total_force,
+    sum_of_forces,
 )
 from ..simulation.memory import MASS, N_EFFECTS, N_STATES, TABLE, model_of, place_of
 from ..simulation.pointers import Floats, address, shifted
@@ -140,18 +141,18 @@ def averaged(
             f0, f1, f2, work, at_turn = 0.0, 0.0, 0.0, 0.0, 0.0
             for _ in range(cycles):
                 f0, f1, f2, work = 0.0, 0.0, 0.0, 0.0
-                at_turn = 0.5 * (total_force(model, top, 0.0, 1.0, z) + total_force(model, top, 0.0, -1.0, z))
+                at_turn = 0.5 * (sum_of_forces(model, top, 0.0, 1.0, z) + sum_of_forces(model, top, 0.0, -1.0, z))
                 if remembers:
-                    at_turn = total_force(model, top, 0.0, 1.0, z)
+                    at_turn = sum_of_forces(model, top, 0.0, 1.0, z)
                     _turn(model, top, 1.0, z)
                 for i in range(points):
                     if 2 * i == points:
                         if remembers:
-                            at_turn -= total_force(model, bottom, 0.0, -1.0, z)
+                            at_turn -= sum_of_forces(model, bottom, 0.0, -1.0, z)
                             _turn(model, bottom, -1.0, z)
                         else:
                             at_turn -= 0.5 * (
-                                total_force(model, bottom, 0.0, 1.0, z) + total_force(model, bottom, 0.0, -1.0, z)
+                                sum_of_forces(model, bottom, 0.0, 1.0, z) + sum_of_forces(model, bottom, 0.0, -1.0, z)
                             )
                     angle = (i + 0.5) * step
                     if is_moving:
@@ -161,7 +162,8 @@ def averaged(
                     x = offset + amplitude * cosine + a2 * double
                     pace = -(amplitude * sine + 4.0 * a2 * sine * cosine)
                     side = -1.0 if 2 * i < points else 1.0
-                    force = total_force(model, x, omega * pace, side, z)
+                    turning = omega * omega * (amplitude * cosine + 4.0 * a2 * double)  # minus the acceleration
+                    force = sum_of_forces(model, x, omega * pace, side, z) - turning * added_mass(model, x)
                     f0 += force
                     f1 += force * cosine
                     f2 += force * double

@@ -189,13 +189,13 @@ def _log_size(search: Search, names: Set, item: Departing, departures: Departing
     layout, amplitude, omega = search.layout(names), search.batch.amplitude, search.batch.angular_frequency
     vector = parameters_of(layout, item.state, 0)
     elastic = search.base.mass * omega**2 * amplitude
-    speed, lost = amplitude * omega, 0.0
-    points = ((-amplitude, 0.0), (amplitude, 0.0), (0.0, -speed), (0.0, speed))
+    speed, turning, lost = amplitude * omega, amplitude * omega**2, 0.0
+    points = ((-amplitude, 0.0, turning), (amplitude, 0.0, -turning), (0.0, -speed, 0.0), (0.0, speed, 0.0))
     for effect in layout.oscillator.effects:
         if effect.name in names:
             own = np.array([vector[layout.oscillator.index(parameter.name)] for parameter in effect.parameters])
             states = np.zeros(effect.n_states)
-            force = max(abs(effect.force(x, v, 1.0 if x + v > 0.0 else -1.0, states, own)) for x, v in points)
+            force = max(abs(effect.along(x, v, a, states, own)) for x, v, a in points)
             lost += np.log(max(force / elastic / (_AMPLE * gap), 1.0))
     return -float(lost)
 

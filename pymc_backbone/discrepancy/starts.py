@@ -189,15 +189,16 @@ def _turned(layout: Layout, effect: Effect, vector: FloatArray, before: FloatArr
 
 def _at_rest(layout: Layout, effect: Effect, vector: FloatArray) -> FloatArray:
     """Return the forces of an effect at some displacements to either side, at rest."""
-    return _forces(layout, effect, vector, layout.amplitude * np.array(_SIDES), np.zeros(len(_SIDES)))
+    x, none = layout.amplitude * np.array(_SIDES), np.zeros(len(_SIDES))
+    return _forces(layout, effect, vector, x, none, none)
 
 
-def _forces(layout: Layout, effect: Effect, vector: FloatArray, x: FloatArray, v: FloatArray) -> FloatArray:
-    """Return the forces (n,) of an effect without states at displacements and velocities (n,)."""
+def _forces(
+    layout: Layout, effect: Effect, vector: FloatArray, x: FloatArray, v: FloatArray, a: FloatArray
+) -> FloatArray:
+    """Return the forces (n,) of an effect without states at displacements, velocities and accelerations (n,)."""
     p = vector[[layout.oscillator.index(name) for name in effect.parameter_names]]
-    return np.array(
-        [effect.force(here, pace, -1.0 if pace < 0.0 else 1.0, np.zeros(0), p) for here, pace in zip(x, v, strict=True)]
-    )
+    return np.array([effect.along(*motion, np.zeros(0), p) for motion in zip(x, v, a, strict=True)])
 
 
 def in_place_of(layout: Layout, known: Fit, angular_frequency: float) -> State:
@@ -219,9 +220,10 @@ def in_place_of(layout: Layout, known: Fit, angular_frequency: float) -> State:
     angle = 2.0 * np.pi * (np.arange(_ANGLES) + 0.5) / _ANGLES
     size = layout.amplitude * np.repeat(_SIZES, _ANGLES)
     x, v = size * np.tile(np.cos(angle), len(_SIZES)), -angular_frequency * size * np.tile(np.sin(angle), len(_SIZES))
-    columns = np.column_stack([_forces(layout, new, after, x, v), x, v])
+    a = -(angular_frequency**2) * x
+    columns = np.column_stack([_forces(layout, new, after, x, v, a), x, v])
     scale = np.maximum(np.abs(columns).max(axis=0), 1e-300)
-    force = _forces(known.layout, old, before, x, v)
+    force = _forces(known.layout, old, before, x, v, a)
     factor, stiffness, damping = np.linalg.lstsq(columns / scale, force, rcond=None)[0] / scale
     strength = positions(layout, new.name)[0]
     after[layout.free[strength]] *= factor

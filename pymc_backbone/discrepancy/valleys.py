@@ -80,8 +80,11 @@ class _Walk:
         if eliminated is None:
             return []
         shared, gradient, _ = eliminated
-        free = np.flatnonzero(self._free(self.found.state.eta, gradient))
-        slopes = self.chart.slopes(self.found.state.eta)[:, free]
+        slopes = self.chart.slopes(self.found.state.eta)
+        # what its limit holds up without being pushed against it may go back: a plateau slopes next to nothing
+        is_hardly_pushed = np.abs(gradient @ slopes) < RISE / LOOSE
+        free = np.flatnonzero(self._free(self.found.state.eta, gradient) | is_hardly_pushed)
+        slopes = slopes[:, free]
         values, vectors = np.linalg.eigh(symmetric(slopes.T @ symmetric(shared) @ slopes))
         loose = []
         is_relative = self.chart.is_log | self.layout.is_strength

@@ -34,7 +34,7 @@ def _load_library() -> Mapping[str, Effect]:
                     f"parameter {parameter!r} belongs to both {owners[parameter]!r} and {name!r}; rename one of them."
                 )
             owners[parameter] = name
-        for function in (effect.force, effect.gradient):
+        for function in filter(None, (effect.force, effect.gradient, effect.added_mass)):
             keep(function)  # who calls them by themselves, for a few forces, does not compile them each time
         library[name] = effect
     _check_variants(library)

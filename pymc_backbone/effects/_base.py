@@ -11,7 +11,7 @@ from typing import Any, Literal, get_args
 import numba
 import numpy as np
 
-from .._common.checks import InputError, check_choice
+from .._common.checks import FloatArray, InputError, check_choice
 
 BoundsFunction = Callable[[float, float, float], tuple[float, float]]
 TypicalFunction = Callable[[float, float, float], tuple[float, ...]]
@@ -19,7 +19,7 @@ HeldFunction = Callable[[float, float, float], float]
 Role = Literal["strength", "slip_force", "gap", "exponent", "power_coefficient", "shape", "ordinate", "plain"]
 ROLES: tuple[Role, ...] = get_args(Role)
 Mechanism = Literal[
-    "spring", "asymmetry", "clearance", "hysteresis", "drag", "displacement_damping", "damping_asymmetry"
+    "spring", "asymmetry", "clearance", "hysteresis", "drag", "displacement_damping", "damping_asymmetry", "inertia"
 ]
 MECHANISMS: Mapping[str, str] = MappingProxyType(
     {
@@ -30,16 +30,25 @@ MECHANISMS: Mapping[str, str] = MappingProxyType(
         "drag": "damping that rises with speed",
         "displacement_damping": "damping that rises with displacement",
         "damping_asymmetry": "a damper that differs between the two directions",
+        "inertia": "inertia that changes with the displacement",
         "other": "another mechanism",
         "rising_damping": "damping that rises with the amplitude",
         "changing_stiffness": "stiffness that changes with the amplitude",
+        "changing_frequency": "a spring or an inertia that changes with the amplitude",
     }
 )
-"""What effects have in common, in words; `other` stands for effects that do not say, the last two for either of two."""
+"""What effects have in common, in words; `other` is of effects that do not say, the last three are either of two."""
 EITHER: Mapping[str, tuple[Mechanism, Mechanism]] = MappingProxyType(
-    {"rising_damping": ("drag", "displacement_damping"), "changing_stiffness": ("spring", "clearance")}
+    {
+        "rising_damping": ("drag", "displacement_damping"),
+        "changing_stiffness": ("spring", "clearance"),
+        "changing_frequency": ("spring", "inertia"),
+    }
 )
 """Mechanisms that backbones may be unable to tell apart, while one of the two is certain."""
+_FUNCTIONS = (
+    "force", "gradient", "regime", "state_rate", "state_rate_gradient", "added_mass", "added_mass_gradient",
+)  # fmt: skip
 _NAME = re.compile(r"[a-z][a-z0-9_]*\Z")
 
 
@@ -158,7 +167,7 @@ class Signature:
 class Effect:
     """One named physical force term of an oscillator.
 
-    The equation of motion is ``mass * x'' + sum of forces = 0``. All functions are compiled
+    The equation of motion is ``(mass + sum of added masses) * x'' + sum of forces = 0``. All functions are compiled
     (`numba.njit`) functions of scalars and small arrays; see ``docs/architecture.md``.
 
     Parameters
@@ -187,6 +196,11 @@ class Effect:
     state_rate_gradient : callable, optional
         ``state_rate_gradient(x, v, direction, z, p, out)``: its derivatives into
         ``out[n_states, 2 + n_p + n_states]``, columns x, v, p..., z....
+    added_mass : callable, optional
+        ``added_mass(x, p) -> float``: mass that moves along at a displacement [kg]. ``force`` is what the kinetic
+        energy of that mass asks for beside it, ``dm/dx v^2 / 2``.
+    added_mass_gradient : callable, optional
+        ``added_mass_gradient(x, p, out)``: dm/dx, dm/dp... into ``out``; both or neither.
     references : tuple of str
         Where the force law comes from.
     redundant : tuple of (str, float or callable)
@@ -234,6 +248,8 @@ class Effect:
     n_states: int = 0
     state_rate: Callable[..., Any] | None = None
     state_rate_gradient: Callable[..., Any] | None = None
+    added_mass: Callable[..., Any] | None = None
+    added_mass_gradient: Callable[..., Any] | None = None
     references: tuple[str, ...] = ()
     redundant: tuple[tuple[str, float | HeldFunction], ...] = ()
     opposed: tuple[tuple[str, str], ...] = ()
@@ -248,7 +264,7 @@ class Effect:
         if not _NAME.match(self.name):
             raise InputError(f"effect name {self.name!r} must be lower-case letters, digits and underscores.")
         self._check_mechanisms()
-        for label in ("force", "gradient", "regime", "state_rate", "state_rate_gradient"):
+        for label in _FUNCTIONS:
             function = getattr(self, label)
             if function is not None and not (hasattr(function, "py_func") or numba.config.DISABLE_JIT):
                 raise InputError(
@@ -261,6 +277,8 @@ class Effect:
             )
         if not self.has_memory and (self.n_states > 0) != (self.state_rate is not None):
             raise InputError(f"effect {self.name!r} needs both n_states > 0 and state_rate, or neither.")
+        if (self.added_mass is None) != (self.added_mass_gradient is None):
+            raise InputError(f"effect {self.name!r} needs both added_mass and added_mass_gradient, or neither.")
         names = [parameter.name for parameter in self.parameters]
         if len(set(names)) != len(names):
             raise InputError(f"effect {self.name!r} repeats a parameter name: {', '.join(names)}.")
@@ -319,6 +337,13 @@ class Effect:
             name: float(value(mass, amplitude, angular_frequency) if callable(value) else value)
             for name, value in self.redundant
         }
+
+    def along(self, x: float, v: float, a: float, z: FloatArray, p: FloatArray) -> float:
+        """Return the force in a motion [N], with what the added mass takes at an acceleration ``a`` [m/s^2]."""
+        total = float(self.force(x, v, -1.0 if v < 0.0 else 1.0, z, p))
+        if self.added_mass is not None:
+            total += a * float(self.added_mass(x, p))
+        return total
 
     @property
     def parameter_names(self) -> tuple[str, ...]:

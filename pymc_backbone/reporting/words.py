@@ -156,12 +156,12 @@ def unit_of(unit: str, amplitude_unit: str) -> str:
 
     Examples
     --------
-    >>> unit_of("N s/m^2", "m"), unit_of("N s/m^2", "rad"), unit_of("N m/rad", "rad"), unit_of("m/s", "rad")
-    ('N s/m^2', 'N m s/rad^2', 'N m/rad', 'rad/s')
+    >>> unit_of("N s/m^2", "m"), unit_of("N s/m^2", "rad"), unit_of("N m/rad", "rad"), unit_of("kg/m^2", "rad")
+    ('N s/m^2', 'N m s/rad^2', 'N m/rad', 'kg m^2/rad^2')
     """
     if amplitude_unit != "rad" or "rad" in unit:
         return unit
-    return re.sub(r"\b[Nm]\b", lambda found: {"N": "N m", "m": "rad"}[found.group()], unit)
+    return re.sub(r"\b(kg|N|m)\b", lambda found: {"kg": "kg m^2", "N": "N m", "m": "rad"}[found.group()], unit)
 
 
 def mechanism_name(mechanism: str) -> str:

@@ -6,6 +6,7 @@ all models and kept on disk. Effects written by a user are reached through one c
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -18,7 +19,7 @@ from .._common.checks import InputError
 from ..effects import BASE_EFFECTS, LIBRARY, Effect
 from .pointers import Floats, Integers, function_type, matrix, shifted, view
 
-FORCE, GRADIENT, REGIME, RATE, RATE_GRADIENT = range(5)
+FORCE, GRADIENT, REGIME, RATE, RATE_GRADIENT, ADDED_MASS, ADDED_MASS_GRADIENT = range(7)
 NO_USER_EFFECT = 0  # the address where there are library effects only
 USER = 1_000_000  # codes from here on are effects written by the user
 NO_STATE, MEMORY, OWN_EQUATION = range(3)
@@ -49,7 +50,7 @@ class Model(NamedTuple):
     scratch: Floats
 
 
-CODE, P_FIRST, P_LAST, Z_FIRST, Z_LAST, KIND, ROW = range(7)  # columns of the table and their number
+CODE, P_FIRST, P_LAST, Z_FIRST, Z_LAST, KIND, ADDS_MASS, ROW = range(8)  # columns of the table and their number
 
 USER_SIGNATURE = float64(
     int64, int64, float64, float64, float64, float64[::1], float64[::1], float64[::1], float64[::1]
@@ -69,10 +70,13 @@ def plain[**P, R](function: Callable[P, R]) -> Callable[P, R]:
     return compiled
 
 
-def _switch(cases: Sequence[tuple[int, Sequence[Any]]], arrays: Sequence[str], result: str) -> Any:
+def _switch(
+    cases: Sequence[tuple[int, Sequence[Any]]], arrays: Sequence[str], result: str, given: str = "x, v, direction, z, p"
+) -> Any:
     """Return one compiled ``f(code, x, v, direction, z, n_z, p, n_p, ...)``, pointers and sizes, over library effects.
 
-    It calls the functions listed for ``code``, the last one for its value; ``result`` is returned for codes not listed.
+    It calls the functions listed for ``code`` with what is ``given`` and the ``arrays``, the last one for its value;
+    ``result`` is returned for codes not listed.
     A flat switch compiles far faster than a chain of closures. The text holds indices only.
     """
     sizes = {"z": "n_z", "p": "n_p", "out": "2 + n_p + n_z", "rates": "n_z", "rows": "n_z, 2 + n_p + n_z"}
@@ -90,7 +94,7 @@ def _switch(cases: Sequence[tuple[int, Sequence[Any]]], arrays: Sequence[str], r
             last = k == len(functions) - 1
             # Where a gradient and a force are called, the latter returns its value and writes nothing.
             out = arrays if not last or result == "None" else ()
-            lines.append(f"        {'return ' if last else ''}{name}({', '.join(['x, v, direction, z, p', *out])})")
+            lines.append(f"        {'return ' if last else ''}{name}({', '.join([given, *out])})")
     lines.append(f"    return {result}")
     exec("\n".join(lines), names)  # only the package's own functions, by number
     return plain(names["switch"])
@@ -107,6 +111,13 @@ if _incomplete:
 _library_force: Callable[..., float] = _switch([(i, (e.force,)) for i, e in _numbered], (), "0.0")
 _library_slopes: Callable[..., float] = _switch([(i, (e.gradient, e.force)) for i, e in _numbered], ("out",), "0.0")
 _library_regime = _switch([(i, (e.regime,)) for i, e in _numbered if e.regime], (), "0")
+_heavier = [(code, effect) for code, effect in _numbered if effect.added_mass is not None]
+_library_added_mass: Callable[..., float] = _switch(
+    [(i, (e.added_mass,)) for i, e in _heavier], (), "0.0", given="x, p"
+)
+_library_added_slopes: Callable[..., float] = _switch(
+    [(i, (e.added_mass_gradient, e.added_mass)) for i, e in _heavier], ("out",), "0.0", given="x, p"
+)
 _library_rate = _switch([(i, (e.state_rate,)) for i, e in _stateful], ("rates",), "None")
 _library_rate_gradient = _switch([(i, (e.state_rate_gradient,)) for i, e in _stateful], ("rows",), "None")
 
@@ -132,7 +143,7 @@ def describe_effects(effects: Sequence[Effect]) -> tuple[NDArray[np.int64], int,
             place[effect.name] = p_first
         else:
             kind = MEMORY if effect.has_memory else OWN_EQUATION if effect.n_states else NO_STATE
-            rows.append((code, p_first, p_last, z_first, z_last, kind))
+            rows.append((code, p_first, p_last, z_first, z_last, kind, int(effect.added_mass is not None)))
         p_first, z_first = p_last, z_last
     for name in BASE_EFFECTS:
         if name not in place:
@@ -189,12 +200,58 @@ def effect_slopes(model: Model, i: int, x: float, v: float, direction: float, z:
 
 
 @plain
-def total_force(model: Model, x: float, v: float, direction: float, z: Floats) -> float:
-    """Return the sum of all forces [N]."""
+def _added_slopes(model: Model, i: int, x: float) -> float:
+    """Return the mass that effect ``i`` adds [kg] and write dm/dx, dm/dp into the model's scratch."""
+    row = shifted(model.table, ROW * i)
+    n_p = row[P_LAST] - row[P_FIRST]
+    pi = shifted(model.p, row[P_FIRST])
+    if row[CODE] < USER:
+        return _library_added_slopes(row[CODE], x, 0.0, 0.0, pi, 0, pi, n_p, model.scratch)
+    _call_user(model, ADDED_MASS_GRADIENT, row, x, 0.0, 0.0, pi, pi, model.scratch, 1 + n_p)
+    return _call_user(model, ADDED_MASS, row, x, 0.0, 0.0, pi, pi, model.scratch, 0)
+
+
+@plain
+def sum_of_forces(model: Model, x: float, v: float, direction: float, z: Floats) -> float:
+    """Return the sum of all forces [N], without what added masses make of it."""
     total = model.p[model.stiffness] * x + model.p[model.damping] * v
     for i in range(model.n_effects):
         total += effect_force(model, i, x, v, direction, z)
     return total
+
+
+@plain
+def added_mass(model: Model, x: float) -> float:
+    """Return the mass that all effects add at a displacement [kg]."""
+    added = 0.0
+    for i in range(model.n_effects):
+        row = shifted(model.table, ROW * i)
+        if row[ADDS_MASS] == 0:
+            continue
+        pi = shifted(model.p, row[P_FIRST])
+        if row[CODE] < USER:
+            added += _library_added_mass(row[CODE], x, 0.0, 0.0, pi, 0, pi, row[P_LAST] - row[P_FIRST])
+        else:
+            added += _call_user(model, ADDED_MASS, row, x, 0.0, 0.0, pi, pi, model.scratch, 0)
+    return added
+
+
+@plain
+def _lighter(model: Model, added: float) -> float:
+    """Return the mass over what moves along at a displacement; nan where nothing does."""
+    whole = model.mass + added
+    return model.mass / whole if whole > 0.0 else math.nan
+
+
+@plain
+def total_force(model: Model, x: float, v: float, direction: float, z: Floats) -> float:
+    """Return the force that accelerates the mass [N]: the sum of all forces, less where mass is added.
+
+    Minus this over the mass is the acceleration, whatever moves along.
+    """
+    total = sum_of_forces(model, x, v, direction, z)
+    added = added_mass(model, x)
+    return total if added == 0.0 else total * _lighter(model, added)
 
 
 @plain
@@ -203,11 +260,19 @@ def force_slopes(model: Model, x: float, v: float, direction: float, z: Floats) 
     fx = model.p[model.stiffness]
     fv = model.p[model.damping]
     total = fx * x + fv * v
+    added, slope = 0.0, 0.0
     for i in range(model.n_effects):
         total += effect_slopes(model, i, x, v, direction, z)
         fx += model.scratch[0]
         fv += model.scratch[1]
-    return total, fx, fv
+        if shifted(model.table, ROW * i)[ADDS_MASS] != 0:
+            added += _added_slopes(model, i, x)
+            slope += model.scratch[0]
+    if added == 0.0 and slope == 0.0:
+        return total, fx, fv
+    share = _lighter(model, added)
+    total *= share
+    return total, fx * share - total * slope / (model.mass + added), fv * share
 
 
 @plain
@@ -218,6 +283,7 @@ def force_gradient(model: Model, x: float, v: float, direction: float, z: Floats
     total = fx * x + fv * v
     model.fp[model.stiffness] = x
     model.fp[model.damping] = v
+    added, slope, adds_mass = 0.0, 0.0, False
     for i in range(model.n_effects):
         total += effect_slopes(model, i, x, v, direction, z)
         fx += model.scratch[0]
@@ -230,7 +296,25 @@ def force_gradient(model: Model, x: float, v: float, direction: float, z: Floats
         for j in range(row[Z_FIRST], row[Z_LAST]):
             model.fz[j] = model.scratch[k]
             k += 1
-    return total, fx, fv
+        if row[ADDS_MASS] != 0:
+            adds_mass = True
+            added += _added_slopes(model, i, x)
+            slope += model.scratch[0]
+    if not adds_mass:
+        return total, fx, fv
+    share, whole = _lighter(model, added), model.mass + added
+    total *= share
+    for j in range(model.n_parameters):
+        model.fp[j] *= share
+    for j in range(model.n_states):
+        model.fz[j] *= share
+    for i in range(model.n_effects):
+        row = shifted(model.table, ROW * i)
+        if row[ADDS_MASS] != 0:
+            _added_slopes(model, i, x)
+            for j in range(row[P_FIRST], row[P_LAST]):
+                model.fp[j] -= total * model.scratch[1 + j - row[P_FIRST]] / whole
+    return total, fx * share - total * slope / whole, fv * share
 
 
 @plain

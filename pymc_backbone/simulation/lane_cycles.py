@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 from .._common.checks import FloatArray, IntArray
 from ..effects import Effect
-from .forces import CODE, P_FIRST, ROW, library_effects, plain
+from .forces import ADDS_MASS, CODE, P_FIRST, ROW, library_effects, plain
 from .lane_stages import (
     AMPLITUDE,
     AMPLITUDE_BEFORE,
@@ -97,15 +97,37 @@ def _switch() -> Any:
     return plain(names["add_force"])
 
 
+def _mass_switch() -> Any:
+    """Return one compiled ``f(code, first, mass, w)`` that takes from the force what a library effect's mass takes."""
+    lines = ["def share_force(code, first, mass, w):"]
+    names: dict[str, Any] = {"LANES": LANES, "X": X, "FORCE": FORCE, "PARAMETERS": PARAMETERS}
+    for code, effect in library_effects():
+        if effect.added_mass is None or not is_smooth(effect):
+            continue
+        function: Any = effect.added_mass
+        names[f"f{code}"] = plain(function.py_func)
+        own = "".join(f"w[PARAMETERS + (first + {j}) * LANES + i], " for j in range(len(effect.parameters)))
+        lines += [f"    if code == {code}:", "        for i in range(LANES):"]
+        lines += [f"            w[FORCE + i] *= mass / (mass + f{code}(w[X + i], ({own})))", "        return"]
+    lines.append("    return")
+    exec("\n".join(lines), names)  # only the package's own functions, by number
+    return plain(names["share_force"])
+
+
 _add_force: Callable[..., None] = _switch()
+_share_force: Callable[..., None] = _mass_switch()
 
 
 @plain
 def _add_forces(block: Block, direction: float) -> None:
-    """Add the forces of all effects but spring and damper."""
+    """Add the forces of all effects but spring and damper, less where mass is added."""
     for effect in range(block.n_effects):
         row = shifted(block.table, ROW * effect)
         _add_force(row[CODE], row[P_FIRST], direction, block.w)
+    for effect in range(block.n_effects):
+        row = shifted(block.table, ROW * effect)
+        if row[ADDS_MASS] != 0:  # one of them at most, see `can_take_lanes`
+            _share_force(row[CODE], row[P_FIRST], block.mass, block.w)
 
 
 @plain

@@ -86,8 +86,10 @@ def simulate_many(
 
 
 def can_take_lanes(simulator: Simulator) -> bool:
-    """Return whether all effects are compiled into lanes: effects of the library that declare to be smooth."""
-    return simulator.user == 0 and all(is_smooth(effect) for effect in simulator.oscillator.effects)
+    """Return whether all effects are compiled into lanes: smooth ones of the library, one of which may add mass."""
+    effects = simulator.oscillator.effects
+    heavier = sum(effect.added_mass is not None for effect in effects)
+    return simulator.user == 0 and heavier <= 1 and all(is_smooth(effect) for effect in effects)
 
 
 def _in_lanes(description: Description, table: FloatArray, levels: FloatArray, values: FloatArray) -> FloatArray:

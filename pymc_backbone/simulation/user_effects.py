@@ -10,10 +10,20 @@ import numpy as np
 
 from .._common.checks import FloatArray
 from ..effects import Effect
-from .forces import FORCE, GRADIENT, NO_USER_EFFECT, RATE, REGIME, USER, USER_SIGNATURE, plain
+from .forces import (
+    ADDED_MASS,
+    ADDED_MASS_GRADIENT,
+    FORCE,
+    GRADIENT,
+    NO_USER_EFFECT,
+    RATE,
+    REGIME,
+    USER,
+    USER_SIGNATURE,
+    plain,
+)
 
 _STEP = 6e-6  # central differences: (machine epsilon)^(1/3)
-_FUNCTIONS = ("force", "gradient", "regime", "state_rate", "state_rate_gradient")
 
 
 @plain
@@ -151,10 +161,22 @@ def _single_regime(x: float, v: float, direction: float, z: FloatArray, p: Float
     return 0
 
 
+@plain
+def _no_added_mass(x: float, p: FloatArray) -> float:
+    return 0.0
+
+
+@plain
+def _no_added_mass_gradient(x: float, p: FloatArray, out: FloatArray) -> None:
+    out[:] = 0.0
+
+
 def _link_user(index: int, effect: Effect, rest: Any) -> Any:
     force = effect.force
     regime = effect.regime or _single_regime
     gradient = _given_gradient(effect.gradient) if effect.gradient else _numeric_gradient(effect.force, regime)
+    added_mass: Any = effect.added_mass or _no_added_mass
+    added_mass_gradient: Any = effect.added_mass_gradient or _no_added_mass_gradient
     rate: Any = effect.state_rate or _no_rate
     rate_gradient: Any = _no_rate_gradient
     if effect.state_rate is not None:
@@ -170,10 +192,14 @@ def _link_user(index: int, effect: Effect, rest: Any) -> Any:
             return rest(kind, code, x, v, direction, z, p, scales, out)
         if kind == FORCE:
             return force(x, v, direction, z, p)
+        if kind == ADDED_MASS:
+            return added_mass(x, p)
         if kind == GRADIENT:
             gradient(x, v, direction, z, p, scales, out)
         elif kind == REGIME:
             return float(regime(x, v, direction, z, p))
+        elif kind == ADDED_MASS_GRADIENT:
+            added_mass_gradient(x, p, out)
         elif kind == RATE:
             rate(x, v, direction, z, p, out)
         else:
@@ -191,7 +217,11 @@ def compose_user_effects(effects: Sequence[Effect]) -> int:
     if not effects:
         return NO_USER_EFFECT
     key = tuple(
-        (id(e.force), id(e.gradient), id(e.regime), id(e.state_rate), id(e.state_rate_gradient)) for e in effects
+        (
+            *map(id, (e.force, e.gradient, e.regime, e.state_rate, e.state_rate_gradient)),
+            *map(id, (e.added_mass, e.added_mass_gradient)),
+        )
+        for e in effects
     )
     if key not in _USER_FUNCTIONS:
         chain: Any = _no_more_effects
