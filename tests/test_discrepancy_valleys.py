@@ -253,6 +253,34 @@ def test_a_valley_is_as_wide_as_specimens_are_inferred_to_scatter(monkeypatch, s
     assert 0.5 * (cubic.high - cubic.low) / 1.96 == pytest.approx(scatter * CUBIC / np.sqrt(10.0), rel=0.35)
 
 
+def test_a_way_leads_back_from_the_limit_that_a_fit_rests_at(hardly_slipping):
+    batch, truth, known = hardly_slipping
+    begun = far_along(known.layout, known.state, 4.0)
+    strength = known.layout.beds[0][0]
+    high = known.layout.high.copy()
+    high[strength] = begun.eta[strength]
+    found = fit(replace(known.layout, high=high), batch.deciding, begun, iterations=60, nuisances=batch.nuisances)
+    assert found.state.eta[strength] == high[strength] and found.cost < known.cost + 0.5
+    followed = valleys.ranges(found, batch)
+    for name in ("joint_stiffness", "joint_slip_force", "joint_exponent", "linear_stiffness"):
+        assert followed[name].low < truth[name] < followed[name].high, name
+
+
+@pytest.mark.parametrize("slip", [3.0, 0.3])
+def test_at_the_edge_of_the_plateau_intervals_are_those_of_the_plateau(slip):
+    """Where the bed just slips as a whole the curvature is that of the steep side, and says the truth cannot be."""
+    batch, truth = joint_batch(22, slip, decibels=55.0)
+    known = fit_from(make_layout(IWAN, batch.amplitude, batch.angular_frequency), batch, truth)
+    near = starts.slipping(known.layout, known.state)[:1] if slip > 1.0 else [known.state]
+    found = fit(known.layout, batch.deciding, near[0], iterations=60, nuisances=batch.nuisances)
+    followed = valleys.ranges(found, batch)
+    value, error = estimates_of(found)["joint_slip_force"]
+    if slip > 1.0:
+        assert value + 4.0 * error < truth["joint_slip_force"] < followed["joint_slip_force"].high
+    else:  # one that slips is well known: nothing lies beyond
+        assert not followed or followed["joint_slip_force"].high < 1.2 * value
+
+
 def test_a_fit_to_other_data_is_not_followed(hardly_slipping):
     batch, _, found = hardly_slipping
     assert valleys.ranges(replace(found, chi_square=found.chi_square + 50.0), batch) == {}

@@ -27,6 +27,7 @@ _SIDES = (-0.9, -0.5, -0.2, 0.2, 0.5, 0.9)  # displacements over the amplitude
 _SIZES, _ANGLES = (0.4, 0.7, 1.0), 24  # amplitudes over the typical one, and instants of a cycle
 _ODD = 1e-6  # share of a force that is the same on both sides, up to which it is none
 _SLIPPING = (0.9, 0.6)  # displacement at which a bed of sliders slips as a whole, over the largest of the motion
+_STICKING = 1.5  # the same at which it certainly does not
 _LINEAR = 1e-6  # the same of what a linear spring leaves
 
 
@@ -242,14 +243,31 @@ def slipping(layout: Layout, state: State) -> list[State]:
     its edge, where the largest motions make the whole bed slip, no derivative on the plateau tells. In the starts that
     force is the same in every specimen, and the spring beside it takes up what the bed has less of stiffness.
     """
-    released = np.abs(state.own[:, 2])
-    reach = max(float(released.max()), layout.amplitude) / layout.amplitude
     found: list[State] = []
-    for strength, slip, exponent in layout.beds:
-        edge = reach * (1.0 + state.eta[exponent]) / (2.0 + state.eta[exponent])
+    for (strength, slip, exponent), edge in _edges(layout, state):
         if state.eta[strength] > 0.0 and state.eta[slip] > _SLIPPING[-1] * edge:
             found += [_at_slip(layout, state, (strength, slip, exponent), share * edge) for share in _SLIPPING]
     return found
+
+
+def sticking(layout: Layout, state: State) -> list[State]:
+    """Return starts with beds that just slip as a whole, or hardly do not, well beyond that: see `slipping`.
+
+    At the edge of their plateau the largest motions still tell them how far they are from it on the one side, and
+    nothing on the other.
+    """
+    return [
+        _at_slip(layout, state, bed, _STICKING * edge)
+        for bed, edge in _edges(layout, state)
+        if state.eta[bed[0]] > 0.0 and _SLIPPING[-1] * edge < state.eta[bed[1]] < _STICKING * edge
+    ]
+
+
+def _edges(layout: Layout, state: State) -> list[tuple[tuple[int, int, int], float]]:
+    """Return the beds, each with the slip displacement at which it just slips as a whole."""
+    released = np.abs(state.own[:, 2])
+    reach = max(float(released.max()), layout.amplitude) / layout.amplitude
+    return [(bed, reach * (1.0 + state.eta[bed[2]]) / (2.0 + state.eta[bed[2]])) for bed in layout.beds]
 
 
 def slipping_each(layout: Layout, state: State, lags: BoolArray) -> list[State]:

@@ -7,7 +7,8 @@ determine least one step after the other is taken, everything else is fitted aga
 until the sum of squares has risen by what a 95 % interval allows or a parameter has come to its limit.
 
 At each point of the way the other directions have the width that the curvature there leaves them, less what the point
-itself has used up. For a Gaussian all this is what the covariance says.
+itself has used up. For a Gaussian all this is what the covariance says. A bed of sliders that just slips as a whole
+stands at the end of such a valley, where the curvature is that of the steep side: the way begins a little further on.
 """
 
 from __future__ import annotations
@@ -19,11 +20,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._common.checks import BoolArray, FloatArray
+from . import starts
 from .batch import Batch
 from .chart import Chart
 from .data_term import DataTerm
 from .joint_fit import Fit, fit
-from .layout import MOST_OPPOSED
+from .layout import MOST_OPPOSED, Layout
 from .limits import leans, within
 from .normal_equations import DRIFTS, NUISANCES, State, System, eliminate, linearise, prior_width, symmetric
 
@@ -290,7 +292,8 @@ def ranges(found: Fit, batch: Batch) -> dict[str, Range]:
         curvature of the fit says all.
     """
     walk = _Walk(found, batch.deciding)
-    if found.layout.free.size < 2 or not walk.directions():
+    edges = starts.sticking(found.layout, found.state)
+    if found.layout.free.size < 2 or not (walk.directions() or edges):
         return {}
     known = linearise(found.layout, batch.deciding, found.state, walk.scatter, found.active)
     if known is None or abs(known.cost - found.cost) > _SETTLED + 1e-6 * found.cost:
@@ -298,6 +301,11 @@ def ranges(found: Fit, batch: Batch) -> dict[str, Range]:
     found = _scattering(found, batch.deciding)
     walk = _Walk(found, batch.deciding)
     loose = walk.directions()
+    for start in () if loose else starts.sticking(found.layout, found.state):
+        again = _fitted(found, found.layout, start, batch.deciding)
+        if again is not None and again.cost < found.cost + RISE:
+            found, walk = again, _Walk(again, batch.deciding)
+            loose = walk.directions()
     if not loose:
         return {}
     names = ("linear_stiffness", "viscous_damping", *found.layout.names)
@@ -324,10 +332,13 @@ def _scattering(found: Fit, terms: Sequence[DataTerm]) -> Fit:
         return found
     own = found.state.own.copy()
     own[:, NUISANCES:] *= found.layout.scatter / scatter
-    nuisances = np.flatnonzero(found.active[:NUISANCES]).tolist()
-    start = State(found.state.eta, own)
-    again = fit(replace(found.layout, scatter=scatter), terms, start, nuisances=nuisances)
+    again = _fitted(found, replace(found.layout, scatter=scatter), State(found.state.eta, own), terms)
     return found if again is None else again
+
+
+def _fitted(found: Fit, layout: Layout, start: State, terms: Sequence[DataTerm]) -> Fit | None:
+    """Return the fit of the same data from another start; None where there is none."""
+    return fit(layout, terms, start, nuisances=np.flatnonzero(found.active[:NUISANCES]).tolist())
 
 
 def _own_errors(found: Fit) -> FloatArray:
