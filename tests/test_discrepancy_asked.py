@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import make_interp_spline
 
-from pymc_backbone.discrepancy import rivals
+from pymc_backbone.discrepancy import data_checks
 from pymc_backbone.discrepancy.curves import has_mid_line
 from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.oscillator import Oscillator
@@ -58,8 +58,8 @@ def test_springs_of_two_sides_are_asked_in_the_place_of_contacts_where_no_mid_li
         assert found.value_of("bilinear_stiffness") == pytest.approx(SIDES * STIFFNESS, rel=0.02)
         # its backbones are not held against it: without the mid-line they are off
         assert has_mid_line(batch, found) and not has_mid_line(batch, search.fits[()])
-        assert rivals.data_terms_check(batch, 50.0, 5.0, is_of_two_sides=True).passed
-        assert not rivals.data_terms_check(batch, 50.0, 5.0).passed
+        assert data_checks.data_terms_check(batch, 50.0, 5.0, is_of_two_sides=True).passed
+        assert not data_checks.data_terms_check(batch, 50.0, 5.0).passed
 
 
 def test_what_a_linear_step_promises_most_of_is_added_to_simple_sets(rng):

@@ -14,7 +14,7 @@ from scipy.stats import f, kstest, multivariate_normal
 
 from pymc_backbone._common.checks import InputError
 from pymc_backbone._common.text import per_cent
-from pymc_backbone.discrepancy import drift_fits, drift_kinds, evidence, rivals, starts, verify
+from pymc_backbone.discrepancy import data_checks, drift_fits, drift_kinds, evidence, rivals, starts, verify
 from pymc_backbone.discrepancy.compensation import compensation
 from pymc_backbone.discrepancy.curves import (
     about_zero,
@@ -947,18 +947,18 @@ def test_harmonics_that_a_model_lacks_are_no_second_mode(name, rng):
 
 
 def test_specimens_alike_or_not(cubic, linear, rng):
-    assert rivals.alike_check(cubic.batch, cubic.fits[("cubic_stiffness",)]).passed
-    assert rivals.alike_check(linear.batch.subset([0]), linear.fits[()]).message.startswith("one specimen")
+    assert data_checks.alike_check(cubic.batch, cubic.fits[("cubic_stiffness",)]).passed
+    assert data_checks.alike_check(linear.batch.subset([0]), linear.fits[()]).message.startswith("one specimen")
     swapped = replace(linear.batch, backbones=linear.batch.backbones.isel(observable=[1, 0, 2]))
     # the frequency is meant, wherever it stands
-    assert rivals.alike_check(swapped, linear.fits[()]) == rivals.alike_check(linear.batch, linear.fits[()])
+    assert data_checks.alike_check(swapped, linear.fits[()]) == data_checks.alike_check(linear.batch, linear.fits[()])
     records = make_records(rng, ("cubic_stiffness",), specimens=2)
     odd = make_records(rng, ("cubic_stiffness",), specimens=1, share=2.2)[0]
     batch = batch_of([*records, replace(odd, specimen="odd one")])
     search = Search(batch, Oscillator(MASS), ("cubic_stiffness",), 1)
     search.fit_set(())
     found = search.fit_set(("cubic_stiffness",))
-    check = rivals.alike_check(batch, found)
+    check = data_checks.alike_check(batch, found)
     assert not check.passed and check.message.startswith("odd one needs an effect")
 
 
@@ -968,7 +968,7 @@ def test_one_of_specimens_that_scatter_widely_is_no_outlier(rng):
     def told(values):
         apart = values - values.mean()
         worst = int(np.argmax(np.abs(apart)))
-        return abs(apart[worst]) > 0.4 and rivals._is_outlier(apart, worst, 0.1)
+        return abs(apart[worst]) > 0.4 and data_checks._is_outlier(apart, worst, 0.1)
 
     for count in (5, 8, 20):  # of three, two say little of a scatter that was not expected
         wide = np.mean([told(rng.normal(0.0, 0.2, count)) for _ in range(400)])
@@ -977,9 +977,16 @@ def test_one_of_specimens_that_scatter_widely_is_no_outlier(rng):
 
 
 def test_data_terms_agree_or_not(cubic):
-    assert rivals.data_terms_check(cubic.batch, 1.2, 5.0).passed
-    assert not rivals.data_terms_check(cubic.batch, 12.0, 5.0).passed
-    assert not rivals.data_terms_check(cubic.batch, float("nan"), 5.0).passed
+    assert data_checks.data_terms_check(cubic.batch, 1.2, 5.0).passed
+    assert not data_checks.data_terms_check(cubic.batch, 12.0, 5.0).passed
+    assert not data_checks.data_terms_check(cubic.batch, float("nan"), 5.0).passed
+    # a hundredth of what the base leaves is as good as nothing, a tenth where no law is exact
+    for share, is_exact, passes in [(0.009, True, True), (0.03, True, False), (0.03, False, True), (0.3, False, False)]:
+        check = data_checks.data_terms_check(cubic.batch, 1e6 * share**2, 5.0, before=1e6, is_exact=is_exact)
+        assert check.passed == passes
+        assert (f"{100.0 * share:.2g} %" in check.message) == passes
+        assert ("none of the library" in check.message) == (not passes and not is_exact)
+    assert not data_checks.data_terms_check(cubic.batch, float("nan"), 5.0, before=1e6).passed
 
 
 # the search itself

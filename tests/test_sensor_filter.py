@@ -10,7 +10,7 @@ import pytest
 from scipy.signal import butter, freqs, sosfilt
 
 import pymc_backbone as pb
-from pymc_backbone.discrepancy import evidence, rivals, workflow
+from pymc_backbone.discrepancy import data_checks, evidence, workflow
 from pymc_backbone.discrepancy.filter_search import _lowest, early_high_pass, sensor_filter
 from pymc_backbone.discrepancy.normal_equations import State
 from pymc_backbone.discrepancy.search import Search
@@ -105,8 +105,8 @@ def test_where_nothing_has_harmonics_the_release_shows_a_high_pass(rng):
     behind = Search(found.passed(without.batch), pb.Oscillator(MASS), CANDIDATES, 2)
     behind.run()
     assert behind.best() == () and evidence.leaves_noise(behind.batch, behind.fits[()])
-    assert rivals.data_terms_check(behind.batch, 50.0, 5.0).passed
-    assert not rivals.data_terms_check(without.batch, 50.0, 5.0).passed
+    assert data_checks.data_terms_check(behind.batch, 50.0, 5.0).passed
+    assert not data_checks.data_terms_check(without.batch, 50.0, 5.0).passed
 
 
 def test_a_past_of_several_times_the_motion_is_forgotten(rng):

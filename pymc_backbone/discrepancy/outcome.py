@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from . import rivals
+from . import data_checks, rivals
 from .batch import Batch
-from .curves import has_mid_line
+from .curves import has_mid_line, level_chi_square
 from .decision import AGREE, Decision
 from .joint_fit import Fit
 from .question import Question
@@ -77,11 +77,13 @@ def checks_of(question: Question, outcome: Outcome, verification: Verification) 
             settling=batch.settling_time,
         ),
         outcome.second_mode,
-        rivals.alike_check(batch, outcome.model, is_exact=not decision.is_approximate),
-        rivals.data_terms_check(
+        data_checks.alike_check(batch, outcome.model, is_exact=not decision.is_approximate),
+        data_checks.data_terms_check(
             outcome.judged,
             verification.reduced,
             AGREE,
+            before=level_chi_square(outcome.judged, verification.before),
+            is_exact=not decision.is_approximate,
             is_explained=bool(decision.best) or decision.verdict is not Verdict.UNEXPLAINED,
             is_drifting=not decision.model and () in decision.drifts,
             is_of_two_sides=has_mid_line(batch, outcome.model),
