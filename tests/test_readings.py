@@ -279,11 +279,25 @@ def test_records_without_first_cycles_are_searched_where_sets_gain_by_that(rng):
 def test_only_the_first_cycles_are_off_where_they_are_not_free(cycles, disturbed):
     fading = np.geomspace(100.0, 1.0, 10) if cycles[-1] > 100.0 and not disturbed else np.ones(10)
     squares = np.repeat([*cycles, *fading, *np.ones(20)], 25)
-    assert first_cycles._disturbed(np.sqrt(squares), 25.0, 3) == disturbed
-    quieter = first_cycles._disturbed(
-        0.1 * np.sqrt(squares), 25.0, 3
-    )  # of a noise that was taken for ten times as loud
-    assert quieter == disturbed
+    alone = np.full(3, 5.0)
+    assert first_cycles._disturbed(np.sqrt(squares), 25.0, 3, alone=alone) == disturbed
+    # of a noise that was taken for ten times as loud
+    assert first_cycles._disturbed(0.1 * np.sqrt(squares), 25.0, 3, alone=alone) == disturbed
+
+
+def test_what_a_law_leaves_of_a_motion_that_falls_fast_is_no_hand():
+    """A residual with the third power of the amplitude, as a wrong law's, beside a hand in the first cycle."""
+    time = np.arange(800) / 25.0
+    for decrement, is_hand in [(0.45, False), (0.45, True), (0.02, True)]:
+        amplitude = np.exp(-decrement * time)
+        motion = amplitude * np.cos(2.0 * np.pi * time)
+        left = 60.0 * amplitude**3 * np.cos(6.0 * np.pi * time)
+        left[:25] *= 30.0 if is_hand else 1.0
+        left += np.sqrt(2.0) * np.cos(0.9 * np.pi * 25.0 * time)  # as loud as noise
+        alone = 5.0 * first_cycles._falls(motion, 25.0, 3) ** 3
+        assert first_cycles._disturbed(left, 25.0, 3, alone=alone) == is_hand
+        if not is_hand:  # it is the fall that tells
+            assert first_cycles._disturbed(left, 25.0, 3, alone=np.full(3, 5.0)) > 0
 
 
 @pytest.mark.parametrize(("decays", "disturbed"), [(0.006, 1), (0.05, 0)])
@@ -291,9 +305,9 @@ def test_a_hand_that_is_hardly_felt_is_seen_where_no_law_leaves_so_much_less_aft
     """In most of several records: thirty times the noise, and twice the noise in the next cycle."""
     fall = np.exp(2.0 * np.pi * decays)
     squares = np.repeat([30.0, 2.0, *np.ones(30)], 25)
-    found = first_cycles._disturbed(np.sqrt(squares), 25.0, 3, 10.0, 5.0 * fall**10)
+    found = first_cycles._disturbed(np.sqrt(squares), 25.0, 3, 10.0, alone=np.full(3, 5.0 * fall**10))
     assert found == disturbed
-    assert first_cycles._disturbed(np.sqrt(squares), 25.0, 3) == 0
+    assert first_cycles._disturbed(np.sqrt(squares), 25.0, 3, alone=np.full(3, 5.0)) == 0
     time = np.arange(800) / 25.0
     motion = np.exp(-2.0 * np.pi * decays * time) * np.cos(2.0 * np.pi * time)
     assert first_cycles._decrement(motion, 32.0) == pytest.approx(2.0 * np.pi * decays, rel=0.02)

@@ -91,6 +91,33 @@ def test_sensors_are_straightened_beside_a_drift_where_less_noise_is_left(quiete
     assert known.search is (straight if is_straightened else search) and known.is_bent == is_straightened
 
 
+@pytest.mark.parametrize("same_set_leaves", [0.012, 0.04])
+def test_a_low_pass_that_explains_nothing_to_the_noise_has_to_make_the_difference(same_set_leaves, monkeypatch):
+    """And not the larger set behind it, which leaves nearly as little without."""
+    behind = SimpleNamespace(sentence=lambda _: "a filter", passed=lambda batch: "filtered")
+    left = {"base": 0.1, "large behind": 0.01, "large": same_set_leaves}
+    for name in ("earlier", "begun", "motion_noise", "disturbed", "drifting_zero", "drop_outs"):
+        monkeypatch.setattr(module, name, lambda *_: None)
+    monkeypatch.setattr(module, "sensor_filter", lambda _: behind)
+    monkeypatch.setattr(
+        module.evidence, "lack_of_fit", lambda _, found: SimpleNamespace(share=left[found], p_value=0.0)
+    )
+    monkeypatch.setattr(module.evidence, "leaves_noise", lambda *_: False)
+    common = {"halted": None, "is_told": False, "batch": None}
+    before = SimpleNamespace(**common, fits={(): "base"}, best=tuple, fit_set=lambda names: names and "large")
+    after = SimpleNamespace(**common, fits={("large",): "large behind"}, best=lambda: ("large",))
+
+    @dataclass
+    class Question:
+        batch: str = "as measured"
+
+        def of_records(self, records, measuring, said):
+            return Question()
+
+    known = module.undisturbed(Question(), before, [], None, lambda _: after, lambda _: {})
+    assert known.search is (after if same_set_leaves > 0.02 else before)
+
+
 @pytest.mark.parametrize("helps", [True, False])
 def test_a_low_pass_is_kept_where_more_is_explained_behind_it(helps, monkeypatch):
     """It is said, and what follows is asked of the search behind it; else nothing of it is left."""

@@ -16,6 +16,7 @@ _MOST = 3  # cycles that are no free motion: of more, something else is wrong
 _BEYOND = 1.2  # cycles that are left out after these
 _FEWEST = 8.0  # cycles that have to remain
 _FIRST_ALONE = 5.0  # chi-square of the first cycles over that of the one after them, from which it is they alone
+_STEEP = 3.0  # power of the fall of the motion's square by which a law's may fall: a force of its third power
 _CLEARLY = 100.0  # and over that of noise ...
 _SEEN = 10.0  # ... or so much in most records, where they are more than any law leaves by which the motion falls:
 _STEEPEST = 10.0  # the square of a force of the fifth power of the amplitude
@@ -72,11 +73,14 @@ def begun(search: Search) -> Begun | None:
             continue
         long_enough.append(r)
         most = min(_MOST, int(cycles - _FEWEST - _BEYOND))
-        fall = float(np.exp(_decrement(term.compared(term.values), cycles)))
-        disturbed = _disturbed(left, left.size / cycles, most)
+        motion = term.compared(term.values)
+        fall = float(np.exp(_decrement(motion, cycles)))
+        steps = _falls(motion, motion.size / cycles, most) ** _STEEP
+        disturbed = _disturbed(left, left.size / cycles, most, alone=_FIRST_ALONE * steps)
         if disturbed:
             seen[batch.specimens[r]] = disturbed
-        slightly = disturbed or _disturbed(left, left.size / cycles, most, _SEEN, _FIRST_ALONE * fall**_STEEPEST)
+        alone = _FIRST_ALONE * np.maximum(steps, fall**_STEEPEST)
+        slightly = disturbed or _disturbed(left, left.size / cycles, most, _SEEN, alone=alone)
         if slightly:
             hardly[batch.specimens[r]] = slightly
     if 2 * len(hardly) > len(long_enough) > 1:
@@ -100,17 +104,26 @@ def _decrement(values: FloatArray, cycles: float) -> float:
     )  # a quarter apart, squares of the amplitude
 
 
-def _disturbed(left: FloatArray, each: float, most: int, clearly: float = _CLEARLY, alone: float = _FIRST_ALONE) -> int:
+def _falls(values: FloatArray, each: float, most: int) -> FloatArray:
+    """Return by how much the square of a motion falls from its first 1, 2, ... cycles to the one after them."""
+    around = values - values[values.size // 2 :].mean()
+    squares = [float((around[round(k * each) : round((k + 1) * each)] ** 2).mean()) for k in range(most + 1)]
+    falls = [np.mean(squares[:k]) / max(squares[k], 1e-300) for k in range(1, most + 1)]
+    return np.maximum(np.array(falls), 1.0)
+
+
+def _disturbed(left: FloatArray, each: float, most: int, clearly: float = _CLEARLY, *, alone: FloatArray) -> int:
     """Return how many first cycles of residuals, with so many values each, are no free motion; 0 where none is.
 
-    They leave ``clearly`` times what noise does, and the cycle after them that over ``alone``. What is no free motion
+    They leave ``clearly`` times what noise does, and the cycle after k of them that over ``alone`` (most,): where the
+    motion falls fast, so does what a wrong law leaves of it. What is no free motion
     may have been taken for noise: the later half of the record says how much of it there is.
     """
     noise = min(1.0, float((left[left.size // 2 :] ** 2).mean()))
     squares = [float((left[round(k * each) : round((k + 1) * each)] ** 2).mean()) for k in range(most + 1)]
     for k in range(1, most + 1):
         first = float(np.mean(squares[:k]))
-        if first > alone * squares[k] and first > clearly * noise:
+        if first > alone[k - 1] * squares[k] and first > clearly * noise:
             return k
     return 0
 

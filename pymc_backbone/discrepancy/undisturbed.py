@@ -260,13 +260,17 @@ class _Found(NamedTuple):
 
 
 def _filtered(asked: _Asked, again: Search, records: Sequence[Record], said: Sequence[str]) -> _Found | None:
-    """Return the question with a filter in front of the records, where it is clearly better then."""
+    """Return the question with a filter in front of the records, where it is clearly better then.
+
+    Where nothing leaves noise, the filter has to make the difference, and not another set behind it: harmonics that no
+    set explains are imitated by those of a large set that a filter turns.
+    """
     if asked.sensor_filter is not None or (found := sensor_filter(again)) is None:
         return None
     asked.sensor_filter = found
     sentence = found.sentence(again.batch)
     tried = asked.of(records, (*said, sentence))
-    if _is_better(tried.search, again):
+    if _is_better(tried.search, again) and (_is_exact(tried.search) or _gains(tried.search, again)):
         return _Found(sentence, tried)
     asked.sensor_filter = None
     return None
@@ -356,6 +360,12 @@ def _left(search: Search) -> evidence.LackOfFit:
 def _is_better(tried: Search, search: Search) -> bool:
     """Return whether one search leaves noise, or half of what another left at most."""
     return _is_exact(tried) or _left(tried).share < _LESS * _left(search).share
+
+
+def _gains(tried: Search, search: Search) -> bool:
+    """Return whether the most probable set of one search leaves half of what it leaves in another at most."""
+    same = search.fit_set(tried.best())
+    return same is None or _left(tried).share < _LESS * evidence.lack_of_fit(search.batch, same).share
 
 
 def _is_exact(search: Search) -> bool:
