@@ -19,8 +19,9 @@ from pymc_backbone._common.text import capitalised, in_words
 from pymc_backbone.discrepancy import candidate_table, decide, inexact, minded, rivals, shares, verdict_words, words
 from pymc_backbone.discrepancy.batch import batch_of_backbones
 from pymc_backbone.discrepancy.decision import Decision, as_one
+from pymc_backbone.discrepancy.drift_course import DRIFT
 from pymc_backbone.discrepancy.evidence import Evidence, LackOfFit
-from pymc_backbone.discrepancy.normal_equations import State
+from pymc_backbone.discrepancy.normal_equations import DRIFTS, State
 from pymc_backbone.discrepancy.question import TOLERANCE
 from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.discrepancy.study import Candidate, LawProbability, MissingMechanism, ScatterOfEffects
@@ -1070,8 +1071,8 @@ def test_laws_of_one_mechanism_that_take_each_other_back_are_one_curve(monkeypat
     springs = ("magnetic_stiffness", "power_stiffness")
     search = SimpleNamespace(mechanism_of=lambda name: LIBRARY[name].mechanism)
     monkeypatch.setattr(decide, "compensation", lambda search, names: compensated)
-    assert decide._is_one_curve(search, springs) == (compensated > 2.0)
-    assert not decide._is_one_curve(search, ("cubic_stiffness", "quadratic_damping"))
+    assert decide._is_one_curve(search, decision_of("found", best=springs)) == (compensated > 2.0)
+    assert not decide._is_one_curve(search, decision_of("found", best=("cubic_stiffness", "quadratic_damping")))
     decision = replace(
         decision_of("found", named_level=NamedLevel.LAW, best=springs, probability=0.92),
         mechanisms=(mechanism_of("spring", 0.96, 1.0, magnetic_stiffness=0.92, power_stiffness=0.92),),
@@ -1095,6 +1096,35 @@ def test_a_law_that_wants_another_of_its_mechanism_below_the_tolerance_is_one_li
     assert not decide._is_inexact_alone(search, replace(decision, below=("quadratic_damping",)))
     assert not decide._is_inexact_alone(search, replace(decision, below=("freeplay",)))
     assert not decide._is_inexact_alone(search, replace(decision, probabilities={power: 0.81, both: 0.12}))
+
+
+@pytest.mark.parametrize(
+    ("law", "tolerance", "level"),
+    [("power_stiffness", 0.01, "mechanism"), ("power_stiffness", 1e-4, "law"), ("cubic_stiffness", 0.01, "law")],
+)
+def test_a_law_of_free_shape_that_needs_a_drift_too_small_to_matter_is_one_like_it(law, tolerance, level, monkeypatch):
+    """The drift makes up for what the law is not; one that matters is told beside the law, as before."""
+    names = (law,)
+    decision = decision_of(
+        "found", named_level=NamedLevel.LAW, best=names, ranked=(names,), probabilities={names: 0.97}, drifts=(names,)
+    )
+    decision = replace(decision, lack=SimpleNamespace(share=0.0, p_value=0.4))
+    own = np.zeros((2, 20))
+    own[:, DRIFTS[0]] = 0.001 / DRIFT  # of the frequency
+    fit = SimpleNamespace(cost=100.0, state=SimpleNamespace(own=own), own_covariance=np.zeros_like(own))
+    for name, given in [
+        ("_complete", lambda search: None), ("_weighed", lambda *_: None), ("_judged", lambda *_: decision),
+        ("_mind_backbones", lambda search, decision: decision), ("estimates_of", lambda fit: {}),
+        ("_backbones_disagree", lambda *_: False),
+    ]:  # fmt: skip
+        monkeypatch.setattr(decide, name, given)
+    search = SimpleNamespace(
+        fits={(): SimpleNamespace(cost=1e4), names: fit}, mechanism_of=lambda name: LIBRARY[name].mechanism,
+        variants=("power_stiffness",), count=100,
+    )  # fmt: skip
+    found = decide.decide(search, {}, {"frequency": tolerance, "damping": tolerance})
+    assert found.named_level == level and found.has_small_drift == (tolerance > 0.001)
+    assert ("also change with time" in verdict_words.sentence(found)) == (not found.has_small_drift)
 
 
 def test_what_is_told_of_a_set_that_is_not_exact_is_of_that_set(monkeypatch):

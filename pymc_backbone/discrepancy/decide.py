@@ -44,6 +44,9 @@ def decide(search: Search, drifting: Mapping[Set, Drifting], tolerance: Mapping[
     _complete(search)
     base = drifting[()].fit if () in drifting else None
     decision = _mind_backbones(search, _judged(search, _weighed(search, drifting), tolerance, base))
+    drifts = decision.model in decision.drifts and decision.model in search.fits
+    if drifts and is_drift_small(search.fits[decision.model], tolerance):
+        decision = replace(decision, has_small_drift=True)
     if decision.verdict is Verdict.AMBIGUOUS and decision.best not in decision.listed and not decision.unfinished:
         decision = replace(decision, listed=(decision.best, *decision.listed))
     if decision.verdict is Verdict.ADEQUATE or decision.mechanisms or decision.is_approximate:
@@ -246,7 +249,8 @@ def _by_mechanism(search: Search, decision: Decision) -> Decision:
         search, decision.probabilities, best, gaps, estimates_of(search.fits[best]), elsewhere
     )
     known = replace(decision, mechanisms=mechanisms)
-    if decision.named_level is NamedLevel.LAW and (_is_one_curve(search, best) or _is_inexact_alone(search, decision)):
+    is_like_another = _is_one_curve, _is_inexact_alone, _is_of_free_shape_and_drifts
+    if decision.named_level is NamedLevel.LAW and any(asked(search, decision) for asked in is_like_another):
         return without_laws(known)
     is_open = decision.verdict is Verdict.AMBIGUOUS and is_exact and not decision.unfinished
     is_against = best in decision.drifts and _backbones_disagree(search, best)
@@ -256,13 +260,13 @@ def _by_mechanism(search: Search, decision: Decision) -> Decision:
     return replace(known, verdict=Verdict.FOUND, named_level=NamedLevel.MECHANISM)
 
 
-def _is_one_curve(search: Search, names: Set) -> bool:
+def _is_one_curve(search: Search, decision: Decision) -> bool:
     """Return whether laws of one mechanism take each other's doing back: two curves whose sum is any smooth third one.
 
     Then it is the sum that the records tell, and whether it is of these two laws they do not.
     """
-    kinds = [search.mechanism_of(name) for name in names]
-    return len(set(kinds)) < len(kinds) and compensation(search, names) > _COMPENSATED
+    kinds = [search.mechanism_of(name) for name in decision.model]
+    return len(set(kinds)) < len(kinds) and compensation(search, decision.model) > _COMPENSATED
 
 
 def _is_inexact_alone(search: Search, decision: Decision) -> bool:
@@ -274,6 +278,11 @@ def _is_inexact_alone(search: Search, decision: Decision) -> bool:
     kinds |= _ONE_FORCE if kinds & _ONE_FORCE else set()
     alone = decision.probabilities.get(decision.best, 0.0)
     return alone < 0.5 * decision.probability and any(search.mechanism_of(name) in kinds for name in decision.below)
+
+
+def _is_of_free_shape_and_drifts(search: Search, decision: Decision) -> bool:
+    """Return whether a variant is named that needs a drift too small to matter: then a law like it needs none."""
+    return decision.has_small_drift and not set(search.variants).isdisjoint(decision.best)
 
 
 def without_laws(decision: Decision) -> Decision:

@@ -60,6 +60,8 @@ class Decision:
         Whether a second mode beats in the records.
     is_moved_on : bool
         Whether something goes on moving the structures, and what no set explains is no larger.
+    has_small_drift : bool
+        Whether the model drifts with time, by less than the tolerance.
     against : float
         Reduced chi-square at which the best set leaves the backbones, where these speak against it; else NaN.
     unfinished : tuple of tuple of str
@@ -101,6 +103,7 @@ class Decision:
     drifts: tuple[Set, ...] = ()
     has_second_mode: bool = False
     is_moved_on: bool = False
+    has_small_drift: bool = False
     against: float = float("nan")
     unfinished: tuple[Set, ...] = ()
     is_approximate: bool = False

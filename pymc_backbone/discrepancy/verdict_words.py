@@ -88,7 +88,7 @@ def _of_mechanisms(decision: Decision) -> str:
     """Return the sentences that name mechanisms; where sets are exact, also what else may be missing."""
     is_like = decision.is_approximate or not decision.listed  # of a bent sensor no law is told, however exact it is
     said = " ".join(_of_mechanism(item, is_like) for item in decision.mechanisms if item.is_certain)
-    if not is_like and decision.model in decision.drifts:
+    if not is_like and decision.model in decision.drifts and not decision.has_small_drift:
         said += " Frequency or damping also change with time."
     others = [
         item
@@ -165,7 +165,8 @@ def sentence(decision: Decision) -> str:
         verb = "is" if len(decision.best) == 1 else "are"
         held = "" if decision.simulated is None else ", and in the model"
         below = f" ({_below(decision)} detectable too, below the tolerance{held})" if decision.below else ""
-        beside = ", while frequency or damping also change with time" if decision.model in decision.drifts else ""
+        drifts = decision.model in decision.drifts and not decision.has_small_drift  # which its check tells
+        beside = ", while frequency or damping also change with time" if drifts else ""
         what = capitalised(named(decision.best))
         return f"{what} {verb} missing from the model, with a probability of {_of_best(decision)}{beside}{below}."
     if decision.verdict is Verdict.AMBIGUOUS:
