@@ -34,6 +34,7 @@ from pymc_backbone.workflows.diagnose import describe_study
 from .discrepancy_cases import (
     AMPLITUDE,
     DAMPING,
+    FREQUENCY,
     MASS,
     STIFFNESS,
     TIME,
@@ -330,6 +331,22 @@ def test_no_summary_of_the_library_says_what_an_effect_does_before_its_colon():
     for effect in LIBRARY.values():
         what = effect.summary.partition(":")[0]
         assert what != effect.summary and not re.search(r"frequency|offset|no damping|rises|unchanged", what)
+
+
+@pytest.mark.parametrize("name", [name for name in LIBRARY if not LIBRARY[name].with_role("ordinate")])
+def test_the_mid_line_is_told_of_what_differs_between_the_sides_alone(name):
+    """A damped cycle of a linear structure has one, too, which any effect that changes the damping changes."""
+    effect, omega = LIBRARY[name], 2.0 * np.pi * FREQUENCY
+    batch, oscillator = SimpleNamespace(angular_frequency=omega), pb.Oscillator(MASS, (name,))
+    vector = np.zeros(len(oscillator.parameter_names))
+    for parameter, value in zip(effect.parameter_names, effect.signature.typical(MASS, AMPLITUDE, omega), strict=True):
+        vector[oscillator.index(parameter)] = value
+    layout = SimpleNamespace(oscillator=oscillator, amplitude=AMPLITUDE)
+    found = SimpleNamespace(layout=layout, parameters=lambda r: vector)
+    sided = LIBRARY[name].mechanism in ("asymmetry", "damping_asymmetry") or name in (
+        "offset_freeplay", "one_sided_stiffness", "hertz_contact", "asymmetric_drag",
+    )  # fmt: skip
+    assert words._is_odd(batch, found, name) == (not sided)
 
 
 def test_what_moves_the_mid_line_alone_is_not_below_the_tolerance(rng):

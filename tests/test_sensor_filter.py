@@ -160,16 +160,17 @@ def test_no_filter_is_made_up(rng, line):
 
 
 @pytest.mark.parametrize(
-    ("is_cut", "explains", "behind", "quick"), [(True, True, True, False), (True, False, False, True)]
+    ("is_cut", "explains", "behind", "quick", "is_found"),
+    [(True, True, True, False, False), (True, False, False, True, False), (True, False, False, True, True)],
 )
-def test_what_a_search_notes(is_cut, explains, behind, quick):
+def test_what_a_search_notes(is_cut, explains, behind, quick, is_found):
     """Backbones of filtered records are not sampled; a search that was cut says so where nothing explains the end."""
     search = SimpleNamespace(
         is_cut=is_cut, fits={(): "base"}, best=tuple, explains=lambda _: explains,
         batch=SimpleNamespace(is_behind_filter=behind),
     )  # fmt: skip
-    said = " ".join(workflow._search_notes(search, quick=quick))
-    assert ("nothing came near the noise" in said) == (is_cut and not explains)
+    said = " ".join(workflow._search_notes(search, quick=quick, is_found=is_found))
+    assert ("nothing came near the noise" in said) == (is_cut and not explains and not is_found)
     assert ("nothing was sampled" in said) == (behind and not quick)
 
 

@@ -363,7 +363,12 @@ def _is_better(tried: Search, search: Search) -> bool:
 
 
 def _gains(tried: Search, search: Search) -> bool:
-    """Return whether the most probable set of one search leaves half of what it leaves in another at most."""
+    """Return whether the most probable set of one search leaves half of what it leaves in another at most.
+
+    Not so of a set as large as they are looked for: with a disturbance beside it, it comes near anything.
+    """
+    if len(tried.best()) >= tried.max_effects:
+        return False
     same = search.fit_set(tried.best())
     return same is None or _left(tried).share < _LESS * evidence.lack_of_fit(search.batch, same).share
 

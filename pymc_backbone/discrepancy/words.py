@@ -28,6 +28,7 @@ _VANISHING = 0.3  # power of the amplitude below which a departure does not vani
 _OWN = 0.3  # of a departure, that the effect itself brings about as the model has it, from which it is told
 _AT_BOUND = 1.2  # times the narrowest scatter, up to which it is none that is seen
 _NINETY_FIVE = 1.96  # standard errors
+_ODD = 1e-9  # of the largest force: what rounding leaves of the sum of both sides
 _SEPARATED = 5.0  # logarithm of the odds that decides
 _ELSE = 0.12  # probability of what is not listed, from which advice says that a test need not rule it out
 
@@ -40,9 +41,10 @@ def reasons(
     What the library says an effect does is told where nothing stands out at single levels. Elsewhere it could
     contradict what was measured (a second effect in the set, or another amplitude), so only what the effect is is told.
     What differs between the two sides changes the damping by the mid-line alone: nothing is told of that where the
-    mid-line is not measured. Nor is what the effect itself does not bring about, as the model has it. Curves that
-    change by less than the tolerance of what was ``asked`` are told where no other changes by more. Effects of the
-    model as it was that the records do not hold are told as well.
+    mid-line is not measured; nor of the mid-line where both sides are alike, which a damped cycle has without any
+    effect. Nor is what the effect itself does not bring about, as the model has it. Curves that change by less than
+    the tolerance of what was ``asked`` are told where no other changes by more. Effects of the model as it was that the
+    records do not hold are told as well.
     """
     sentences = []
     brought = on_levels(batch, found)
@@ -53,6 +55,8 @@ def reasons(
     for name in names:
         without_it = _curves(batch, without(brought, [name]))
         rows: tuple[int, ...] = (0, 2) if name in sides and not has_mid_line else (0, 1, 2)
+        if _is_odd(batch, found, name):
+            rows = tuple(row for row in rows if OBSERVABLES[row] != "offset")
         if asked is not None:
             # a spring of two sides need not change what the backbones hold: its harmonics tell it
             by_waveforms = name in sides and batch.has_records
@@ -68,6 +72,23 @@ def reasons(
     if scatter is not None and names:
         sentences.append(scatter_sentence(scatter, len(names)))
     return (*sentences, *([] if asked is None else _unseen_in(asked.base, found)))
+
+
+def _is_odd(batch: Batch, found: Fit, name: str) -> bool:
+    """Return whether an effect is the same on both sides; of those that remember all of the library are."""
+    layout, omega = found.layout, batch.angular_frequency
+    effect = next(item for item in layout.oscillator.effects if item.name == name)
+    if effect.n_states:
+        return True
+    vector = found.parameters(0)
+    own = np.array([vector[layout.oscillator.index(parameter)] for parameter in effect.parameter_names])
+
+    def force(x: float, v: float) -> float:
+        return effect.along(x, omega * v, -(omega**2) * x, np.zeros(0), own)
+
+    motions = [(layout.amplitude * x, layout.amplitude * v) for x in (-0.9, -0.4, 0.1, 0.6, 1.0) for v in (-0.8, 0.5)]
+    pairs = np.array([(force(x, v), force(-x, -v)) for x, v in motions])
+    return bool(np.abs(pairs.sum(axis=1)).max() <= _ODD * np.abs(pairs).max())
 
 
 def _that_matter(

@@ -268,7 +268,7 @@ def _study(
 ) -> Study:
     """Return everything that was found as one record."""
     batch, search, decision, extended = question.batch, outcome.search, outcome.decision, outcome.extended
-    checks = checks_of(question, outcome, verification)
+    checks, is_found = checks_of(question, outcome, verification), decision.verdict is Verdict.FOUND
     before = simulate(batch, verification.before)
     scatter = None if extended is None or decision.is_approximate else words.scatter_of(extended)
     shown = extended if np.isnan(decision.against) else None  # what the backbones speak against, they do not show
@@ -307,7 +307,10 @@ def _study(
         findings=inference.findings,
         convergence=inference.convergence,
         settings={**asked, "likelihood": "pooled", "fixed": inference.held, "sampling_seed": seed, **drawn},
-        notes=(*question.notes, *_search_notes(search, quick=bool(asked["quick"]))),
+        notes=(
+            *question.notes,
+            *_search_notes(search, quick=bool(asked["quick"]), is_found=is_found),
+        ),
         seconds=time.perf_counter() - started,
         seed=seed,
         present=present_design(batch),
@@ -360,9 +363,9 @@ def _advice(question: Question, outcome: Outcome, plan: Plan | None) -> tuple[st
     return (*drift, *plan_words.sentences(plan, present, unit))
 
 
-def _search_notes(search: Search, *, quick: bool) -> list[str]:
+def _search_notes(search: Search, *, quick: bool, is_found: bool) -> list[str]:
     said = []
-    if search.is_cut and not search.explains(search.fits[search.best()]):
+    if search.is_cut and not is_found and not search.explains(search.fits[search.best()]):
         said.append(
             "the search ended before all sets that the backbones propose were tried: nothing came near the noise"
         )
