@@ -107,12 +107,16 @@ class NativeFunction:
         self._options = {k: v for k, v in getattr(function, "targetoptions", {}).items() if k != "nopython"}
         self._compiled: Any = None
 
+    def _uncompiled(self) -> Any:
+        signature = self.call.sig
+        function: Any = CFunc(self._function, (signature.args, signature.return_type), {}, self._options)
+        function._cache = DigestCache(self._function)
+        return function
+
     def define(self) -> None:
         """Make the function known in this process: from disk, or compiled; does nothing the second time."""
         if self._compiled is None:
-            signature = self.call.sig
-            compiled: Any = CFunc(self._function, (signature.args, signature.return_type), {}, self._options)
-            compiled._cache = DigestCache(self._function)
+            compiled = self._uncompiled()
             compiled.compile()
             llvmlite.binding.add_symbol(self.call.symbol, compiled.address)
             self._compiled = compiled
@@ -121,6 +125,13 @@ class NativeFunction:
     def address(self) -> int:
         """Where the machine code stands in this process, once it is defined."""
         return int(self._compiled.address)
+
+    @property
+    def is_on_disk(self) -> bool:
+        """Whether the machine code is on disk, as numba's index of it says: `define` then takes no time."""
+        function = self._uncompiled()
+        key = function._cache._index_key(function._sig, function._targetdescr.target_context.codegen())
+        return key in function._cache._cache_file._load_index()
 
     @property
     def is_from_disk(self) -> bool:

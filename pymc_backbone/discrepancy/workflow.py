@@ -20,6 +20,7 @@ from ..measurement.conditioning.conditioned import ConditionedRecord
 from ..measurement.options import Measuring
 from ..measurement.reading.record import Record
 from ..oscillator import Oscillator
+from ..simulation.run import define, is_compiled
 from . import plan_words, rivals, verdict_words, words
 from .ambient import ambient_check
 from .candidate_table import candidates_of
@@ -134,6 +135,9 @@ def find_missing_effect(
     started = time.perf_counter()
     say = progress or (lambda _stage, _share: None)
     seed = int(np.random.default_rng().integers(2**31)) if random_seed is None else int(random_seed)
+    if not is_compiled():
+        say("compiling the simulator, once on this computer: a few minutes", float("nan"))
+        define()
     say("reading backbones", 0.0)
     given_levels = None if levels is None else np.asarray(levels).tolist()
     measuring = Measuring(band, start, stop, given_levels, strict=strict, floor=floor)

@@ -44,13 +44,18 @@ class Run(NamedTuple):
     n_states: int
 
 
+_NATIVE = COUNTED, HALF_CYCLE, LOAD_STATES, IS_SYMMETRIC, WEIGH_STATES
+
+
 def define() -> None:
     """Make the integrator known in this process; needed before anything is simulated."""
-    COUNTED.define()
-    HALF_CYCLE.define()
-    LOAD_STATES.define()
-    IS_SYMMETRIC.define()
-    WEIGH_STATES.define()
+    for function in _NATIVE:
+        function.define()
+
+
+def is_compiled() -> bool:
+    """Return whether the integrator is on disk; else `define` compiles it, for a minute or several."""
+    return all(function.is_on_disk for function in _NATIVE)
 
 
 @compiled
