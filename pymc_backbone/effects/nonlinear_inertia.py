@@ -38,7 +38,7 @@ def gradient(x: float, v: float, direction: float, z: FloatArray, p: FloatArray,
 
 EFFECT = Effect(
     name="nonlinear_inertia",
-    summary="Mass that moves along: frequency falls with the square of the amplitude, third harmonic three times a spring's.",
+    summary="Mass that moves along: frequency falls with amplitude squared, third harmonic three times a spring's.",
     text="nonlinear_inertia (x^2 x'' + x x'^2)",
     latex=r"m_2 \left(x^2 \ddot{x} + x \dot{x}^2\right)",
     parameters=(
