@@ -972,9 +972,9 @@ def test_sets_of_what_is_certain_hold_each_such_mechanism_and_no_other():
     assert inexact.certain_sets(search, (SPRING,), sets) == []
 
 
-def test_unfinished_are_sets_that_explain_the_backbones_and_were_weighed():
-    dahl = ("dahl_friction",)
-    open_sets = {("iwan",), ("jenkins",), dahl, ("bouc_wen", "freeplay")}
+def test_unfinished_are_sets_that_explain_the_backbones_and_were_weighed(monkeypatch):
+    dahl, undone, both = ("dahl_friction",), ("iwan", "jenkins"), ("cubic_damping", "iwan")
+    open_sets = {("iwan",), ("jenkins",), dahl, ("bouc_wen", "freeplay"), undone, both}
     chances = {("freeplay",): 0.5, ("jenkins",): 0.3, ("iwan",): 0.1, dahl: 0.001, (): 0.01}
     search = SimpleNamespace(is_open=lambda names: names in open_sets, fits=chances)
     weighed = SimpleNamespace(
@@ -985,6 +985,13 @@ def test_unfinished_are_sets_that_explain_the_backbones_and_were_weighed():
     ranked = [("bouc_wen", "freeplay"), dahl, ("jenkins",), ("freeplay",), ("iwan",)]
     unfinished = inexact._unfinished(search, weighed, ranked)
     assert unfinished == (("iwan",), dahl)
+    # effects that undo each other on the backbones draw any curve
+    monkeypatch.setattr(inexact, "_on_backbones", lambda search, names, weighed: names)
+    monkeypatch.setattr(inexact, "compensation", lambda search, names, found: 60.0 if found == undone else 1.5)
+    weighed.gaps |= {undone: 0.0, both: 0.0}
+    more = weighed.probabilities | {undone: 0.2, both: 0.05}
+    wide = SimpleNamespace(gaps=weighed.gaps, ranked=lambda: sorted(more, key=lambda names: -more[names]))
+    assert inexact._unfinished(search, wide, [*ranked, undone, both]) == (("iwan",), both, dahl)
     # what remains possible beside them is listed, in the order of the probabilities
     remaining = inexact._remaining(search, weighed)
     assert () not in remaining

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..effects import EITHER
 from . import evidence
+from .compensation import compensation
 from .curves import fit_on_levels
 from .decision import DRIFT_POSSIBLE, MOST_LISTED, Decision, listed
 from .joint_fit import Fit
@@ -24,6 +25,7 @@ _LITTLE = 0.01  # probability of a set from which its effects are doubted; and o
 _NEAR = 3.0  # reduced chi-square up to which the samples say so
 _NOTHING = 0.7  # of the gap, that a set leaves which explains next to nothing
 _MOST_UNFINISHED = 5  # sets that did not come to rest, listed although others are more probable
+_UNDONE = 5.0  # times as much as a set does, that an effect in it does, beyond which it is no explanation
 _MUCH_LESS = 0.3  # of what the base leaves of the samples, over which a set comes nowhere near them
 _LESS, _NEEDED = 0.5, 3.0  # times what the best set leaves, and of which a set leaves more without an effect it needs
 MOST_OF_THE_GAP = 0.85
@@ -219,10 +221,18 @@ def certain_sets(search: Search, mechanisms: Sequence[MissingMechanism], ranked:
 def _unfinished(search: Search, weighed: Weighed, ranked: Sequence[Set]) -> tuple[Set, ...]:
     """Return the sets that explain the backbones and whose fit to the records did not come to rest, likeliest first.
 
-    Sets so improbable by their backbones that they were not weighed are none of these.
+    Sets so improbable by their backbones that they were not weighed are none of these, nor those whose effects undo
+    each other there: such a set draws any curve, and is no explanation.
     """
     explaining = {names for names in ranked if weighed.gaps.get(names, 1.0) <= 1.0 - MOST_OF_THE_GAP}
-    return tuple(names for names in weighed.ranked() if names in explaining and search.is_open(names))
+    found = [names for names in weighed.ranked() if names in explaining and search.is_open(names)]
+    return tuple(names for names in found if len(names) < 2 or not _undo_each_other(search, weighed, names))
+
+
+def _undo_each_other(search: Search, weighed: Weighed, names: Set) -> bool:
+    """Return whether effects of a set take back of each other, on the backbones, what no two of one structure do."""
+    found = _on_backbones(search, names, weighed)
+    return found is not None and compensation(search, names, found) > _UNDONE
 
 
 def is_told_apart(mechanisms: Sequence[MissingMechanism]) -> bool:
