@@ -342,7 +342,7 @@ def _unit_exponents(unit, n=1.0):
     """Return the exponents of mass, length and time of an SI unit as the library writes them."""
     total = np.zeros(3)
     none = (0, 0, 0)
-    base = {"N": (1, 1, -2), "m": (0, 1, 0), "s": (0, 0, 1), "rad": none, "-": none, "1": none}
+    base = {"kg": (1, 0, 0), "N": (1, 1, -2), "m": (0, 1, 0), "s": (0, 0, 1), "rad": none, "-": none, "1": none}
     for sign, part in zip((1.0, -1.0), unit.split("/"), strict=False):
         for token in part.split():
             symbol, _, power = token.partition("^")
