@@ -181,6 +181,23 @@ def test_the_undamped_period_with_a_mass_that_moves_along_is_the_elliptic_integr
     np.testing.assert_allclose(np.abs(found.turning_values), AMPLITUDE, rtol=1e-8)
 
 
+def test_the_third_harmonic_of_a_mass_that_moves_along_is_three_times_a_springs():
+    """At the same change of frequency, to first order: -1/16 and -1/48 of the share that moves, by harmonic balance."""
+    stiffness, share = MASS * OMEGA**2, 0.01
+    ratios = []
+    for name, strength in (
+        ("nonlinear_inertia", share * MASS / AMPLITUDE**2),
+        ("cubic_stiffness", -2.0 / 3.0 * share * stiffness / AMPLITUDE**2),
+    ):
+        oscillator, p = Oscillator(MASS, name), [stiffness, 0.0, strength]
+        period = 1.0 / simulate_backbone(oscillator, p, [AMPLITUDE]).frequency[0]
+        assert period * OMEGA / (2.0 * np.pi) == pytest.approx(1.0 + share / 4.0, rel=1e-4)
+        angle = 2.0 * np.pi * np.arange(64) / 64
+        x = simulate_waveform(oscillator, p, period * angle / (2.0 * np.pi), AMPLITUDE).displacement
+        ratios.append(2.0 * np.mean(x * np.cos(3.0 * angle)) / AMPLITUDE)
+    np.testing.assert_allclose(ratios, [-share / 16.0, -share / 48.0], rtol=0.02)
+
+
 @pytest.mark.parametrize("user", [MAXWELL, SINH, STOP, FOLLOWER], ids=lambda effect: effect.name)
 def test_user_effects_are_integrated_as_exactly_as_the_librarys(user, monkeypatch):
     class Maxwell(Slider):

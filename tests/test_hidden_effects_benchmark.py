@@ -139,22 +139,29 @@ def test_strength_is_the_force_of_a_spring_over_the_linear_one(effect: str, rng:
             assert strength == pytest.approx(share)
 
 
-@pytest.mark.parametrize("index, effect", list(enumerate(NEW)))
-def test_new_effects_move_as_the_package_says(index: int, effect: str) -> None:
-    for number in (index, index + len(NEW)):
-        batch = make_batch(10, number, NEW_EFFECTS)
-        truth = batch.truth
-        assert truth["hidden"] == truth["hidden_in_library"] == [effect] and not truth["is_outside"]
-        oscillator = Oscillator(truth["mass"], [effect])
-        for record, specimen in zip(batch.records[:2], truth["parameters"], strict=False):
-            own = {name: specimen[name] for name in oscillator.parameter_names}
-            time = record.time - record.release_time
-            theirs = simulate_waveform(oscillator, own, time, record.release_amplitude).displacement
-            # The package interpolates between steps of 1e-9; forces with roots at contact cost either a little more.
-            # A power of the speed far below 1 rises within a thousandth of a turn at rest, which steps pass over.
-            is_steep = specimen.get("power_damping_exponent", 1.0) < 0.5
-            limit = (3e-5 if is_steep else 1e-6) * record.release_amplitude
-            np.testing.assert_allclose(record.exact, theirs, rtol=0.0, atol=limit)
+STEEP = pytest.mark.xfail(
+    strict=True,
+    reason="a power of the speed far below 1 rises within a thousandth of a turn at rest: steps pass over it",
+)
+MOVED = [
+    pytest.param(number, effect, marks=[STEEP] if effect == "power_damping" and number >= len(NEW) else [])
+    for index, effect in enumerate(NEW)
+    for number in (index, index + len(NEW))
+]
+
+
+@pytest.mark.parametrize("number, effect", MOVED)
+def test_new_effects_move_as_the_package_says(number: int, effect: str) -> None:
+    batch = make_batch(10, number, NEW_EFFECTS)
+    truth = batch.truth
+    assert truth["hidden"] == truth["hidden_in_library"] == [effect] and not truth["is_outside"]
+    oscillator = Oscillator(truth["mass"], [effect])
+    for record, specimen in zip(batch.records[:2], truth["parameters"], strict=False):
+        own = {name: specimen[name] for name in oscillator.parameter_names}
+        time = record.time - record.release_time
+        theirs = simulate_waveform(oscillator, own, time, record.release_amplitude).displacement
+        # The package interpolates between steps of 1e-9; forces with roots at contact cost either a little more.
+        np.testing.assert_allclose(record.exact, theirs, rtol=0.0, atol=1e-6 * record.release_amplitude)
 
 
 def test_new_effects_are_those_of_the_package_that_the_other_kinds_do_not_hide() -> None:
