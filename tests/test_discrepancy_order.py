@@ -207,12 +207,21 @@ def test_a_search_ends_early_where_what_is_in_front_of_the_records_is_known_and_
 
 def test_no_high_pass_is_asked_in_front_of_records_that_a_set_explains(batch, monkeypatch):
     monkeypatch.setattr(undisturbed, "early_high_pass", lambda _: "a filter")
-    monkeypatch.setattr(undisturbed, "early_line", lambda _: "a line")
+    monkeypatch.setattr(undisturbed, "early_line", lambda _: None)
     search = Search(batch, Oscillator(MASS), ("cubic_stiffness",), 1)
     search.fit_set(())
     assert not search.explains(search.fits[()])
     assert undisturbed.in_the_way(search) == "a filter"
     search.fit_set(("cubic_stiffness",))
+    assert undisturbed.in_the_way(search) is None
+
+
+def test_a_line_is_asked_before_a_high_pass(batch, monkeypatch):
+    """The noise is estimated from records that hold the line: behind any filter a set seems to leave noise."""
+    monkeypatch.setattr(undisturbed, "early_high_pass", lambda _: "a filter")
+    monkeypatch.setattr(undisturbed, "early_line", lambda _: "a line")
+    search = Search(batch, Oscillator(MASS), ("cubic_stiffness",), 1)
+    search.fit_set(())
     assert undisturbed.in_the_way(search) == "a line"
 
 

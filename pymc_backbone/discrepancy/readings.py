@@ -34,7 +34,7 @@ from .search import Search, Set
 from .telling import Telling, most_telling
 
 _MOST = 0.1  # of the reading at the largest motion: what bends by more is no sensor
-_MOST_OF_A_LINE = 0.06  # of the motion: beside more, the other mode is no disturbance
+_MOST_OF_A_LINE = 0.3  # of the motion: beside more, the other mode is no disturbance
 _LOOKS = 3  # times that the coefficients are found again, the set fitted to what they leave
 _EARLY = 2  # likeliest sets that are asked for a line in the middle of a search
 _ASKED = 3  # likeliest sets that are asked where none leaves noise, with what is in them
