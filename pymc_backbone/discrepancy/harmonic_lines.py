@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .._common.checks import BoolArray, FloatArray
+from ..measurement.cycle_data import Cycles
 from .curves import frequencies
 from .data_term import LevelTerm
 from .joint_fit import Fit
@@ -12,10 +13,11 @@ from .joint_fit import Fit
 _BEYOND = 0.5  # of the range of the measured frequencies, by which those of the motion may go beyond it
 _BEYOND_MODEL = 0.2  # ... and those of a model at the levels
 _ERRORS = 1.0  # standard errors of a measured frequency by which the range goes beyond it
+_FEWEST_FIRST = 4  # cycles beyond the levels, through whose frequencies a line is laid to that of the first
 
 
-def frequencies_of(term: LevelTerm, frequency: float) -> tuple[float, float]:
-    """Return between which frequencies [Hz] a specimen moved, by its level values; the first cycles are beyond them."""
+def frequencies_of(term: LevelTerm, frequency: float, cycles: Cycles) -> tuple[float, float]:
+    """Return between which frequencies [Hz] a specimen moved, by its level values and its cycles beyond these."""
     rows = term.rows[:, 0] == 0
     if not rows.any():
         return frequency, frequency
@@ -23,7 +25,18 @@ def frequencies_of(term: LevelTerm, frequency: float) -> tuple[float, float]:
     error = _ERRORS * np.sqrt((root**2).sum(axis=1))[rows]
     low, high = float((term.values[rows] - error).min()), float((term.values[rows] + error).max())
     further = _BEYOND * float(np.ptp(term.values[rows]))
-    return min(low - further, frequency), max(high + further, frequency)
+    first = _first_frequency(cycles, float(term.levels.max()), frequency)
+    return min(low - further, frequency, first), max(high + further, frequency, first)
+
+
+def _first_frequency(cycles: Cycles, highest: float, otherwise: float) -> float:
+    """Return the frequency [Hz] of the first cycle, by a line through those of all cycles beyond the highest level."""
+    beyond = cycles.amplitude > highest
+    if np.count_nonzero(beyond) < _FEWEST_FIRST:
+        return otherwise
+    x = np.log(cycles.amplitude[beyond])
+    slope, middle = np.polyfit(x - x.mean(), cycles.frequency[beyond], 1)
+    return float(middle + slope * (x.max() - x.mean()))
 
 
 def frequencies_with(found: Fit, specimen: int, term: LevelTerm, frequency: float) -> tuple[float, float]:

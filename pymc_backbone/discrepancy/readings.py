@@ -150,9 +150,10 @@ def _is_common_line(batch: Batch, found: Fit) -> bool:
     Beside the harmonics of the motion as it was measured and as the set has it.
     """
     orders = []
-    ranges = zip(_ranges(batch, found), batch.levels, batch.records, strict=True)
-    for term, values, (modelled, level, record) in zip(batch.waveform, _left_over(batch, found), ranges, strict=True):
-        measured = frequencies_of(level, record.frequency)
+    left = _left_over(batch, found)
+    for r, (term, values, modelled) in enumerate(zip(batch.waveform, left, _ranges(batch, found), strict=True)):
+        record = batch.records[r]
+        measured = frequencies_of(batch.levels[r], record.frequency, batch.cycles[r])
         between = min(modelled[0], measured[0]), max(modelled[1], measured[1])
         if place := line_beside(term.compared(term.time), values, between).frequency:
             orders.append(place / record.frequency)

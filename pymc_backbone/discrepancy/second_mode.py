@@ -49,7 +49,7 @@ def second_mode_check(batch: Batch, best: Fit, *, is_adequate: bool = False) -> 
         if batch.records[r].band is not None:
             continue  # one mode has been chosen, the others are kept out
         left = evidence.residuals_as_measured(term, best, r)
-        between = frequencies_of(batch.levels[r], batch.records[r].frequency)
+        between = frequencies_of(batch.levels[r], batch.records[r].frequency, batch.cycles[r])
         is_left = best.chi_square[r] > _NO_NOISE * term.size
         least = _SEEN if is_adequate and is_left else _BEATING
         for part in _parts(left.size, term.cycles if is_adequate or is_left else 0.0):

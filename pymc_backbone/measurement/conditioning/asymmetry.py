@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +16,10 @@ _EVIDENCE = 12.0
 SIGNIFICANT = 5.0
 _MINIMUM_POINTS = 8
 _RATIOS = (1.5, 7.0)
-"""Mid-line over second harmonic, sign reversed: 3 for a quadratic stiffness, 4.5 for a bilinear one."""
+"""Mid-line over second harmonic, sign reversed: 3 for a quadratic stiffness, 4.5 for a bilinear one, 1.5 to 4.5 for a
+stop on one side, the less the later it is touched."""
+_GAPS = (0.12, 0.2, 0.28, 0.36, 0.44, 0.52, 0.6, 0.7, 0.8)
+"""Of a stop on one side, over the first amplitude."""
 _RATIO, _RATIO_ERROR = 3.3, 1.0
 """The same where the stiffness is not known: 2.3 for x^4."""
 _SHAPE = 0.3
@@ -26,12 +30,14 @@ _TOLERATED = 0.008
 
 @dataclass(frozen=True)
 class MidLine:
-    """Mid-line ``linear A + square A^2`` of a displacement of amplitude A.
+    """Mid-line ``linear A + square A^2`` of a displacement of amplitude A, and what stops on one side add to it.
 
     Attributes
     ----------
     linear, square : float
         Coefficients.
+    stops : tuple of (float, float)
+        Coefficient of `beyond_stop`, and displacement at which the stop is touched.
     error : float
         Standard error of the mid-line over amplitude at the first cycle.
     is_measured : bool
@@ -46,10 +52,27 @@ class MidLine:
     error: float
     is_measured: bool = True
     shape_error: float = 0.0
+    stops: tuple[tuple[float, float], ...] = ()
 
     def at(self, amplitude: FloatArray) -> FloatArray:
         """Return the mid-line at amplitudes of the displacement."""
-        return self.linear * amplitude + self.square * amplitude**2
+        found = self.linear * amplitude + self.square * amplitude**2
+        for size, gap in self.stops:
+            found = found + size * beyond_stop(amplitude, gap)
+        return found
+
+    def sized(self, factor: float) -> MidLine:
+        """Return the mid-line so many times as large; its errors are left out."""
+        stops = tuple((factor * size, gap) for size, gap in self.stops)
+        return MidLine(factor * self.linear, factor * self.square, 0.0, stops=stops)
+
+
+def beyond_stop(amplitude: FloatArray, gap: float) -> FloatArray:
+    """Return the mean over a cycle of ``pi max(A cos - gap, 0)``, which moves the mid-line; zero up to the gap."""
+    reached = np.maximum(amplitude, gap)
+    touched = np.arccos(gap / reached)  # of half a turn
+    found: FloatArray = np.sqrt(reached**2 - gap**2) - gap * touched
+    return found
 
 
 def displacement_amplitude(path: Track, integrations: int) -> Track:
@@ -83,39 +106,68 @@ def restore_mid_line(path: Track, harmonic: float) -> MidLine | None:
     Notes
     -----
     The mean of the velocity over a cycle is the rate of change of the mid-line plus the sensor's offset. An
-    autonomous structure's mid-line is a function of amplitude, here ``a A`` (bilinear), ``b A^2`` (quadratic) or
-    both, so the means are regressed on the rates of change of A and A^2. Each coefficient must stand out five
-    standard errors. The same force that shifts the mid-line makes the second harmonic, a third of the shift for a
-    quadratic stiffness and 1 / 4.5 of it for a bilinear one: a mid-line far from that is drift of the sensor. (An
-    acceleration shows the second derivative only, which drowns: its mid-line is not restored.)
+    autonomous structure's mid-line is a function of amplitude, here ``a A`` (bilinear), ``b A^2`` (quadratic), both,
+    or that of a stop on one side after a gap: the means are regressed on the rates of change of each, and what comes
+    out is averaged with the evidence for each. Each coefficient must stand out five standard errors. The same force
+    that shifts the mid-line makes the second harmonic, a third of the shift for a quadratic stiffness and 1 / 4.5 of it
+    for a bilinear one: a mid-line far from that is drift of the sensor. (An acceleration shows the second derivative
+    only, which drowns: its mid-line is not restored.)
     """
     stop = max(path.time.size - path.per_cycle, 1)
     picked = slice(None, stop, path.per_cycle)
     amplitude = displacement_amplitude(path, 1).amplitude
-    rates = {power: np.gradient(amplitude**power, path.time)[picked] for power in (1, 2)}
-    mean = path.mean[picked]
+    mean, first = path.mean[picked], float(amplitude[0])
     if mean.size < _MINIMUM_POINTS or harmonic == 0.0:
         return None
-    best: MidLine | None = None
-    best_score = mean.size * np.log(max(float(np.var(mean)), np.finfo(float).tiny)) - _EVIDENCE
-    for powers in ((2,), (1,), (1, 2)):
-        basis = np.column_stack([np.ones(mean.size), *(rates[power] for power in powers)])
+    possible: list[tuple[float, MidLine]] = []
+    least = mean.size * np.log(max(float(np.var(mean)), np.finfo(float).tiny)) - _EVIDENCE
+    for parts in _shapes(first):
+        rates = [np.gradient(part.at(amplitude), path.time)[picked] for part in parts]
+        basis = np.column_stack([np.ones(mean.size), *rates])
         scale = np.linalg.norm(basis, axis=0)
         solution = np.linalg.lstsq(basis / scale, mean, rcond=None)[0] / scale
         residual = mean - basis @ solution
         variance = max(float(residual @ residual) / (mean.size - basis.shape[1]), np.finfo(float).tiny)
         covariance = np.linalg.pinv((basis / scale).T @ (basis / scale)) / np.outer(scale, scale) * variance
-        score = mean.size * np.log(variance) + len(powers) * np.log(mean.size)
+        unknowns = len(parts) + len(parts[0].stops)
+        score = mean.size * np.log(variance) + unknowns * np.log(mean.size)
         strength = np.abs(solution[1:]) / np.sqrt(np.diag(covariance)[1:])
-        gradient = np.array([float(amplitude[0]) ** (power - 1) for power in powers])
+        gradient = np.array([float(part.at(amplitude[:1])[0]) / first for part in parts])
         ratio = -float(gradient @ solution[1:]) / harmonic
-        if score < best_score and strength.min() > SIGNIFICANT and _RATIOS[0] < ratio < _RATIOS[1]:
-            best_score = score
-            coefficients = dict(zip(powers, solution[1:], strict=True))
+        if score < least and strength.min() > SIGNIFICANT and _RATIOS[0] < ratio < _RATIOS[1]:
             error = float(np.sqrt(gradient @ covariance[1:, 1:] @ gradient))
-            shape = _SHAPE * abs(float(gradient @ solution[1:]))
-            best = MidLine(float(coefficients.get(1, 0.0)), float(coefficients.get(2, 0.0)), error, shape_error=shape)
-    return best
+            sized = [part.sized(float(size)) for part, size in zip(parts, solution[1:], strict=True)]
+            possible.append((score, replace(_sum(sized), error=error)))
+    return _mean(possible, amplitude) if possible else None
+
+
+def _shapes(first: float) -> list[tuple[MidLine, ...]]:
+    """Return what a mid-line may be the sum of; ``first`` is the largest amplitude."""
+    linear, square = MidLine(1.0, 0.0, 0.0), MidLine(0.0, 1.0, 0.0)
+    stops = [(MidLine(0.0, 0.0, 0.0, stops=((1.0, gap * first),)),) for gap in _GAPS]
+    return [(square,), (linear,), (linear, square), *stops]
+
+
+def _sum(parts: Sequence[MidLine]) -> MidLine:
+    """Return the sum of mid-lines, without their errors."""
+    stops = tuple(stop for part in parts for stop in part.stops)
+    return MidLine(sum(part.linear for part in parts), sum(part.square for part in parts), 0.0, stops=stops)
+
+
+def _mean(possible: Sequence[tuple[float, MidLine]], amplitude: FloatArray) -> MidLine:
+    """Return the mean of mid-lines weighted with their evidence, given minus two times its logarithm.
+
+    Means of few cycles often do not tell the shapes apart: what these differ by is an error of the shape.
+    """
+    scores = np.array([score for score, _ in possible])
+    weights = np.exp(-0.5 * (scores - scores.min()))
+    weights /= weights.sum()
+    whole = _sum([line.sized(float(weight)) for weight, (_, line) in zip(weights, possible, strict=True)])
+    apart = np.array([line.at(amplitude) - whole.at(amplitude) for _, line in possible]) / amplitude
+    spread = float(np.sqrt(weights @ apart**2).max())
+    error = float(np.sqrt(weights @ np.array([line.error**2 for _, line in possible])))
+    usual = _SHAPE * abs(float(whole.at(amplitude[:1])[0])) / float(amplitude[0])
+    return replace(whole, error=error, shape_error=float(np.hypot(usual, spread)))
 
 
 def implied_shift(harmonic: float, error: float) -> tuple[float, float]:
