@@ -9,7 +9,7 @@ import pytest
 
 import pymc_backbone as pb
 from pymc_backbone.discrepancy import evidence
-from pymc_backbone.discrepancy.drop_outs import drop_outs
+from pymc_backbone.discrepancy.drop_outs import _come_at_a_phase, drop_outs
 from pymc_backbone.discrepancy.search import Search
 
 from .discrepancy_cases import AMPLITUDE, FREQUENCY, MASS, TIME, batch_of, make_records, truth_of
@@ -97,3 +97,35 @@ def test_samples_of_an_acceleration_are_mended_where_they_are(rng):
     mended = found.undisturbed([record])[0].values
     assert np.abs(mended[[700, 701, 1406, 1407]] - exact[[700, 701, 1406, 1407]]).max() < 1.5 * noise
     assert np.count_nonzero(mended != values) <= 20
+
+
+@pytest.mark.parametrize(("is_at_peaks", "is_found"), [(False, True), (True, False)])
+def test_what_comes_at_one_phase_of_the_motion_is_what_a_law_lacks(is_at_peaks, is_found, rng):
+    """A friction that no law of the library is had been a cable that cracks, ten times and always where it turns."""
+    records = make_records(rng, ("cubic_stiffness",), specimens=3, decibels=50.0, share=2.0)
+    jumping = []
+    for record in records:
+        values = record.values.copy()
+        tops = np.flatnonzero((values[1:-1] > values[:-2]) & (values[1:-1] > values[2:])) + 1
+        tops = tops[values[tops] > 0.3 * values.max()]
+        for n, part in enumerate(np.array_split(tops, 2)):
+            at = part[part.size // 2] + (0 if is_at_peaks else int(rng.integers(-8, 8)) * (n + 2) // 2)
+            values[at : at + 4] += 20.0 * NOISE * SHAPE
+        jumping.append(replace(record, values=values))
+    found = drop_outs(searched(jumping))
+    assert (found is not None) == is_found
+    assert not is_found or found.jumping == tuple(record.specimen for record in records)
+
+
+@pytest.mark.parametrize(
+    ("phases", "is_one"),
+    [
+        (np.pi * np.array([1, 2, 3, 5, 8, 9]) - 0.2, True),  # where it turns
+        (np.array([0.4, 6.8, 13.0, 19.2, 25.5, 31.9]), True),  # one side alone
+        (np.array([0.4, 2.1, 13.9, 22.0, 24.3, 35.0]), False),
+        (np.array([0.1, 0.2]), False),  # two of them say nothing
+        (np.zeros(0), False),
+    ],
+)
+def test_events_come_at_a_phase_where_chance_does_not_bring_them_there(phases, is_one):
+    assert _come_at_a_phase(phases) == is_one

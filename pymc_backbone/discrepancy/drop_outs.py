@@ -23,6 +23,7 @@ _SCALE = 1.2  # of the residuals, robust, up to which the set explains the other
 _NORMAL = 1.4826  # median absolute deviation to standard deviation, for a normal distribution
 _WIDEST = 5  # values of an event
 _FIRST = 2  # values, one of which is off where a record begins with what is no free motion
+_AT_A_PHASE = 0.01  # p-value of phases that are no chance: what comes at one of them is a law's lack
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +95,7 @@ def drop_outs(search: Search) -> DropOuts | None:
     steps: dict[str, float] = {}
     jumping: list[str] = []
     beginnings: list[str] = []
-    events = 0
+    events, phases = 0, []
     for r, (name, term) in enumerate(zip(batch.specimens, batch.waveform, strict=True)):
         left = evidence.residuals_of(term, best, r)
         scale = max(_NORMAL * float(np.median(np.abs(left))), 1e-300)
@@ -112,7 +113,20 @@ def drop_outs(search: Search) -> DropOuts | None:
         beginnings += [name] if is_begun else []
         jumping += [name] if count > is_begun else []
         events += count - is_begun
+        turning = batch.cycles[r].turning_times
+        begins = instants[np.flatnonzero(np.diff(wild.astype(int), prepend=0)[wild] > 0)][int(is_begun) :]
+        phases.append(np.pi * np.interp(begins, turning, np.arange(turning.size)))
+    if phases and _come_at_a_phase(np.concatenate(phases)):
+        return None
     return DropOuts(found, steps, events, tuple(jumping), tuple(beginnings)) if found else None
+
+
+def _come_at_a_phase(phases: FloatArray) -> bool:
+    """Return whether events come at one phase of the motion, or at two that are opposite, by Rayleigh's test."""
+    if not phases.size:
+        return False
+    least = max(abs(np.exp(1j * order * phases).mean()) for order in (1, 2))
+    return bool(2.0 * np.exp(-phases.size * least**2) < _AT_A_PHASE)
 
 
 def _nearest(time: FloatArray, places: FloatArray) -> IntArray:
