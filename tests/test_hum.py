@@ -77,3 +77,12 @@ def test_the_fourth_harmonic_of_a_motion_close_to_the_mains_is_no_hum(rng):
     phase = 2.0 * np.pi * 12.5 * TIME
     values = np.exp(-0.01 * TIME) * (np.cos(phase) + 0.02 * np.cos(4.0 * phase)) + 1e-4 * rng.standard_normal(TIME.size)
     assert without_hum(values, RATE, 12.5)[1] is None
+
+
+def test_hum_close_to_an_even_harmonic_of_a_motion_that_falls_is_taken_out(rng):
+    """No law's even harmonics last; it had been a low-pass beside friction. The odd ones of dry friction do last."""
+    for frequency, is_found in ((8.33, True), (12.5, True), (16.67, False)):
+        phase = 2.0 * np.pi * frequency * TIME
+        values = np.exp(-0.5 * TIME) * np.cos(phase) + hum(50.02) + 1e-4 * rng.standard_normal(TIME.size)
+        found = without_hum(values, RATE, frequency)[1]
+        assert (found is not None and found.frequencies[0] == pytest.approx(50.02, abs=0.01)) == is_found

@@ -94,7 +94,9 @@ def test_sensors_are_straightened_beside_a_drift_where_less_noise_is_left(quiete
 @pytest.mark.parametrize(("same_set_leaves", "most"), [(0.012, 3), (0.04, 3), (0.04, 1)])
 def test_a_low_pass_that_explains_nothing_to_the_noise_has_to_make_the_difference(same_set_leaves, most, monkeypatch):
     """And not the larger set behind it, which leaves nearly as little without."""
-    behind = SimpleNamespace(sentence=lambda _: "a filter", passed=lambda batch: "filtered")
+    behind = SimpleNamespace(
+        sentence=lambda _: "a filter", passed=lambda batch: "filtered", undone=lambda records, _batch: records
+    )
     left = {"base": 0.1, "large behind": 0.01, "large": same_set_leaves}
     for name in ("earlier", "begun", "motion_noise", "disturbed", "drifting_zero", "drop_outs"):
         monkeypatch.setattr(module, name, lambda *_: None)
@@ -121,7 +123,9 @@ def test_a_low_pass_that_explains_nothing_to_the_noise_has_to_make_the_differenc
 @pytest.mark.parametrize("helps", [True, False])
 def test_a_low_pass_is_kept_where_more_is_explained_behind_it(helps, monkeypatch):
     """It is said, and what follows is asked of the search behind it; else nothing of it is left."""
-    behind = SimpleNamespace(sentence=lambda _: "a filter", passed=lambda batch: "filtered")
+    behind = SimpleNamespace(
+        sentence=lambda _: "a filter", passed=lambda batch: "filtered", undone=lambda records, _batch: records
+    )
     seen = []
     for name in ("earlier", "begun", "motion_noise", "disturbed"):
         monkeypatch.setattr(module, name, lambda search, name=name: seen.append((name, search)))
@@ -163,7 +167,7 @@ def test_a_search_that_a_filter_halted_goes_on_where_nothing_is_explained_behind
     monkeypatch.setattr(module.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
     monkeypatch.setattr(module.evidence, "leaves_noise", lambda _, found: found == "explained")
     before = SimpleNamespace(halted=SensorFilter(1, 0.5, "high-pass"), is_told=False, fits={(): "base"}, best=tuple)
-    before.batch = SimpleNamespace(records=[SimpleNamespace(frequency=5.0)], waveform=())
+    before.batch = SimpleNamespace(records=[SimpleNamespace(frequency=5.0)], waveform=(), specimens=("one",))
     before.resume = lambda: seen.append("resumed")
     after = SimpleNamespace(
         halted=None, is_told=False, batch=None, fits={(): "explained" if helps else "base"}, best=tuple
@@ -222,7 +226,7 @@ def test_a_high_pass_that_what_was_found_behind_it_needs_not_is_taken_back(expla
     monkeypatch.setattr(module.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
     monkeypatch.setattr(module.evidence, "leaves_noise", lambda _, found: found == "explained")
     before = SimpleNamespace(halted=SensorFilter(1, 0.5, "high-pass"), is_told=False, fits={(): "base"}, best=tuple)
-    before.batch = SimpleNamespace(records=[SimpleNamespace(frequency=5.0)], waveform=())
+    before.batch = SimpleNamespace(records=[SimpleNamespace(frequency=5.0)], waveform=(), specimens=("one",))
     before.resume = lambda: before.fits.update({(): "explained" if explains else "base"})
     after = SimpleNamespace(halted=None, is_told=False, batch=None, fits={(): "explained"}, best=tuple)
 

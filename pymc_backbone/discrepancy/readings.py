@@ -87,7 +87,8 @@ def disturbed(search: Search) -> Disturbed | None:
             limit = search.fits[best].cost - price if is_exact else _NEAR * search.count
             whole = partial(_beside, batch, start, limit, has_line=has_line, is_bent=is_bent)
             jobs.append(whole if has_line else partial(_bent_beside, part, few, whole))
-            priced.append((names, price + 2.0 * _COST * len(names)))
+            both = _CHANCE if has_line and is_bent else 0.0
+            priced.append((names, price + both + 2.0 * _COST * len(names)))
     found: list[tuple[float, Disturbed]] = []
     for (names, price), beside in zip(priced, in_threads(jobs), strict=True):
         if beside is not None and beside.is_noise:

@@ -9,6 +9,7 @@ effect beside it, mostly a clearance, stands in.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -16,6 +17,8 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
 from .._common.checks import FloatArray
+from .._common.text import per_cent
+from ..measurement.reading.record import Record
 from .batch import Batch
 from .data_term import WaveformTerm
 from .record_term import BETWEEN, INSIDE, beside_jumps, orthogonal_to
@@ -28,6 +31,7 @@ _TAPER = (0.75, 1.0)  # of the highest frequency that the samples hold: beyond, 
 GIBBS = 8
 """Samples beyond the delay by which the filter looks ahead."""
 _FEWEST = 4  # values of a window
+_SAME = 0.999  # of the motion: a filter that passes so much leaves it as it is
 _PAST = 10.0  # largest values of the motion that a filter's past may come to
 
 
@@ -74,6 +78,23 @@ class SensorFilter:
         ]
         return replace(batch, waveform=tuple(terms))
 
+    def gains(self, batch: Batch) -> dict[str, float]:
+        """Return what share of the motion of each specimen passes; all of it where the release alone tells the filter.
+
+        The cut-off is not known well enough then.
+        """
+        frequencies = np.array([record.frequency for record in batch.records])
+        gain = np.ones(frequencies.size) if self.shows_at_release else self.response(frequencies)[0]
+        return dict(zip(batch.specimens, gain.tolist(), strict=True))
+
+    def undone(self, records: Iterable[Record], batch: Batch) -> list[Record]:
+        """Return records as large as the motion was: a mode near the cut-off passes in part.
+
+        Of a simulation that goes through the filter, the fundamental stays as large as it is (`Chain`).
+        """
+        gains = self.gains(batch)
+        return [replace(record, values=record.values / gains.get(record.specimen, 1.0)) for record in records]
+
     def sentence(self, batch: Batch) -> str:
         """Return what was found, in one sentence."""
         look = "Look at the filters of sensor, amplifier and logger"
@@ -84,10 +105,12 @@ class SensorFilter:
             )
         ratio = self.cut / float(np.median([record.frequency for record in batch.records]))
         done = "turned" if self.kind == "high-pass" else "turned and weakened"
+        gain = float(np.median(list(self.gains(batch).values())))
+        undone = f", and the {per_cent(1.0 - gain)} that it takes from the motion were added" if gain < _SAME else ""
         return (
             f"warning: the harmonics of the motion are {done} as behind a {self.kind} of order "
             f"{self.order} at {self.cut:.3g} Hz, {ratio:.2g} times the frequency of the mode; the simulation was sent "
-            f"through the same filter. {look}"
+            f"through the same filter{undone}. {look}"
         )
 
 

@@ -185,7 +185,7 @@ def _one_by_one(
     known, records, said = _without_drop_outs(asked, known, records)
     said, again = (said if eased is None else (eased.said, *said)), known.search
     if (behind := _filtered(asked, again, records, said)) is not None:
-        said, known, again = (*said, behind.said), behind.found, behind.found.search
+        said, known, again, records = (*said, behind.said), behind.found, behind.found.search, behind.records
     if is_of_rates and (steady := _steadied(known, asked.measuring, asked.searched)) is not None:
         return steady
     if (release := earlier(again)) is not None:
@@ -203,7 +203,7 @@ def _one_by_one(
         if _is_better(again, search):
             known = cut.found
         if (behind := _filtered(asked, again, records, said)) is not None:
-            said, known, again = (*said, behind.said), behind.found, behind.found.search
+            said, known, again, records = (*said, behind.said), behind.found, behind.found.search, behind.records
     if not known.is_drifting and (weighed := _weighed(asked, again, records, said)) is not None:
         said, known, again = (*said, weighed.said), weighed.found, weighed.found.search
     if (cut is not None or asked.release is not None) and _is_exact(again):
@@ -225,12 +225,12 @@ def _halted(asked: _Asked, search: Search, records: Sequence[Record]) -> tuple[U
     if not isinstance(chosen, SensorFilter):
         return None, False
     asked.sensor_filter = chosen
-    tried = asked.of(records, (chosen.sentence(search.batch),))
+    tried = asked.of(chosen.undone(records, search.batch), (chosen.sentence(search.batch),))
     is_exact = _is_exact(tried.search)
     better = settled(search, tried.search, chosen) if is_exact else None
     if better is not None and better != chosen:
         asked.sensor_filter = better
-        again = asked.of(records, (better.sentence(search.batch),))
+        again = asked.of(better.undone(records, search.batch), (better.sentence(search.batch),))
         tried = again if _is_exact(again.search) else tried
     if better is None:
         asked.sensor_filter = None
@@ -263,7 +263,15 @@ class _Found(NamedTuple):
     found: Undisturbed
 
 
-def _filtered(asked: _Asked, again: Search, records: Sequence[Record], said: Sequence[str]) -> _Found | None:
+class _Changed(NamedTuple):
+    """What is said of changed records, the question of these, and they themselves."""
+
+    said: str
+    found: Undisturbed
+    records: Sequence[Record]
+
+
+def _filtered(asked: _Asked, again: Search, records: Sequence[Record], said: Sequence[str]) -> _Changed | None:
     """Return the question with a filter in front of the records, where it is clearly better then.
 
     Where nothing leaves noise, the filter has to make the difference, and not another set behind it: harmonics that no
@@ -272,29 +280,23 @@ def _filtered(asked: _Asked, again: Search, records: Sequence[Record], said: Seq
     if asked.sensor_filter is not None or (found := sensor_filter(again)) is None:
         return None
     asked.sensor_filter = found
-    sentence = found.sentence(again.batch)
-    tried = asked.of(records, (*said, sentence))
+    sentence, undone = found.sentence(again.batch), found.undone(records, again.batch)
+    tried = asked.of(undone, (*said, sentence))
     if _is_better(tried.search, again) and (_is_exact(tried.search) or _gains(tried.search, again)):
-        return _Found(sentence, tried)
+        return _Changed(sentence, tried, undone)
     asked.sensor_filter = None
     return None
 
 
-class _Cut(NamedTuple):
-    """What is said of records without their first cycles, the question of these, and they themselves."""
-
-    said: str
-    found: Undisturbed
-    records: Sequence[Record]
-
-
-def _without_first_cycles(asked: _Asked, again: Search, records: Sequence[Record], said: Sequence[str]) -> _Cut | None:
+def _without_first_cycles(
+    asked: _Asked, again: Search, records: Sequence[Record], said: Sequence[str]
+) -> _Changed | None:
     """Return the question of records without their first cycles, where these alone are off and sets gain by that."""
     if (first := begun(again)) is None:
         return None
     cut = first.undisturbed(records)
     tried = asked.if_promising(again, cut, (*said, first.sentence), _LESS)
-    return None if tried is None else _Cut(first.sentence, tried, cut)
+    return None if tried is None else _Changed(first.sentence, tried, cut)
 
 
 def _eased(asked: _Asked, search: Search, records: Sequence[Record]) -> _Found | None:

@@ -38,8 +38,9 @@ class VariedSets(RevisitedSets):
                 found = self._fit_varied(names)
                 if self._is_needed(names) and found is not None and self.explains(found):
                     for out in best:  # what stood beside the effect may have made up for its lack
-                        if out != name:
-                            self._fit_varied(tuple(other for other in names if other != out))
+                        part = tuple(other for other in names if other != out)
+                        if out != name and self._fit_varied(part) is None:
+                            self._fit_within(part, names)
         self._ask_plain()
         for names in [names for names in self.fits if not self._is_needed(names)]:
             del self.fits[names]
@@ -115,6 +116,16 @@ class VariedSets(RevisitedSets):
             looks = propose(self.batch, self.base, names, len(names), self.own)
             self.varied[names] = next(item for item in looks if set(item.names) == set(names))
         return None if self._is_far(names) else self.fit_set(names)
+
+    def _fit_within(self, part: Set, names: Set) -> None:
+        """Fit a part of a set that explains the records from where that ended, whatever its backbones say.
+
+        Those of a motion whose mid-line is lost, or behind a filter, may put it far off.
+        """
+        layout = self.layout(part)
+        found = self.descent.from_near(layout, [self._smaller(layout, self.fits[names])])
+        if found is not None:
+            self.fits[part] = found
 
 
 def is_akin(name: str, variant: str) -> bool:

@@ -26,6 +26,7 @@ _LINE = 60.0  # power of a line over the median beside it
 _ABOVE = 4.0  # and over the highest of these
 _FINER = 3  # frequencies that are looked at in each bin
 _LASTS = 0.75  # amplitude in one half of the record over that in the other
+_FALLS = 0.5  # the same of a motion whose even harmonics do not last; the odd ones of dry friction do
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,7 @@ def without_hum(values: FloatArray, rate: float, frequency: float) -> tuple[Floa
     -----
     A line is hum where it is narrow, stands sixty times above what is beside it, and is as high in one half of the
     record as in the other, which no line of a decaying structure is. One of the first three multiples has to be there.
+    Close to a harmonic of the motion only an even one is looked at, of a motion that falls: those of dry friction last.
     The window falls to zero at both ends, so that the motion, hundreds of bins away, does not leak into a line.
     """
     if rate * _HIGHEST < min(MAINS):
@@ -104,8 +106,10 @@ def _line(
     """
     width = rate / values.size  # of a bin
     step = 0.5 * rate / (power.size - 1)
-    order = round(place / frequency)
-    if 0 < order <= _HARMONICS and abs(place - order * frequency) < _APART * width + (_SWEPT + _OFF) * place:
+    order, half = round(place / frequency), values.size // 2
+    is_fading = float(np.std(values[half:])) < _FALLS * float(np.std(values[:half])) and order % 2 == 0
+    is_close = 0 < order <= _HARMONICS and abs(place - order * frequency) < _APART * width + (_SWEPT + _OFF) * place
+    if is_close and not is_fading:
         return None
     reach = max(_OFF * place, width)
     if place - reach < (_FAR + 1) * width:
@@ -120,7 +124,7 @@ def _line(
         lambda f: -abs(_height(values, rate, f)), bounds=((at - 1) * step, (at + 1) * step), method="bounded",
         options={"xatol": 1e-4 * width},
     )  # fmt: skip
-    best, half = float(solved.x), values.size // 2
+    best = float(solved.x)
     halves = [abs(_height(part, rate, best)) for part in (values[:half], values[half:])]
     if min(halves) < _LASTS * max(halves) or abs(best - place) > reach:
         return None
