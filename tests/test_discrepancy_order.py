@@ -32,6 +32,7 @@ from .discrepancy_cases import (
     free_decay,
     make_records,
     noisy,
+    truth_of,
 )
 
 COSTLY = ("bouc_wen",)
@@ -390,3 +391,24 @@ def test_drifts_take_the_place_of_scatter_as_far_as_each_record_has_its_own(valu
     without, with_gain = (drift_bonus(*_drifting(own, covariance, gained)) for gained in (0.0, 5.0))
     # the evidence of the fit with drifts holds these 5
     assert with_gain - without == pytest.approx(-5.0 * (1.0 - share), abs=0.35)
+
+
+@pytest.mark.parametrize("is_blind", [True, False])
+def test_what_is_in_the_best_set_is_asked_where_backbones_lack_the_mid_line(is_blind, rng):
+    """A stop on one side had been named with a clearance that did nothing: by its backbones it was far off."""
+    oscillator = pb.Oscillator(MASS, ["cubic_stiffness"])
+    truth = truth_of(("cubic_stiffness",), share=4.0)
+    quantity = "acceleration" if is_blind else "displacement"
+    records = []
+    for name, share in (("one", 1.0), ("two", 0.8)):
+        values = pb.simulate_waveform(oscillator, truth, TIME, share * AMPLITUDE, quantity=quantity).values
+        values = values + 3e-3 * np.abs(values).max() * rng.standard_normal(TIME.size)
+        records.append(pb.Record(name, TIME, values, quantity, "m/s^2" if is_blind else "m"))
+    search = Search(batch_of(records), Oscillator(MASS), ("cubic_stiffness", "quadratic_damping"), 2)
+    search.fit_set(())
+    search.fit_set(("cubic_stiffness", "quadratic_damping"))
+    search.fits = {names: search.fits[names] for names in ((), ("cubic_stiffness", "quadratic_damping"))}
+    assert search.batch.lacks_mid_line == is_blind
+    search._ask_parts()
+    assert (("cubic_stiffness",) in search.fits) == is_blind
+    assert search.best() == (("cubic_stiffness",) if is_blind else ("cubic_stiffness", "quadratic_damping"))

@@ -71,7 +71,9 @@ def sentence(
         left = f"{per_cent(judged.share_left)} of {gap}" if judged.share_left < 1.0 else f"all of {gap}"
         left = f"the best of them leave {left} (p = {judged.p_value:.1g})"
         what = "what the named effects leave" if beside else "what is missing"
-        said = f"A force of displacement and speed cannot be {what}: {left}, and {WHY[judged.why]}."
+        # where nothing else explains more, it may be a force that no smooth curve follows, as a second stop
+        could = "A force of displacement and speed cannot be" if judged.why else "No smooth force was found that is"
+        said = f"{could} {what}: {left}, and {WHY[judged.why]}."
         return said + ("" if has_even else _ONE_SIDE)
     parts = []
     for curve, what, place in (

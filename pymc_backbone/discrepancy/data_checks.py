@@ -108,8 +108,9 @@ def data_terms_check(
         said = f"the set that the samples want leaves {share} of what the model as it is leaves of the backbones"
         return Check(name, True, said)
     law = "" if is_exact else "a law that is none of the library, "
+    wanted = "the samples want this set" if is_exact else "of all sets this one is the most probable"
     said = (
-        f"the samples want this set, but it leaves the backbones at a reduced chi-square of {reduced:.3g}: {law}"
+        f"{wanted}, but it leaves the backbones at a reduced chi-square of {reduced:.3g}: {law}"
         "another mode, a drift with time or a release that is not free bends these; `band` and `start` leave out modes "
         "and releases"
     )

@@ -79,6 +79,7 @@ class Search(FollowedSets):
         if self.is_cut:
             self._complete()
         self._ask_kindred()
+        self._ask_parts()
         if self._begin_otherwise() and not self._is_spent:
             self._enlarge()
         self._look_back()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 
 from ..effects import LIBRARY
@@ -38,9 +40,8 @@ class VariedSets(RevisitedSets):
                 found = self._fit_varied(names)
                 if self._is_needed(names) and found is not None and self.explains(found):
                     for out in best:  # what stood beside the effect may have made up for its lack
-                        part = tuple(other for other in names if other != out)
-                        if out != name and self._fit_varied(part) is None:
-                            self._fit_within(part, names)
+                        if out != name:
+                            self._fit_varied(tuple(other for other in names if other != out))
         self._ask_plain()
         for names in [names for names in self.fits if not self._is_needed(names)]:
             del self.fits[names]
@@ -117,15 +118,25 @@ class VariedSets(RevisitedSets):
             self.varied[names] = next(item for item in looks if set(item.names) == set(names))
         return None if self._is_far(names) else self.fit_set(names)
 
-    def _fit_within(self, part: Set, names: Set) -> None:
-        """Fit a part of a set that explains the records from where that ended, whatever its backbones say.
+    def _ask_parts(self) -> None:
+        """Fit what is in the best set and was never fitted, from where that ended, whatever its backbones say.
 
-        Those of a motion whose mid-line is lost, or behind a filter, may put it far off.
+        Those of a motion whose mid-line is lost, or behind a filter, may put it far off: a stop on one side had been
+        named with a clearance that did nothing.
         """
-        layout = self.layout(part)
-        found = self.descent.from_near(layout, [self._smaller(layout, self.fits[names])])
-        if found is not None:
-            self.fits[part] = found
+        best: Set | None = None
+        while best != self.best():
+            best = self.best()
+            is_blind = self.batch.lacks_mid_line or self.batch.is_behind_filter
+            if not is_blind or len(best) < 2 or self.is_refuted(best) or not self.explains(self.fits[best]):
+                return
+            for part in combinations(best, len(best) - 1):
+                if part not in self.fits:
+                    self.progress("what is in the best set", 0.5)
+                    layout = self.layout(part)
+                    found = self.descent.from_near(layout, [self._smaller(layout, self.fits[best])])
+                    if found is not None:
+                        self.fits[part] = found
 
 
 def is_akin(name: str, variant: str) -> bool:

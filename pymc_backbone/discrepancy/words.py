@@ -328,7 +328,7 @@ def advice(search: Search, decision: Decision) -> tuple[str, ...]:
     other = 1.0 - sum(decision.probabilities.get(names, 0.0) for names in decision.listed)
     if other > _ELSE:
         sentences.append(
-            f"{per_cent(other)} are for something else than what remains, which such a test need not rule out: "
+            f"with {per_cent(other)} it is none of the sets that remain, and such a test need not tell what then: "
             "`pymc-backbone plan` says how probable it is that a test decides."
         )
     return tuple(sentences)
