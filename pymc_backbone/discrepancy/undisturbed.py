@@ -69,6 +69,7 @@ class _Asked:
     measuring: Measuring
     searched: Callable[..., Search]
     known: Sequence[str] = ()
+    lines: tuple[Disturbed, ...] = ()
     release: Earlier | None = None
     is_relaxed: bool = False
     sensor_filter: SensorFilter | None = None
@@ -140,13 +141,9 @@ def undisturbed(
     (``lines`` are those that were).
     """
     if isinstance(search.halted, Disturbed):
-        lines = (*lines, search.halted)
-        records = search.halted.undisturbed(records)
-        other = question.of_records(records, measuring, sentences(lines))
-        early = in_the_way if len(lines) < _PASSES else _in_front
-        again = searched(other, early, drift_alone)
-        return undisturbed(other, again, records, measuring, searched, drifting, lines)
-    asked = _Asked(question, measuring, searched, sentences(lines))
+        without = search.halted.undisturbed(records)
+        return _without_lines(question, without, measuring, searched, drifting, (*lines, search.halted))
+    asked = _Asked(question, measuring, searched, sentences(lines), lines)
     behind, is_needed = _halted(asked, search, records)
     if behind is not None and is_needed:
         return behind
@@ -209,7 +206,7 @@ def _one_by_one(
     if (cut is not None or asked.release is not None) and _is_exact(again):
         return known
     known = _with_drifts(known, drifting)
-    straight = _straightened(asked, again, records, said)
+    straight = _straightened(asked, again, records, said, drifting)
     if straight is None:
         return known
     left = _over_motion(straight.search, straight.search.fits[straight.search.best()])
@@ -340,17 +337,48 @@ def with_drifts(known: Undisturbed, drifting: Callable[[Search], Mapping[Set, Dr
     return known if known.question.batch is batch else replace(known, question=replace(known.question, batch=batch))
 
 
-def _straightened(asked: _Asked, again: Search, records: Sequence[Record], said: Sequence[str]) -> Undisturbed | None:
-    """Return the question and search of records without bent sensors and lines; None where no set leaves noise then."""
+def _straightened(
+    asked: _Asked,
+    again: Search,
+    records: Sequence[Record],
+    said: Sequence[str],
+    drifting: Callable[[Search], Mapping[Set, Drifting]],
+) -> Undisturbed | None:
+    """Return the question and search of records without bent sensors and lines; None where no set leaves noise then.
+
+    Where a line by itself is not all, and nothing else was changed, everything is asked of the records without it: the
+    noise that held the line hid what else disturbs them.
+    """
     found: list[Disturbed] = []
+    straight = records
     while len(found) < _PASSES and (one := disturbed(again)) is not None:
         found.append(one)
-        records = one.undisturbed(records)
-        tried = asked.of(records, (*said, *sentences(found)))
+        straight = one.undisturbed(straight)
+        tried = asked.of(straight, (*said, *sentences(found)))
         again = tried.search
         if _is_exact(again):
             return replace(tried, is_bent=any(item.is_bent for item in found))
-    return None
+    is_line = bool(found) and not found[0].is_bent
+    if not is_line or said or len(asked.lines) + 1 >= _PASSES:
+        return None
+    without = found[0].undisturbed(records)
+    anew = _without_lines(asked.question, without, asked.measuring, asked.searched, drifting, (*asked.lines, found[0]))
+    return anew if _is_exact(anew.search) else None
+
+
+def _without_lines(
+    question: Question,
+    records: Sequence[Record],
+    measuring: Measuring,
+    searched: Callable[..., Search],
+    drifting: Callable[[Search], Mapping[Set, Drifting]],
+    lines: tuple[Disturbed, ...],
+) -> Undisturbed:
+    """Return question and search of records from which lines were taken, without what else disturbs them."""
+    other = question.of_records(records, measuring, sentences(lines))
+    early = in_the_way if len(lines) < _PASSES else _in_front
+    again = searched(other, early, drift_alone)
+    return undisturbed(other, again, records, measuring, searched, drifting, lines)
 
 
 def _over_motion(search: Search, found: Fit) -> float:
