@@ -217,6 +217,40 @@ def test_records_are_searched_without_the_line_that_halted_a_search(monkeypatch)
     ]
 
 
+@pytest.mark.parametrize(("is_bent", "explains"), [(False, True), (False, False), (True, True)])
+def test_everything_is_asked_anew_where_a_line_is_not_all_that_disturbs_records(is_bent, explains, monkeypatch):
+    """A hum beside a baseline that tilts: a bent sensor and another mode had stood for what the tilt left."""
+    for name in ("drop_outs", "drifting_zero", "sensor_filter", "earlier", "begun", "motion_noise"):
+        monkeypatch.setattr(module, name, lambda *_: None)
+    monkeypatch.setattr(module.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
+    monkeypatch.setattr(module.evidence, "leaves_noise", lambda _, found: found == "explained")
+    item = module.Disturbed({"one": SimpleNamespace(bent=0.01 * is_bent, frequency=1.0)}, ())
+    monkeypatch.setattr(module, "sentences", lambda found: [f"{len(found)} taken away"])
+    monkeypatch.setattr(module.Disturbed, "undisturbed", lambda _self, records: records)
+    monkeypatch.setattr(module, "_over_motion", lambda *_: 0.01)
+    first, beside, anew = (
+        SimpleNamespace(halted=None, is_told=False, batch=None, fits={(): name}, best=tuple)
+        for name in ("base", "rest", "explained" if explains else "rest")
+    )
+    monkeypatch.setattr(module, "disturbed", lambda search: item if search is first else None)
+    asked = []
+
+    @dataclass
+    class Question:
+        batch: object = None
+
+        def of_records(self, records, measuring, said):
+            return Question()
+
+    def searched(question, *early):
+        asked.append(early)
+        return anew if early else beside
+
+    known = module.undisturbed(Question(), first, [], None, searched, lambda _: {})
+    assert asked == [(), *([] if is_bent else [(module.in_the_way, module.drift_alone)])]
+    assert known.search is (anew if explains and not is_bent else first)
+
+
 @pytest.mark.parametrize("explains", [True, False])
 def test_a_high_pass_that_what_was_found_behind_it_needs_not_is_taken_back(explains, monkeypatch):
     """The search without it is taken to its end; where that leaves more than noise, the one behind it stands."""
