@@ -60,6 +60,19 @@ def test_wind_is_told_from_what_a_law_leaves(rng, monkeypatch):
     assert check_of([wind(rng, 0.01) + item for item in noise], rng, monkeypatch, is_explained=True).passed
 
 
+def test_weak_wind_is_told_by_records_that_have_nothing_in_common(rng, monkeypatch):
+    """By itself the end of each looks like a decay; a law leaves alike of specimens that are alike."""
+    noise = [1e-4 * rng.normal(size=TIME.size) for _ in range(6)]
+    blown = [wind(rng, 0.003) + item for item in noise]
+    assert not check_of(blown, rng, monkeypatch).passed
+    assert check_of(blown[:3], rng, monkeypatch).passed  # three may be apart by chance
+    alike = [0.003 * (1.0 + 0.2 * rng.normal()) * np.cos(2.0 * np.pi * FREQUENCY * TIME + 0.4) for _ in range(6)]
+    assert check_of([rest + item for rest, item in zip(alike, noise, strict=True)], rng, monkeypatch).passed
+    falls = [0.01 * np.exp(2j * np.pi * rng.random()) for _ in range(6)]  # apart, and yet it goes with the motion
+    left = [(item * np.exp(2j * np.pi * FREQUENCY * TIME)).real * np.exp(-0.12 * TIME) for item in falls]
+    assert check_of([rest + item for rest, item in zip(left, noise, strict=True)], rng, monkeypatch).passed
+
+
 def test_what_wind_leaves_is_no_missing_effect_and_what_is_certain_stays():
     certain = (mechanism_of("hysteresis", 0.99, 0.9, iwan=0.99),)
     doubtful = (mechanism_of("clearance", 0.4, 0.7, freeplay=0.4),)
