@@ -16,7 +16,17 @@ from scipy.integrate import solve_ivp
 
 import pymc_backbone as pb
 from pymc_backbone._common.text import capitalised, in_words
-from pymc_backbone.discrepancy import candidate_table, decide, inexact, minded, rivals, shares, verdict_words, words
+from pymc_backbone.discrepancy import (
+    candidate_table,
+    decide,
+    inexact,
+    minded,
+    readings,
+    rivals,
+    shares,
+    verdict_words,
+    words,
+)
 from pymc_backbone.discrepancy.batch import batch_of_backbones
 from pymc_backbone.discrepancy.decision import Decision, as_one
 from pymc_backbone.discrepancy.drift_course import DRIFT
@@ -476,12 +486,18 @@ def test_what_an_effect_does_not_bring_about_is_not_told_as_its_own(monkeypatch)
     assert "frequency rises" in reason
 
 
-def test_a_beating_mode_is_reported(rng):
+@pytest.mark.parametrize("is_taken", [True, False])
+def test_a_beating_mode_is_reported(is_taken, rng, monkeypatch):
+    """Taken away where it is a disturbance; where it is more than that, nothing is named."""
+    if not is_taken:
+        monkeypatch.setattr(readings, "_MOST_OF_A_LINE", 0.05)
     beating = decaying_sinusoid(0.08 * AMPLITUDE, 7.3)
     records = [dataclasses.replace(record, values=record.values + beating) for record in make_records(rng)]
     study = study_of(records)
-    assert study.verdict != "found"
-    assert "no second mode" in {item.check for item in study.checks if not item.passed}
+    told = [note for note in study.notes if "a line beside the harmonics of the mode at 7.299 to 7.3 Hz" in note]
+    assert len(told) == is_taken, study.notes
+    assert (study.verdict == "adequate") == is_taken and study.verdict != "found"
+    assert ("no second mode" in {item.check for item in study.checks if not item.passed}) == (not is_taken)
 
 
 def test_a_sensor_offset_is_no_effect(rng):
