@@ -557,7 +557,7 @@ def test_the_mid_line_beyond_a_stop_is_the_mean_of_its_force(gap: float) -> None
 def test_what_is_not_known_of_the_mid_line_of_a_stop_is_in_the_error_of_the_damping(
     noise: float, rng: np.random.Generator
 ) -> None:
-    """Taken for that of a bilinear spring, the decrement below the gap was off by a fifth, and by seven errors."""
+    """Taken for that of a bilinear spring, the decrement below the gap was off far beyond its errors."""
     time, (x, v, _) = simulated("stop", 0.01, 60, 50)
     cycles = extract_cycles(condition(record(time, v + noise * OMEGA * rng.normal(size=v.size), "velocity")))
     truth = cycle_quantities(time, x, 0.01, time[-1] - 0.5 / FREQUENCY)

@@ -213,14 +213,19 @@ class RevisitedSets(FittedSets):
                 break
             for out in best:  # it may have made up for what was lacking
                 smaller = tuple(other for other in larger if other != out)
-                if smaller not in self.fits:
-                    state = self._smaller(self.layout(smaller), self.fits[larger])
-                    found = self.descent.from_near(self.layout(smaller), [state])
-                    if found is not None:
-                        self.fits[smaller] = found
+                self._fit_within(smaller, larger)
             if self.best() == best:
                 break
             best = self.best()
+
+    def _fit_within(self, part: Set, names: Set) -> None:
+        """Fit a part of a set from where that ended, if it was never fitted."""
+        if part in self.fits:
+            return
+        layout = self.layout(part)
+        found = self.descent.from_near(layout, [self._smaller(layout, self.fits[names])])
+        if found is not None:
+            self.fits[part] = found
 
     def _score(self, names: Set, name: str) -> float:
         """Return the fall of chi-square that a linear step promises for one effect more; none where it was fitted."""

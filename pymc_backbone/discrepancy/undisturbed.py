@@ -68,7 +68,6 @@ class _Asked:
     question: Question
     measuring: Measuring
     searched: Callable[..., Search]
-    known: Sequence[str] = ()
     lines: tuple[Disturbed, ...] = ()
     release: Earlier | None = None
     is_relaxed: bool = False
@@ -89,7 +88,7 @@ class _Asked:
 
     def question_of(self, records: Sequence[Record], said: Sequence[str]) -> Question:
         """Return the question of these records."""
-        other = self.question.of_records(records, self.measuring, (*self.known, *said))
+        other = self.question.of_records(records, self.measuring, (*sentences(self.lines), *said))
         if self.is_relaxed:
             other = replace(other, batch=replace(other.batch, is_relaxed=True))
         if self.release is not None:
@@ -143,7 +142,7 @@ def undisturbed(
     if isinstance(search.halted, Disturbed):
         without = search.halted.undisturbed(records)
         return _without_lines(question, without, measuring, searched, drifting, (*lines, search.halted))
-    asked = _Asked(question, measuring, searched, sentences(lines), lines)
+    asked = _Asked(question, measuring, searched, lines)
     behind, is_needed = _halted(asked, search, records)
     if behind is not None and is_needed:
         return behind

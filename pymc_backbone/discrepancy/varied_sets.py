@@ -131,12 +131,8 @@ class VariedSets(RevisitedSets):
             if not is_blind or len(best) < 2 or self.is_refuted(best) or not self.explains(self.fits[best]):
                 return
             for part in combinations(best, len(best) - 1):
-                if part not in self.fits:
-                    self.progress("what is in the best set", 0.5)
-                    layout = self.layout(part)
-                    found = self.descent.from_near(layout, [self._smaller(layout, self.fits[best])])
-                    if found is not None:
-                        self.fits[part] = found
+                self.progress("what is in the best set", 0.5)
+                self._fit_within(part, best)
 
 
 def is_akin(name: str, variant: str) -> bool:
