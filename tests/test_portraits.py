@@ -11,6 +11,9 @@ import pymc_backbone as pb
 from pymc_backbone._common.checks import InputError
 from pymc_backbone.discrepancy.layout import make_layout
 from pymc_backbone.discrepancy.portraits import Portraits, _simulated, beyond_spring
+from pymc_backbone.discrepancy.portraits import portraits as pictures
+from pymc_backbone.discrepancy.search import Search
+from pymc_backbone.discrepancy.sensor_filter import SensorFilter
 from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.measurement.cycles import extract_cycles
 from pymc_backbone.measurement.harmonics import harmonic_decay, peaks_of
@@ -18,6 +21,8 @@ from pymc_backbone.measurement.time_frequency import time_frequency
 from pymc_backbone.reporting.portrait_plots import plot_distortion, plot_force_sections, plot_time_frequency
 from pymc_backbone.reporting.report_portraits import portraits
 from pymc_backbone.reporting.study_plots import study_figures
+
+from .discrepancy_cases import FREQUENCY, MASS, batch_of, make_records
 
 STIFFNESS, DAMPING, TOP = 1000.0, 0.3, 0.1
 OMEGA = np.sqrt(STIFFNESS)
@@ -243,3 +248,14 @@ def test_of_a_velocity_the_right_model_meets_the_points_although_its_mid_line_is
         assert np.abs(np.interp(ends, *base) - measured[1, [0, -1]]).max() > 0.3 * span
     page = portraits(study, {"force_sections": plot_force_sections(shown)})
     assert "Integration of the record lost its mid-line" in page
+
+
+def test_behind_a_filter_no_forces_are_told(rng):
+    """It turns the harmonics: beside a spring alone the sections had shown a drag that is not there."""
+    records = make_records(rng, ("cubic_stiffness",), share=4.0)
+    batch = batch_of(records)
+    search = Search(batch, pb.Oscillator(MASS), ("cubic_stiffness",), 1)
+    search.fit_set(())
+    assert pictures(batch, search.fits[()], None).measured is not None
+    behind = SensorFilter(1, FREQUENCY / 3.0, "high-pass").passed(batch)
+    assert pictures(behind, search.fits[()], None).measured is None

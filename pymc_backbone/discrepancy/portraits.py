@@ -39,7 +39,7 @@ class Portraits:
         Mass [kg], and the stiffness [N/m] of the base at that specimen, which is taken from the forces.
     measured, base, named : HarmonicDecay or None
         Of the record; of the base and the named model, fitted to it. None where they are not told: fewer than 16
-        samples a cycle, a band that took the harmonics, or a model that takes too long.
+        samples a cycle, a band that took the harmonics or a filter that turned them, or a model that takes too long.
     has_forces : bool
         Whether the noise leaves something to see of the force beyond the linear spring.
     has_mid_line : bool
@@ -77,7 +77,7 @@ def portraits(batch: Batch, base: Fit, named: Fit | None, *, quick: bool = False
     spectra = tuple(time_frequency(batch.records[k], batch.cycles[k]) for k in dict.fromkeys(shown))
     record, cycles = batch.records[0], batch.cycles[0]
     measured, has_mid_line = None, record.measured.order == 0
-    if record.band is None:
+    if record.band is None and not batch.is_behind_filter:  # which turns the harmonics
         peaks = cycles.turning_times[cycles.turning_signs > 0.0]
         measured = harmonic_decay(record.time, record.displacement, peaks, has_mid_line=has_mid_line)
     of_base = of_named = None
