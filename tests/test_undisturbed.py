@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from pymc_backbone.discrepancy import changed
 from pymc_backbone.discrepancy import undisturbed as module
 from pymc_backbone.discrepancy.evidence import Drifting
 from pymc_backbone.discrepancy.sensor_filter import SensorFilter
@@ -40,9 +41,10 @@ def test_a_drift_is_asked_before_cycles_are_left_out_and_noise_is_weighed(is_dri
     names = ("drifting_zero", "is_relaxed_at_release", "drop_outs", "sensor_filter", "earlier", "begun")
     for name in (*names, "motion_noise", "disturbed"):
         monkeypatch.setattr(module, name, says(name))
-    monkeypatch.setattr(module.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
-    monkeypatch.setattr(module.evidence, "leaves_noise", lambda _, found: left[found])
-    monkeypatch.setattr(module, "_over_motion", lambda *_: 1e-3)
+    monkeypatch.setattr(changed.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
+    monkeypatch.setattr(changed.evidence, "leaves_noise", lambda _, found: left[found])
+    monkeypatch.setattr(changed, "over_motion", lambda *_: 1e-3)
+    monkeypatch.setattr(module, "over_motion", lambda *_: 1e-3)
     search = SimpleNamespace(halted=None, is_told=False, batch=None, fits={(): "base"}, best=tuple)
 
     def drifting(_):
@@ -61,8 +63,8 @@ def test_of_velocities_and_accelerations_a_filter_is_asked_before_the_zero(monke
     asked = []
     for name in ("drifting_zero", "drop_outs", "sensor_filter", "earlier", "begun", "motion_noise", "disturbed"):
         monkeypatch.setattr(module, name, lambda *_, name=name: asked.append(name))
-    monkeypatch.setattr(module.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
-    monkeypatch.setattr(module.evidence, "leaves_noise", lambda *_: False)
+    monkeypatch.setattr(changed.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
+    monkeypatch.setattr(changed.evidence, "leaves_noise", lambda *_: False)
     search = SimpleNamespace(halted=None, is_told=False, batch=None, fits={(): "base"}, best=tuple)
     records = [SimpleNamespace(quantity="acceleration"), SimpleNamespace(quantity="velocity")]
     module.undisturbed(SimpleNamespace(batch=None), search, records, None, lambda _: search, lambda _: {})
@@ -76,11 +78,13 @@ def test_sensors_are_straightened_beside_a_drift_where_less_noise_is_left(quiete
         monkeypatch.setattr(module, name, lambda *_: None)
     bent = SimpleNamespace(is_bent=True, undisturbed=lambda records: records)
     monkeypatch.setattr(module, "disturbed", lambda _: bent)
+    monkeypatch.setattr(changed, "sentences", lambda found: [])
     monkeypatch.setattr(module, "sentences", lambda found: [])
     left = {"base": 1.0, "drift": 1e-3, "straight": quieter * 1e-3}
-    monkeypatch.setattr(module.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
-    monkeypatch.setattr(module.evidence, "leaves_noise", lambda _, found: found != "base")
-    monkeypatch.setattr(module, "_over_motion", lambda _, found: left[found])
+    monkeypatch.setattr(changed.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
+    monkeypatch.setattr(changed.evidence, "leaves_noise", lambda _, found: found != "base")
+    monkeypatch.setattr(changed, "over_motion", lambda _, found: left[found])
+    monkeypatch.setattr(module, "over_motion", lambda _, found: left[found])
     search, straight = (
         SimpleNamespace(halted=None, is_told=False, batch=None, fits={(): name}, best=tuple)
         for name in ("base", "straight")
@@ -102,9 +106,9 @@ def test_a_low_pass_that_explains_nothing_to_the_noise_has_to_make_the_differenc
         monkeypatch.setattr(module, name, lambda *_: None)
     monkeypatch.setattr(module, "sensor_filter", lambda _: behind)
     monkeypatch.setattr(
-        module.evidence, "lack_of_fit", lambda _, found: SimpleNamespace(share=left[found], p_value=0.0)
+        changed.evidence, "lack_of_fit", lambda _, found: SimpleNamespace(share=left[found], p_value=0.0)
     )
-    monkeypatch.setattr(module.evidence, "leaves_noise", lambda *_: False)
+    monkeypatch.setattr(changed.evidence, "leaves_noise", lambda *_: False)
     common = {"halted": None, "is_told": False, "batch": None}
     before = SimpleNamespace(**common, fits={(): "base"}, best=tuple, fit_set=lambda names: names and "large")
     after = SimpleNamespace(**common, fits={("large",): "large behind"}, best=lambda: ("large",), max_effects=most)
@@ -132,8 +136,8 @@ def test_a_low_pass_is_kept_where_more_is_explained_behind_it(helps, monkeypatch
     for name in ("drifting_zero", "drop_outs"):
         monkeypatch.setattr(module, name, lambda *_: None)
     monkeypatch.setattr(module, "sensor_filter", lambda _: behind)
-    monkeypatch.setattr(module.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
-    monkeypatch.setattr(module.evidence, "leaves_noise", lambda _, found: found == "explained")
+    monkeypatch.setattr(changed.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
+    monkeypatch.setattr(changed.evidence, "leaves_noise", lambda _, found: found == "explained")
     before = SimpleNamespace(halted=None, is_told=False, batch=None, fits={(): "base"}, best=tuple)
     after = SimpleNamespace(
         halted=None, is_told=False, batch=None, fits={(): "explained" if helps else "base"}, best=tuple
@@ -164,8 +168,8 @@ def test_a_search_that_a_filter_halted_goes_on_where_nothing_is_explained_behind
     seen = []
     for name in ("drop_outs", "drifting_zero", "sensor_filter", "earlier", "begun", "motion_noise", "disturbed"):
         monkeypatch.setattr(module, name, lambda *_, name=name: seen.append(name))
-    monkeypatch.setattr(module.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
-    monkeypatch.setattr(module.evidence, "leaves_noise", lambda _, found: found == "explained")
+    monkeypatch.setattr(changed.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
+    monkeypatch.setattr(changed.evidence, "leaves_noise", lambda _, found: found == "explained")
     before = SimpleNamespace(halted=SensorFilter(1, 0.5, "high-pass"), is_told=False, fits={(): "base"}, best=tuple)
     before.batch = SimpleNamespace(records=[SimpleNamespace(frequency=5.0)], waveform=(), specimens=("one",))
     before.resume = lambda: seen.append("resumed")
@@ -184,9 +188,10 @@ def test_records_are_searched_without_the_line_that_halted_a_search(monkeypatch)
     """Again with all that is asked early, and at last without lines; what follows is asked of the last."""
     for name in ("drop_outs", "drifting_zero", "sensor_filter", "earlier", "begun", "motion_noise", "disturbed"):
         monkeypatch.setattr(module, name, lambda *_: None)
+    monkeypatch.setattr(changed, "sentences", lambda found: [f"{len(found)} taken away"])
     monkeypatch.setattr(module, "sentences", lambda found: [f"{len(found)} taken away"])
-    monkeypatch.setattr(module.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
-    monkeypatch.setattr(module.evidence, "leaves_noise", lambda *_: False)
+    monkeypatch.setattr(changed.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
+    monkeypatch.setattr(changed.evidence, "leaves_noise", lambda *_: False)
     line = module.Disturbed({}, ())
     records = [SimpleNamespace(quantity="displacement", taken=taken) for taken in range(3)]
     monkeypatch.setattr(module.Disturbed, "undisturbed", lambda _self, known: [records[known[0].taken + 1]])
@@ -222,12 +227,14 @@ def test_everything_is_asked_anew_where_a_line_is_not_all_that_disturbs_records(
     """A hum beside a baseline that tilts: a bent sensor and another mode had stood for what the tilt left."""
     for name in ("drop_outs", "drifting_zero", "sensor_filter", "earlier", "begun", "motion_noise"):
         monkeypatch.setattr(module, name, lambda *_: None)
-    monkeypatch.setattr(module.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
-    monkeypatch.setattr(module.evidence, "leaves_noise", lambda _, found: found == "explained")
+    monkeypatch.setattr(changed.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
+    monkeypatch.setattr(changed.evidence, "leaves_noise", lambda _, found: found == "explained")
     item = module.Disturbed({"one": SimpleNamespace(bent=0.01 * is_bent, frequency=1.0)}, ())
+    monkeypatch.setattr(changed, "sentences", lambda found: [f"{len(found)} taken away"])
     monkeypatch.setattr(module, "sentences", lambda found: [f"{len(found)} taken away"])
     monkeypatch.setattr(module.Disturbed, "undisturbed", lambda _self, records: records)
-    monkeypatch.setattr(module, "_over_motion", lambda *_: 0.01)
+    monkeypatch.setattr(changed, "over_motion", lambda *_: 0.01)
+    monkeypatch.setattr(module, "over_motion", lambda *_: 0.01)
     first, beside, anew = (
         SimpleNamespace(halted=None, is_told=False, batch=None, fits={(): name}, best=tuple)
         for name in ("base", "rest", "explained" if explains else "rest")
@@ -257,8 +264,8 @@ def test_a_high_pass_that_what_was_found_behind_it_needs_not_is_taken_back(expla
     for name in ("drop_outs", "drifting_zero", "sensor_filter", "earlier", "begun", "motion_noise", "disturbed"):
         monkeypatch.setattr(module, name, lambda *_: None)
     monkeypatch.setattr(module, "settled", lambda *_: None)
-    monkeypatch.setattr(module.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
-    monkeypatch.setattr(module.evidence, "leaves_noise", lambda _, found: found == "explained")
+    monkeypatch.setattr(changed.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
+    monkeypatch.setattr(changed.evidence, "leaves_noise", lambda _, found: found == "explained")
     before = SimpleNamespace(halted=SensorFilter(1, 0.5, "high-pass"), is_told=False, fits={(): "base"}, best=tuple)
     before.batch = SimpleNamespace(records=[SimpleNamespace(frequency=5.0)], waveform=(), specimens=("one",))
     before.resume = lambda: before.fits.update({(): "explained" if explains else "base"})
@@ -276,8 +283,8 @@ def test_a_zero_that_drifts_is_the_answer_where_nothing_is_left_without_the_mid_
     asked = []
     for name in ("drop_outs", "sensor_filter", "earlier", "begun", "motion_noise", "disturbed"):
         monkeypatch.setattr(module, name, lambda *_, name=name: asked.append(name))
-    monkeypatch.setattr(module.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
-    monkeypatch.setattr(module.evidence, "leaves_noise", lambda _, found: found == "explained")
+    monkeypatch.setattr(changed.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
+    monkeypatch.setattr(changed.evidence, "leaves_noise", lambda _, found: found == "explained")
     before = SimpleNamespace(halted=None, is_told=False, batch=None, fits={(): "base"}, best=tuple)
     after = SimpleNamespace(
         halted=None, is_told=False, batch=None, fits={(): "explained" if helps else "base"}, best=tuple
@@ -293,9 +300,10 @@ def test_nothing_else_is_asked_where_a_drift_explains_the_records_by_itself(is_d
     resumed = []
     search = SimpleNamespace(halted=None, is_told=True, batch=None, resume=lambda: resumed.append(True))
     drifting = {(): SimpleNamespace(fit="drift")}
-    monkeypatch.setattr(module.evidence, "leaves_noise", lambda *_: is_drifting)
-    monkeypatch.setattr(module, "_over_motion", lambda *_: 0.01)
-    monkeypatch.setattr(module, "_one_by_one", lambda *_, **__: "asked")
+    monkeypatch.setattr(changed.evidence, "leaves_noise", lambda *_: is_drifting)
+    monkeypatch.setattr(changed, "over_motion", lambda *_: 0.01)
+    monkeypatch.setattr(module, "over_motion", lambda *_: 0.01)
+    monkeypatch.setattr(module, "_one_by_one", lambda *_: "asked")
     monkeypatch.setattr(module, "_steadied", lambda *_: None)
     found = module.undisturbed(SimpleNamespace(batch=None), search, (), None, None, lambda _: drifting)
     assert bool(resumed) != is_drifting
@@ -313,9 +321,9 @@ def test_records_without_first_cycles_or_of_weighed_noise_are_searched_where_set
     noise = SimpleNamespace(sentence="noise", weighed=lambda batch: batch)
     monkeypatch.setattr(module, "begun", lambda *_: cut)
     monkeypatch.setattr(module, "motion_noise", lambda *_: noise)
-    monkeypatch.setattr(module, "is_promising", lambda search, batch, less: asked.append(less) or is_worth_it)
-    monkeypatch.setattr(module.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
-    monkeypatch.setattr(module.evidence, "leaves_noise", lambda *_: False)
+    monkeypatch.setattr(changed, "is_promising", lambda search, batch, less: asked.append(less) or is_worth_it)
+    monkeypatch.setattr(changed.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
+    monkeypatch.setattr(changed.evidence, "leaves_noise", lambda *_: False)
     search = SimpleNamespace(halted=None, is_told=False, batch=None, fits={(): "base"}, best=tuple)
     searches = []
     module.undisturbed(Unmeasured(), search, [], None, lambda other: searches.append(other) or search, lambda _: {})
