@@ -12,7 +12,7 @@ from .._common.checks import OBSERVABLES, FloatArray
 from . import normal_equations
 from .batch import Batch
 from .data_term import LevelTerm
-from .drift_course import drifted, levels_before
+from .drift_course import passage_of
 from .joint_fit import Fit, fit, parameters_of
 from .layout import Layout
 from .normal_equations import DRIFTS, NUISANCES, RELEASE_INSTANT, ZERO, State, linearise, start_state
@@ -247,8 +247,8 @@ def _left_beside_drifts(batch: Batch, found: Fit, r: int) -> FloatArray | None:
     order = np.argsort(cycles.smoothed_amplitude)
     elapsed = (cycles.time[order] - found.state.own[r, RELEASE_INSTANT]) / length
     share = np.interp(term.levels, cycles.smoothed_amplitude[order], elapsed)
-    settling = batch.waveform[r].settling
-    levels = levels_before(term.levels, share, loss, drift, settling)
+    passage = passage_of(share, drift, loss, length, batch.waveform[r].settling, _softness(batch, found, r, share))
+    levels = passage.levels_before(term.levels)
     if not np.all(np.diff(levels) > 0.0):
         return None
     values, status = np.empty((3, levels.size)), np.zeros(levels.size, dtype=np.int64)
@@ -256,9 +256,20 @@ def _left_beside_drifts(batch: Batch, found: Fit, r: int) -> FloatArray | None:
     found.layout.simulator.backbone(found.parameters(r), levels, term.release, True, values, none, status, whole=False)
     if status.any():
         return None
-    values[:2] = drifted(values[0], values[1], share, drift, loss, length, settling)
+    values[:2] = passage.drifted(values[0], values[1])
     left: FloatArray = term.whitening @ (term.values - values[term.rows[:, 0], term.rows[:, 1]])
     return left
+
+
+def _softness(batch: Batch, found: Fit, r: int, share: FloatArray) -> FloatArray:
+    """Return the linear spring over the mass and the square of the angular frequency, at shares of a record."""
+    term = batch.waveform[r]
+    square = float(found.parameters(r)[0]) / found.layout.oscillator.mass
+    if term.motion is None:
+        return np.ones_like(share)
+    at = found.state.own[r, RELEASE_INSTANT] + share * float(np.ptp(term.time))
+    softness: FloatArray = square / np.interp(at, term.time, term.motion.angular_frequency) ** 2
+    return softness
 
 
 def prediction_errors(found: Fit, terms: list[LevelTerm], levels: FloatArray) -> FloatArray:

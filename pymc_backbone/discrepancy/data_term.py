@@ -15,7 +15,7 @@ import xarray as xr
 
 from .._common.checks import OBSERVABLES, BoolArray, FloatArray, IntArray
 from ..simulation.decay import Simulator
-from .drift_course import DRIFT, Course, course_of, covered, covered_so_far
+from .drift_course import Course, Motion, course_of
 from .whitening import EDGE, average, means
 
 TOLERANCE = 1e-7  # of one integration step: waveforms to 3e-6 of the amplitude, far below any noise here
@@ -30,8 +30,8 @@ class DataTerm(Protocol):
     and the derivatives of the simulated (n, p + 5) with respect to the parameters and the nuisances: release
     amplitude, release instant, offset, drift of frequency, drift of damping. None where the simulation failed.
 
-    The drifts are changes with time, not with amplitude: the frequency changes by `DRIFT` times the nuisance over the
-    record, by stretching the time; the amplitude falls by the square of the elapsed share of the record more.
+    The drifts are changes with time, not with amplitude: of the linear spring, by which the motion without it is passed
+    faster, and of the damping, by which the amplitude falls by the square of the elapsed share of the record more.
     """
 
     @property
@@ -172,6 +172,8 @@ class TurningTerm:
         What one unit of the drift of damping adds to the decrement, summed over the record.
     settling : float
         How many times over the record a drift of frequency comes nearer to its end by a factor e; 0 for a steady one.
+    motion : Motion or None
+        How the measured motion passes at these turning points; None for that of a linear structure.
     """
 
     times: FloatArray
@@ -181,11 +183,13 @@ class TurningTerm:
     skipped: int = 0
     fade: float = 1.0
     settling: float = 0.0
+    motion: Motion | None = None
 
     def first(self, count: int) -> TurningTerm:
         """Return the term of the first ``count`` turning points."""
         names = ("times", "values", "time_errors", "value_errors")
-        return replace(self, **{name: getattr(self, name)[:count] for name in names})
+        motion = None if self.motion is None else self.motion.first(count)
+        return replace(self, motion=motion, **{name: getattr(self, name)[:count] for name in names})
 
     @property
     def size(self) -> int:
@@ -201,7 +205,7 @@ class TurningTerm:
         self, simulator: Simulator, parameters: FloatArray, nuisances: FloatArray
     ) -> tuple[FloatArray, FloatArray] | None:
         """Return residuals (2 n,) and derivatives (2 n, p + 5)."""
-        release, release_time, offset, drift, loss = nuisances
+        release, release_time, offset = nuisances[:3]
         first = self.skipped + 1
         maximum = self.times.size + first
         columns = parameters.size + 1
@@ -210,31 +214,35 @@ class TurningTerm:
         if count < maximum:
             return None
         turns, times, slopes, time_slopes = (part[first:] for part in turning)
-        n = self.times.size
-        length = float(self.times[-1] - self.times[0])
-        share = times / length
-        early = DRIFT * length * covered_so_far(share, self.settling)
-        loss *= self.fade
-        there = DRIFT * covered(share, self.settling)
-        less = np.exp(-0.5 * loss * share**2) / np.sqrt(1.0 + drift * there)
+        n, stiffness = self.times.size, float(parameters[0])
+        course = course_of(
+            self.times, nuisances, 0, self.fade, self.settling, self.motion, stiffness / simulator.oscillator.mass
+        )
+        later = 0.0 if course.later is None else course.later
+        less = np.ones(n) if course.factor is None else course.factor
+        values = turns * less
         residuals = np.concatenate(
             [
-                (self.times - release_time - times + drift * early) / self.time_errors,
-                (self.values - offset - turns * less) / self.value_errors,
+                (self.times - release_time - times + later) / self.time_errors,
+                (self.values - offset - values) / self.value_errors,
             ]
         )
         jacobian = np.zeros((2 * n, columns + 4))
-        of_times = time_slopes * (1.0 - drift * there)[:, None]
-        of_values = (slopes - time_slopes * (loss * share / length * turns)[:, None]) * less[:, None]
-        parts = ((slice(0, n), of_times, self.time_errors), (slice(n, None), of_values, self.value_errors))
+        parts = (
+            (slice(0, n), time_slopes, self.time_errors),
+            (slice(n, None), slopes * less[:, None], self.value_errors),
+        )
         for part, slope, error in parts:
             jacobian[part, : columns - 1] = slope[:, 1:] / error[:, None]
             jacobian[part, columns - 1] = slope[:, 0] / error
-        jacobian[:n, columns] = 1.0 / self.time_errors
+        if course.by_stiffness is not None:
+            jacobian[:n, 0] -= course.by_stiffness / stiffness / self.time_errors
+        jacobian[:n, columns] = course.pace / self.time_errors
         jacobian[n:, columns + 1] = 1.0 / self.value_errors
-        jacobian[:n, columns + 2] = -early / self.time_errors
-        jacobian[n:, columns + 2] = -0.5 * there / (1.0 + drift * there) * turns * less / self.value_errors
-        jacobian[n:, columns + 3] = -0.5 * self.fade * share**2 * turns * less / self.value_errors
+        jacobian[:n, columns + 2] = -course.by_drift / self.time_errors
+        jacobian[n:, columns + 2] = course.hastened * values / self.value_errors
+        jacobian[:n, columns + 3] = -course.by_loss / self.time_errors
+        jacobian[n:, columns + 3] = -course.share * values / self.value_errors
         return residuals, jacobian
 
     def residuals(self, simulator: Simulator, parameters: FloatArray, nuisances: FloatArray) -> FloatArray | None:
@@ -310,8 +318,8 @@ class WaveformTerm:
         Which of these values stay, where some are left out.
     jumps : Jumps or None
         Why: where the quantity may jump.
-    settling : float
-        As in `TurningTerm`.
+    settling, motion
+        As in `TurningTerm`, at these instants.
     """
 
     time: FloatArray
@@ -330,6 +338,7 @@ class WaveformTerm:
     shown: IntArray | None = None
     jumps: Jumps | None = None
     settling: float = 0.0
+    motion: Motion | None = None
 
     def simulate(
         self,
@@ -379,9 +388,9 @@ class WaveformTerm:
         self, simulator: Simulator, parameters: FloatArray, nuisances: FloatArray
     ) -> tuple[FloatArray, FloatArray] | None:
         """Return residuals (m,) and derivatives (m, p + 5)."""
-        release, release_time, offset, drift, _ = nuisances
-        course = course_of(self.time, nuisances, self.order, self.fade, self.settling)
-        simulated = self.simulate(simulator, parameters, release, release_time, self._at(drift, course))
+        release, release_time, offset = nuisances[:3]
+        course = self._course(simulator, parameters, nuisances)
+        simulated = self.simulate(simulator, parameters, release, release_time, self._at(course))
         if simulated is None:
             return None
         values, slopes = simulated
@@ -391,11 +400,12 @@ class WaveformTerm:
         columns = np.empty((n, p + 6))
         columns[:, :p] = slopes[:, 1:-1]
         columns[:, p] = slopes[:, 0]
-        columns[:, p + 1] = -slopes[:, -1]
+        columns[:, p + 1] = -slopes[:, -1] * course.pace
         columns[:, p + 2] = 0.0
-        columns[:, p + 3] = slopes[:, -1] * course.later
-        columns[:, p + 3] += values * course.hastened
-        columns[:, p + 4] = -course.share * values
+        if course.by_stiffness is not None:
+            columns[:, 0] += slopes[:, -1] * course.by_stiffness / float(parameters[0])
+        columns[:, p + 3] = slopes[:, -1] * course.by_drift + values * course.hastened
+        columns[:, p + 4] = slopes[:, -1] * course.by_loss - values * course.share
         columns[:, p + 5] = values
         if not np.isfinite(columns).all():
             return None  # drifts far from any motion
@@ -413,11 +423,9 @@ class WaveformTerm:
 
     def residuals(self, simulator: Simulator, parameters: FloatArray, nuisances: FloatArray) -> FloatArray | None:
         """Return residuals (m,)."""
-        release, release_time, offset, drift, _ = nuisances
-        course = course_of(self.time, nuisances, self.order, self.fade, self.settling)
-        simulated = self.simulate(
-            simulator, parameters, release, release_time, self._at(drift, course), sensitivities=False
-        )
+        release, release_time, offset = nuisances[:3]
+        course = self._course(simulator, parameters, nuisances)
+        simulated = self.simulate(simulator, parameters, release, release_time, self._at(course), sensitivities=False)
         if simulated is None:
             return None
         values = simulated[0]
@@ -433,6 +441,10 @@ class WaveformTerm:
             left = self.values[:, None] - column
         return self.whiten(left)[:, 0] if np.isfinite(left).all() else None
 
-    def _at(self, drift: float, course: Course) -> FloatArray:
+    def _course(self, simulator: Simulator, parameters: FloatArray, nuisances: FloatArray) -> Course:
+        square = float(parameters[0]) / simulator.oscillator.mass
+        return course_of(self.time, nuisances, self.order, self.fade, self.settling, self.motion, square)
+
+    def _at(self, course: Course) -> FloatArray:
         """Return the instants at which the motion without a drift is looked at."""
-        return self.time if drift == 0.0 else self.time + drift * course.later
+        return self.time if course.later is None else self.time + course.later

@@ -5,16 +5,45 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.polynomial import Polynomial
 
 from .._common.checks import FloatArray
+from ..measurement.cycle_data import Cycles
 
 DRIFT = 0.05
-"""Relative change of frequency over a record that one unit of drift stands for."""
+"""Relative change of the frequency of a linear structure over a record that one unit of drift stands for: half of that
+of its stiffness, to first order."""
 _FADE = 0.5
 """Relative change of damping over a record that one unit of drift stands for, as long as it takes no more than ..."""
 _MOST_FADE = 1.0
 """... this of the logarithm of the amplitude, twice."""
 _LEAST_FALL = 0.02  # of the logarithm of the amplitude, as which a record counts that hardly decays
+_LEAST_LEFT = 0.05  # of a stiffness or a pace, that drifts leave: far from any motion fits go beyond
+_MOST_BENDS, _CYCLES_PER_BEND = 5, 4  # degree of the curves through cycles, and cycles that one more needs
+_LEAST_ERROR = 1e-6  # of a frequency, relative: how closely a curve is asked to follow it
+
+
+class Motion(NamedTuple):
+    """How the measured motion passes at the instants of a data term.
+
+    Attributes
+    ----------
+    angular_frequency : (n,) array
+        Of the cycle there [rad/s].
+    frequency_growth : (n,) array
+        Derivative of its logarithm with respect to time [1/s].
+    bend : (n,) array
+        By how much the logarithm of the frequency changes with that of the amplitude, for a unit of the former's
+        growth [s].
+    """
+
+    angular_frequency: FloatArray
+    frequency_growth: FloatArray
+    bend: FloatArray
+
+    def first(self, count: int) -> Motion:
+        """Return that at the first ``count`` instants."""
+        return Motion(*(values[:count] for values in self))
 
 
 class Course(NamedTuple):
@@ -22,20 +51,44 @@ class Course(NamedTuple):
 
     Attributes
     ----------
-    later : (n,) array
-        By how much one unit of the drift of frequency puts the motion forward [s].
+    later : (n,) array or None
+        By how much they put the motion forward [s]; None where they are zero.
+    pace : (n,) array or float
+        How much faster it passes: one more than the derivative of that.
+    factor : (n,) array or None
+        By which they change the measured quantity; None where they are zero.
     share : (n,) array
         By how much one unit of the drift of damping lowers the logarithm of the amplitude.
-    factor : (n,) array or None
-        By which both change the measured quantity; None where they are zero.
     hastened : (n,) array
-        Derivative of the logarithm of that with respect to the drift of frequency.
+        Derivative of the logarithm of the factor with respect to the drift of frequency.
+    by_drift, by_loss : (n,) arrays
+        Derivatives of ``later`` with respect to the drifts of frequency and damping [s].
+    by_stiffness : (n,) array or None
+        The same with respect to the logarithm of the stiffness; None where the drifts are zero.
     """
 
-    later: FloatArray
-    share: FloatArray
+    later: FloatArray | None
+    pace: FloatArray | float
     factor: FloatArray | None
+    share: FloatArray
     hastened: FloatArray
+    by_drift: FloatArray
+    by_loss: FloatArray
+    by_stiffness: FloatArray | None
+
+
+def motion_of(cycles: Cycles, time: FloatArray) -> Motion:
+    """Return how the motion of a record passes at these instants [s], by smooth curves through its cycles."""
+    at, count = cycles.time, cycles.time.size
+    degree = min(_MOST_BENDS, count // _CYCLES_PER_BEND)
+    errors = np.maximum(cycles.frequency_error, _LEAST_ERROR * cycles.frequency)
+    frequency = Polynomial.fit(at, cycles.frequency, degree, w=1.0 / errors)
+    falling = Polynomial.fit(at, np.log(np.maximum(cycles.smoothed_amplitude, 1e-300)), degree)
+    inside = np.clip(time, at[0], at[-1])
+    values = np.clip(frequency(inside), 0.5 * cycles.frequency.min(), 2.0 * cycles.frequency.max())
+    least = _LEAST_FALL / max(float(np.ptp(at)), 1e-300)  # of a motion that hardly falls no law is seen
+    falls = falling.deriv()(inside)
+    return Motion(2.0 * np.pi * values, frequency.deriv()(inside) / values, falls / (falls**2 + least**2))
 
 
 def fade_of(amplitude: FloatArray) -> float:
@@ -71,58 +124,140 @@ def covered(share: FloatArray, settling: float) -> FloatArray:
     return share if settling == 0.0 else np.expm1(-settling * share) / np.expm1(-settling)
 
 
-def covered_so_far(share: FloatArray, settling: float) -> FloatArray:
-    """Return the integral of that from the release on."""
-    if settling == 0.0:
-        return 0.5 * share**2
-    whole: FloatArray = (share + np.expm1(-settling * share) / settling) / -np.expm1(-settling)
-    return whole
-
-
-def course_of(time: FloatArray, nuisances: FloatArray, order: int, fade: float, settling: float = 0.0) -> Course:
+def course_of(
+    time: FloatArray,
+    nuisances: FloatArray,
+    order: int,
+    fade: float,
+    settling: float = 0.0,
+    motion: Motion | None = None,
+    square: float = 1.0,
+) -> Course:
     """Return how drifts change the motion over the record, seen as its derivative of an order.
 
-    ``fade`` and ``settling`` as above. What drifts is a stiffness: over a cycle it hardly changes, so that energy over
-    frequency stays (the adiabatic invariant), and the amplitude falls as the root of the frequency rises.
+    ``fade`` and ``settling`` as above, ``square`` is the linear spring over the mass [rad^2/s^2]. What drifts is that
+    spring, in proportion to the time (or as it settles), and no other force: the motion without a drift is passed
+    faster, but by less where the spring is less of the whole stiffness (`pace_of`). Over a cycle it hardly changes, so
+    that energy over frequency stays (the adiabatic invariant), and the amplitude falls as the root of the frequency
+    rises. Where the frequency goes with the amplitude, what the drifts take from that changes it as well. Without a
+    ``motion`` the structure counts as linear.
     """
     _, release_time, _, drift, loss = nuisances
     length = float(time[-1] - time[0])
     elapsed = np.maximum(time - release_time, 0.0)
     share = 0.5 * fade * (elapsed / length) ** 2
-    # y(s(t)) exp(-loss share) over the root of the pace ds/dt is the displacement: its rates have that pace in them
     there = covered(elapsed / length, settling)
-    pace = 1.0 + drift * DRIFT * there
-    factor = np.exp(-loss * share) * pace ** (order - 0.5) if loss != 0.0 or drift != 0.0 else None
-    hastened = (order - 0.5) * DRIFT * there / pace
-    return Course(DRIFT * length * covered_so_far(elapsed / length, settling), share, factor, hastened)
+    if drift == 0.0 and loss == 0.0:
+        return _unchanged(order, elapsed, share, there, motion, square)
+    stiffer = np.maximum(1.0 + 2.0 * drift * DRIFT * there, _LEAST_LEFT)
+    if motion is None:
+        pace = np.sqrt(stiffer)
+        faster = DRIFT * there / pace
+        factor = np.exp(-loss * share) * pace ** (order - 0.5)
+        hastened = (order - 0.5) * faster / pace
+        later, by_drift = _so_far(pace - 1.0, elapsed), _so_far(faster, elapsed)
+        return Course(later, pace, factor, share, hastened, by_drift, 0.0 * share, None)
+    softness = square / motion.angular_frequency**2
+    squared = _squared_pace(stiffer, softness)
+    plain = np.sqrt(squared)
+    rate = 2.0 * DRIFT * _growing(elapsed / length, settling) / length
+    grows = motion.frequency_growth
+    growth = softness * (
+        (2.0 * stiffer - 1.0) * drift * rate - 2.0 * (stiffer - 1.0) * stiffer * grows
+    )  # of the square
+    bend = (grows - 0.5 * growth / squared) * motion.bend
+    less = -loss * share - 0.25 * np.log(squared)
+    open_pace = np.maximum(1.0 + bend * less, _LEAST_LEFT)
+
+    def pace_by(of_squared: FloatArray, of_growth: FloatArray) -> FloatArray:
+        """Return the derivative of the pace, by those of the squared one without a law and of its growth."""
+        of_bend = -0.5 * motion.bend * (of_growth - growth / squared * of_squared) / squared
+        by: FloatArray = 0.5 * of_squared / plain * open_pace + plain * (
+            of_bend * less - 0.25 * bend * of_squared / squared
+        )
+        return by
+
+    by_drift = 2.0 * DRIFT * there * (2.0 * stiffer - 1.0) * softness
+    faster = pace_by(by_drift, softness * rate * (4.0 * stiffer - 3.0) - 2.0 * by_drift * grows)
+    pace = plain * open_pace
+    return Course(
+        later=_so_far(pace - 1.0, elapsed),
+        pace=pace,
+        factor=np.exp(less) * pace**order,
+        share=share,
+        hastened=order * faster / pace - 0.25 * by_drift / squared,
+        by_drift=_so_far(faster, elapsed),
+        by_loss=_so_far(-plain * bend * share, elapsed),
+        by_stiffness=_so_far(pace_by(squared - 1.0, growth), elapsed),
+    )
 
 
-def levels_before(
-    levels: FloatArray, share: FloatArray, loss: float, drift: float = 0.0, settling: float = 0.0
-) -> FloatArray:
-    """Return the amplitudes (l,) that a motion without drifts has where the one with them has these.
+def _unchanged(
+    order: int, elapsed: FloatArray, share: FloatArray, there: FloatArray, motion: Motion | None, square: float
+) -> Course:
+    """Return the course of a motion without drifts, and how they would change it."""
+    faster, bend = DRIFT * there, np.zeros_like(share)
+    if motion is not None:
+        faster = faster * square / motion.angular_frequency**2
+        bend = motion.frequency_growth * motion.bend
+    pace = (1.0 - 0.5 * bend) * faster
+    by_drift, by_loss = _so_far(pace, elapsed), _so_far(-bend * share, elapsed)
+    return Course(None, 1.0, None, share, order * pace - 0.5 * faster, by_drift, by_loss, None)
 
-    ``share`` is how much of the record has passed there.
+
+def pace_of(stiffer: FloatArray, softness: FloatArray) -> FloatArray:
+    """Return how much faster (n,) a motion passes with a linear spring that is so many times as stiff.
+
+    The work of the linear spring adds to the square of the frequency, whatever else acts: to first order in what it
+    changes, for any motion that is nearly harmonic. ``softness`` is the spring, as it was, over the mass and the square
+    of the angular frequency as it is; of a linear structure that is one over ``stiffer``.
     """
-    pace = 1.0 + drift * DRIFT * covered(share, settling)
-    before: FloatArray = levels * np.exp(0.5 * loss * share**2) * np.sqrt(pace)
-    return before
+    return np.sqrt(_squared_pace(stiffer, softness))
 
 
-def drifted(
-    frequency: FloatArray,
-    damping: FloatArray,
-    share: FloatArray,
-    drift: float,
-    loss: float,
-    length: float,
-    settling: float = 0.0,
-) -> tuple[FloatArray, FloatArray]:
-    """Return frequency [Hz] and decrement (l,) that are passed after these shares of a record of some length [s]."""
-    faster = frequency * (1.0 + drift * DRIFT * covered(share, settling))
-    pace = faster / frequency
-    hardens = drift * DRIFT * _growing(share, settling) / pace  # by which the amplitude falls, too
-    return faster, damping + (loss * share + 0.5 * hardens) / (length * faster)
+def _squared_pace(stiffer: FloatArray, softness: FloatArray) -> FloatArray:
+    squared: FloatArray = np.maximum(1.0 + (stiffer - 1.0) * stiffer * softness, _LEAST_LEFT)
+    return squared
+
+
+def _so_far(values: FloatArray, elapsed: FloatArray) -> FloatArray:
+    """Return the integral (n,) of values from the release on, before the first of which they begin at zero."""
+    whole = np.empty_like(values)
+    whole[0] = 0.5 * values[0] * elapsed[0]
+    np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(elapsed), out=whole[1:])
+    whole[1:] += whole[0]
+    return whole
+
+
+class Passage(NamedTuple):
+    """How a motion with drifts passes levels: the share of the record, how much faster, and how fast that grows."""
+
+    share: FloatArray
+    pace: FloatArray
+    hardening: FloatArray
+    loss: float
+    length: float
+
+    def levels_before(self, levels: FloatArray) -> FloatArray:
+        """Return the amplitudes (l,) that a motion without drifts has where the one with them has these."""
+        before: FloatArray = levels * np.exp(0.5 * self.loss * self.share**2) * np.sqrt(self.pace)
+        return before
+
+    def drifted(self, frequency: FloatArray, damping: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return frequency [Hz] and decrement (l,) that are passed with drifts, where these are those without."""
+        faster = frequency * self.pace
+        # the amplitude falls as the structure hardens, too
+        return faster, damping + (self.loss * self.share + 0.5 * self.hardening) / (self.length * faster)
+
+
+def passage_of(
+    share: FloatArray, drift: float, loss: float, length: float, settling: float, softness: FloatArray
+) -> Passage:
+    """Return how levels are passed after these shares of a record of some length [s]; ``softness`` as in `pace_of`."""
+    stiffer = np.maximum(1.0 + 2.0 * drift * DRIFT * covered(share, settling), _LEAST_LEFT)
+    pace = pace_of(stiffer, softness)
+    hardening = drift * DRIFT * _growing(share, settling) * (2.0 * stiffer - 1.0) * softness / pace**2
+    return Passage(share, pace, hardening, loss, length)
 
 
 def _growing(share: FloatArray, settling: float) -> FloatArray:
@@ -136,11 +271,11 @@ def _growing(share: FloatArray, settling: float) -> FloatArray:
 __all__ = [
     "DRIFT",
     "Course",
+    "Motion",
     "changes_of",
     "course_of",
     "covered",
-    "covered_so_far",
-    "drifted",
     "fade_of",
-    "levels_before",
+    "motion_of",
+    "passage_of",
 ]  # fmt: skip

@@ -13,7 +13,7 @@ from ..measurement.conditioning.conditioned import ConditionedRecord
 from ..measurement.conditioning.filters import BandPass
 from ..measurement.cycle_data import Cycles
 from .data_term import Jumps, Subspace, TurningTerm, WaveformTerm
-from .drift_course import fade_of
+from .drift_course import fade_of, motion_of
 from .passed import passed_values
 from .whitening import EDGE, means, of_means, whitener, with_slow_noise
 
@@ -107,6 +107,7 @@ def turning_term(record: ConditionedRecord, cycles: Cycles) -> TurningTerm:
         np.maximum(value_errors, 1e-300),
         release_of(record, cycles)[0] - 1,
         fade_of(cycles.smoothed_amplitude),
+        motion=motion_of(cycles, times),
     )
 
 
@@ -116,8 +117,13 @@ def waveform_term(record: ConditionedRecord, cycles: Cycles) -> WaveformTerm:
     That is as far back as this swing lasts, not the median one: of a hard spring the first is the shortest, and before
     its release a structure is held.
     """
-    if record.measured.band_pass is not None:
-        return _behind_band_pass(record, record.measured.band_pass, cycles)
+    band_pass = record.measured.band_pass
+    term = _unfiltered(record, cycles) if band_pass is None else _behind_band_pass(record, band_pass, cycles)
+    return replace(term, fade=fade_of(cycles.smoothed_amplitude), motion=motion_of(cycles, term.time))
+
+
+def _unfiltered(record: ConditionedRecord, cycles: Cycles) -> WaveformTerm:
+    """Return the data term of a record that is compared as it was measured."""
     measured, order = record.measured, record.measured.order
     samples, autocovariance = measured.values, measured.autocovariance
     if order == 0:  # less the baseline
@@ -127,7 +133,6 @@ def waveform_term(record: ConditionedRecord, cycles: Cycles) -> WaveformTerm:
     first = int(np.searchsorted(record.time, begin - 0.9 * (begin - release_of(record, cycles)[1])))
     last = int(np.searchsorted(record.time, cycles.turning_times[-1] + 0.9 * half))
     time, values = record.time[first:last], samples[first:last]
-    fade = fade_of(cycles.smoothed_amplitude)
     per_cycle = record.sampling_rate * 2.0 * half
     signal = float(np.sqrt(np.mean((values - values.mean()) ** 2)))
     together = max(int(per_cycle / _DENSE), 1)
@@ -145,7 +150,7 @@ def waveform_term(record: ConditionedRecord, cycles: Cycles) -> WaveformTerm:
         count = shown.size
         values = values[: count * together].reshape(count, together).mean(axis=1)
         subspace, beside = _subspaces(_phase(inner, cycles), per_cycle)
-        return WaveformTerm(shown, values, white, inner.size, subspace, signal, together, beside=beside, fade=fade)
+        return WaveformTerm(shown, values, white, inner.size, subspace, signal, together, beside=beside)
 
     def standardised(columns: FloatArray) -> FloatArray:
         # friction makes acceleration jump and velocity bend: every sample is simulated
@@ -154,9 +159,7 @@ def waveform_term(record: ConditionedRecord, cycles: Cycles) -> WaveformTerm:
     whiten = standardised if together > 1 else white
     phase = _phase(shown, cycles)
     subspace, beside = _subspaces(phase, per_cycle)
-    term = WaveformTerm(
-        time, values, whiten, shown.size, subspace, signal, 1, order, scale, beside, fade, averaged=together
-    )
+    term = WaveformTerm(time, values, whiten, shown.size, subspace, signal, 1, order, scale, beside, averaged=together)
     if order < _JUMPING:
         return term
     step = float(np.median(np.diff(time)))
@@ -213,8 +216,7 @@ def _behind_band_pass(record: ConditionedRecord, band_pass: BandPass, cycles: Cy
         u = np.linspace(-1.0, 1.0, window.stop - window.start)[:, None]
         columns = np.hstack([shapes[window], u * shapes[window]])[:, : max(1, int(INSIDE * u.size))]
         subspace.append((window, np.linalg.qr(columns)[0]))
-    fade = fade_of(cycles.smoothed_amplitude)
-    return WaveformTerm(time, values, reduce, size, subspace, signal, 1, measured.order, 0.0, fade=fade)
+    return WaveformTerm(time, values, reduce, size, subspace, signal, 1, measured.order, 0.0)
 
 
 def _subspaces(phase: FloatArray, per_cycle: float) -> tuple[Subspace, Subspace]:

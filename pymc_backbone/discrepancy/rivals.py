@@ -77,16 +77,16 @@ def drifting_sets(search: Search) -> dict[Set, Drifting]:
 def _settled(search: Search, found: dict[Set, Drifting]) -> dict[Set, Drifting]:
     """Return the same with drifts that settle, where one beside a set leaves noise, and a steady one more.
 
-    Where a set leaves noise, or does so with a steady drift beside it, one that lacks an effect of the best has to be
-    likelier with a drift that settles than all these. Where none does, releases have to say that it is no law of the
-    amplitude.
+    Where a set leaves noise, or does so with a steady drift beside it, one that lacks an effect of the best, or holds a
+    plain law in the place of a variant, has to be likelier with a drift that settles than all these. Where none does,
+    releases have to say that it is no law of the amplitude.
     """
     batch, best = search.batch, search.best()
     known = [search.fits[best], *(item.fit for item in found.values())]
     is_exact = any(evidence.leaves_noise(batch, item) for item in known)
     lowest = min(item.cost for item in known)
-    if is_exact:  # what lacks one effect, which the drift may be
-        asked = list(combinations(best, max(len(best) - 1, 0)))
+    if is_exact:  # what lacks one effect, which the drift may be, or an exponent of its own
+        asked = [*combinations(best, max(len(best) - 1, 0)), *_plainest(search, found)]
     else:
         asked = sorted(found, key=lambda names: found[names].fit.cost)[:_ASKED]
     for names in dict.fromkeys([(), *asked]):
@@ -103,6 +103,24 @@ def _settled(search: Search, found: dict[Set, Drifting]) -> dict[Set, Drifting]:
             search.batch = with_time.batch
             return drifting_sets(search)
     return found
+
+
+def _plainest(search: Search, found: dict[Set, Drifting]) -> list[Set]:
+    """Return the set nearest the noise that holds a plain law in the place of a variant of the simplest exact set.
+
+    Beside a steady drift, which is asked here: without one, the plain law is as far off as the records drift.
+    """
+    exact = {names: item.fit.cost for names, item in found.items() if evidence.leaves_noise(search.batch, item.fit)}
+    best = search.best()
+    if evidence.leaves_noise(search.batch, search.fits[best]):
+        exact.setdefault(best, search.fits[best].cost)
+    simplest = min(exact, key=lambda names: (len(names), exact[names]))
+    varied = [name for name in simplest if name in search.variants]
+    plain = [names for names in _of_the_same_kind(search, simplest) if not set(varied) <= set(names)]
+    known = [names for names in plain if varied and search.fit_set(names) is not None]
+    known.sort(key=lambda names: search.fits[names].cost)
+    _ask(search, known[:_ASKED], found, np.inf)
+    return sorted(set(known) & set(found), key=lambda names: found[names].fit.cost)[:1]
 
 
 def _is_likeliest(search: Search, found: dict[Set, Drifting], names: Set, with_time: Settled) -> bool:
