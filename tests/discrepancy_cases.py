@@ -31,6 +31,7 @@ STRENGTHS: dict[str, dict[str, float]] = {
     "cubic_stiffness": {"cubic_stiffness": 0.08 * STIFFNESS / AMPLITUDE**2},
     "coulomb_friction": {"friction_force": 0.0012 * STIFFNESS * AMPLITUDE},
     "quadratic_damping": {"quadratic_damping": 0.6 * DAMPING / (OMEGA * AMPLITUDE)},
+    "asymmetric_drag": {"asymmetric_drag": 0.6 * DAMPING / (OMEGA * AMPLITUDE), "drag_asymmetry": -0.2},
 }
 
 Force = Callable[[float, float, float], float]
@@ -39,6 +40,7 @@ LAWS: dict[str, Callable[[Mapping[str, float], float, float, float], float]] = {
     "cubic_stiffness": lambda p, x, v, direction: p["cubic_stiffness"] * x**3,
     "coulomb_friction": lambda p, x, v, direction: p["friction_force"] * direction,
     "quadratic_damping": lambda p, x, v, direction: p["quadratic_damping"] * v * v * direction,
+    "asymmetric_drag": lambda p, x, v, direction: p["asymmetric_drag"] * v * v * (direction + p["drag_asymmetry"]),
 }
 
 

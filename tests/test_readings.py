@@ -113,6 +113,23 @@ def test_a_bent_sensor_is_found_beside_a_spring_and_straightened(rng):
         assert np.abs(left - left.mean()).max() < 0.3 * 0.03 * AMPLITUDE
 
 
+@pytest.mark.parametrize("drag", ["quadratic_damping", "asymmetric_drag"])
+def test_an_even_sensor_is_told_from_a_drag_that_differs_between_the_sides(rng, drag):
+    """With a drag of its own on each side a set leaves noise, too: the sensor's one curve has to be worth less."""
+    records = measured(rng, even=0.004 * (drag == "quadratic_damping"), effects=(drag,))
+    search = Search(batch_of(records), pb.Oscillator(MASS), CANDIDATES, 2, variants=("asymmetric_drag",))
+    search.run()
+    for names in (("asymmetric_drag",), ("asymmetric_drag", "quadratic_stiffness")):
+        search.fit_set(names)
+    assert "asymmetric_drag" in search.best() and search.explains(search.fits[search.best()])
+    found = disturbed(search)
+    assert (found is None) == (drag == "asymmetric_drag")
+    if found is not None:
+        assert found.beside == ("quadratic_damping",) and found.is_bent
+        for r, item in enumerate(found.by_specimen.values()):
+            assert item.even == pytest.approx(0.004 * (1.0 - 0.125 * r), rel=0.25)
+
+
 @pytest.mark.parametrize("line", [0.03, 0.2])
 def test_a_line_of_another_mode_is_found_beside_a_spring(rng, line):
     found = disturbed(searched(measured(rng, line=line)))

@@ -32,6 +32,7 @@ from .lines import line_beside
 from .normal_equations import DRIFTS, State, derivatives
 from .search import Search, Set
 from .telling import Telling, most_telling
+from .varied_sets import is_akin
 
 _MOST = 0.1  # of the reading at the largest motion: what bends by more is no sensor
 _MOST_OF_A_LINE = 0.3  # of the motion: beside more, the other mode is no disturbance
@@ -47,6 +48,7 @@ _APART = 2.0  # bins between them, once it is found
 _DECAYS = (0.0, 3.0, 10.0)  # of lines over a record, as they are looked for
 _MOST_RECORDS, _AS_HIGH = 0.6, 4.0  # share of the records that hold one line, and ratio of its heights there
 _RINGS = 0.3  # decay of a line over its frequency, from which it does not ring: 5 % of critical damping
+_AS_BENT = 0.25  # by which the curve of one sensor comes out differently from two records, relative
 _ALIKE = 0.03  # difference of the orders of one line in specimens that are alike
 
 
@@ -62,7 +64,8 @@ def disturbed(search: Search) -> Disturbed | None:
     """Return what disturbs the readings where that explains what effects do not, or what takes one effect more.
 
     Looked for where the most probable set does not leave noise, beside the likeliest and what is in these; else a line
-    beside it, and both beside the sets that lack one of its effects, which then have to explain the samples better.
+    beside it, and both beside the sets that lack one of its effects, or hold a plain law in the place of a variant,
+    which then have to explain the samples better. One sensor bends alike in all records: that is two coefficients.
     None where records are compared through a band-pass: there is nothing beside the mode in them.
     """
     batch, best = search.batch, search.best()
@@ -72,8 +75,9 @@ def disturbed(search: Search) -> Disturbed | None:
     likeliest = [best] if is_exact else search.ranked()[:_ASKED]
     asked = [part for names in likeliest if names for part in combinations(names, len(names) - 1)]
     asked += likeliest
+    plain = [other for names in asked for other in _plainer(search, names)] if is_exact else []
     jobs, priced = [], []
-    for names in dict.fromkeys(asked):
+    for names in dict.fromkeys((*asked, *plain)):
         start = search.fit_set(names)
         if start is None:
             continue
@@ -82,19 +86,43 @@ def disturbed(search: Search) -> Disturbed | None:
         few = left + _CHANCE if is_exact else _NEAR * part.batch.count
         # what bends beside a set that leaves noise is not in the records
         kinds = ((True, False),) if is_exact and names == best else ((True, False), (False, True), (True, True))
-        for has_line, is_bent in kinds:
+        for has_line, is_bent in ((False, True),) if names in plain else kinds:
             price = _COST * (4.0 * has_line + 2.0 * is_bent) * len(batch.specimens)
-            limit = search.fits[best].cost - price if is_exact else _NEAR * search.count
+            more = search.fits[best].layout.free.size - start.layout.free.size
+            # one sensor bends alike in all records, and a law less is worth its parameters
+            is_one = is_bent and not has_line and bool(names)
+            least = _COST * (2.0 - more) if is_one else price
+            limit = search.fits[best].cost - least if is_exact else _NEAR * search.count
             whole = partial(_beside, batch, start, limit, has_line=has_line, is_bent=is_bent)
             jobs.append(whole if has_line else partial(_bent_beside, part, few, whole))
             both = _CHANCE if has_line and is_bent else 0.0
-            priced.append((names, price + both + 2.0 * _COST * len(names)))
+            dear = search.fits[best].cost - price if is_exact and is_one else np.inf
+            laws = _COST * (len(names) + start.layout.free.size)
+            priced.append((names, price + both + laws, dear))
     found: list[tuple[float, Disturbed]] = []
-    for (names, price), beside in zip(priced, in_threads(jobs), strict=True):
-        if beside is not None and beside.is_noise:
+    for (names, price, dear), beside in zip(priced, in_threads(jobs), strict=True):
+        if beside is not None and beside.is_noise and (beside.cost < dear or _is_one_sensor(beside)):
             items = dict(zip(batch.specimens, beside.items, strict=True))
             found.append((beside.cost + price, Disturbed(items, names)))
     return min(found, key=lambda item: item[0])[1] if found else None
+
+
+def _plainer(search: Search, names: Set) -> list[Set]:
+    """Return the sets with a plain law in the place of a variant: the sensor may be what the variant is for."""
+    return [
+        tuple(sorted({*names, plain} - {name}))
+        for name in names
+        if name in search.variants
+        for plain in search.candidates
+        if plain not in names and is_akin(plain, name)
+    ]
+
+
+def _is_one_sensor(beside: _Left) -> bool:
+    """Return whether one bent sensor may have read all records: by the same even curve, of the motion or its peak."""
+    shares = np.array([item.even for item in beside.items])
+    curves = shares / np.array([item.scale for item in beside.items])
+    return any(float(np.abs(of / np.median(of) - 1.0).max()) < _AS_BENT for of in (shares, curves))
 
 
 def early_line(search: FittedSets) -> Disturbed | None:
