@@ -79,6 +79,15 @@ def test_a_spring_that_drifts_beside_a_law_is_what_scipy_makes_of_it(law, change
     assert rest < limit and rest * gain < stretched * 1.05
 
 
+def test_noise_bends_no_frequency(rng):
+    """A law that is not there would change the phase with all that a drift of damping takes from the amplitude."""
+    for law, change, bends in ((none, 0.0, False), (none, 0.02, True), (cubic, 0.0, True)):
+        cycles = cycles_of(TIME, decay(law, TIME, change))
+        cycles.frequency_error = np.full(cycles.frequency.size, 1e-3)
+        cycles.frequency = cycles.frequency + 1e-3 * rng.standard_normal(cycles.frequency.size)
+        assert np.any(motion_of(cycles, TIME).frequency_growth) == bends
+
+
 def test_levels_are_passed_with_drifts_as_scipy_passes_them():
     """Frequency and decrement of a cubic spring at an amplitude, from those without a drift."""
     true, plain = (cycles_of(TIME, decay(cubic, TIME, change)) for change in (0.04, 0.0))

@@ -84,6 +84,22 @@ def test_the_line_begins_where_it_is_said_to_and_decays(rng):
     assert item.line == pytest.approx(np.hypot(0.3, 0.1))
 
 
+def test_lines_are_told_each_by_its_frequency_and_the_mains_as_what_they_are():
+    line = Disturbance(0.0, 3.0, 0.0, 1.0, decay=2.0, cosine=0.01)
+    found = [
+        Disturbed({f"s{k}": replace(line, frequency=frequency) for k, frequency in enumerate(places)}, ())
+        for places in ((31.0, 31.4, 30.8), (50.02, 49.95, 50.0), (151.0, 148.0, 150.0))
+    ]
+    (said,) = sentences(found[:1])
+    assert "hold a line" in said and "at 30.8 to 31.4 Hz, 1.00% of the motion, as another mode leaves; it was" in said
+    (said,) = sentences(found)
+    assert "hold lines" in said and "they were taken away" in said
+    assert "at 49.95 to 50.02 Hz, 1.00% of the motion, as the mains or another mode leaves" in said
+    assert "at 148 to 151 Hz, 1.00% of the motion, as another mode leaves" in said
+    lasting = Disturbed({"s0": replace(line, frequency=60.0, decay=0.0)}, ())
+    assert "the mains or what runs nearby" in sentences([lasting])[0]
+
+
 def test_a_mean_over_a_step_holds_less_of_a_line():
     item = Disturbance(0.0, 4.0, 0.0, 1.0, frequency=3.0, decay=0.0)
     fine = np.arange(40000) * 1e-4

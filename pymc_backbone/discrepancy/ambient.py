@@ -58,7 +58,9 @@ def ambient_check(batch: Batch, best: Fit, *, is_explained: bool = False) -> Che
     most = _MOST * len(batch.waveform)
     seen = moved if len(moved) >= most else flat if len(flat) >= most and _are_apart(flat) else []
     if not seen:
-        return Check(name, True, "what the model leaves goes with the motion, or is noise")
+        return Check(
+            name, True, "no sign of it in what the model leaves: that goes with the motion, or is too little to tell"
+        )
     largest = max(seen, key=lambda item: item.share)
     return Check(
         name,

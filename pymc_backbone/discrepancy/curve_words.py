@@ -72,7 +72,7 @@ def sentence(
         left = f"the best of them leave {left} (p = {judged.p_value:.1g})"
         what = "what the named effects leave" if beside else "what is missing"
         # where nothing else explains more, it may be a force that no smooth curve follows, as a second stop
-        could = "A force of displacement and speed cannot be" if judged.why else "No smooth force was found that is"
+        could = "A smooth force of displacement and speed is not" if judged.why else "No smooth force was found that is"
         said = f"{could} {what}: {left}, and {WHY[judged.why]}."
         return said + ("" if has_even else _ONE_SIDE)
     parts = []

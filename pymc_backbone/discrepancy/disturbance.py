@@ -12,6 +12,8 @@ from ..measurement.reading.record import Record
 from .set_fits import Set
 
 _LASTING = 0.3  # decay of a line over a record, in the logarithm, up to which it lasts
+_SAME = 1.05  # ratio of the frequencies of one line in specimens that are alike
+_MAINS, _OF_MAINS, _MOST_HARMONICS = (50.0, 60.0), 0.003, 6  # Hz, how closely, and how many harmonics of these
 _ROUNDS = 30  # of the solution for the motion at a reading
 
 
@@ -126,15 +128,40 @@ def sentences(found: Sequence[Disturbed]) -> list[str]:
         )
     lines = [one for item in found for one in item.by_specimen.values() if one.frequency]
     if lines:
-        places = sorted(one.frequency for one in lines)
-        low, high = f"{places[0]:.4g}", f"{places[-1]:.4g}"
-        where = low if low == high else f"{low} to {high}"
+        groups = _alike(sorted(lines, key=lambda one: one.frequency))
+        parts = [_line_words(group) for group in groups]
+        several = len(groups) > 1
         said.append(
-            f"warning: the records hold a line beside the harmonics of the mode at {where} Hz, "
-            f"{_range([one.line for one in lines])} of the motion, as "
-            f"{'what runs nearby' if all(one.lasts for one in lines) else 'another mode'} leaves; it was taken away"
+            f"warning: the records hold {'lines' if several else 'a line'} beside the harmonics of the mode "
+            f"{'; '.join(parts)}; {'they were' if several else 'it was'} taken away"
         )
     return said
+
+
+def _alike(lines: Sequence[Disturbance]) -> list[list[Disturbance]]:
+    """Return lines of rising frequency in groups that may be one line in specimens that are alike."""
+    groups = [[lines[0]]]
+    for one in lines[1:]:
+        if one.frequency < _SAME * groups[-1][-1].frequency:
+            groups[-1].append(one)
+        else:
+            groups.append([one])
+    return groups
+
+
+def _line_words(lines: Sequence[Disturbance]) -> str:
+    """Return where a line is, how large, and what leaves such a one."""
+    low, high = f"{lines[0].frequency:.4g}", f"{lines[-1].frequency:.4g}"
+    is_mains = any(
+        all(abs(one.frequency / (order * hertz) - 1.0) < _OF_MAINS for one in lines)
+        for hertz in _MAINS
+        for order in range(1, _MOST_HARMONICS + 1)
+    )
+    cause = "what runs nearby" if all(one.lasts for one in lines) else "another mode"
+    if is_mains:
+        cause = f"the mains or {cause}"
+    where = low if low == high else f"{low} to {high}"
+    return f"at {where} Hz, {_range([one.line for one in lines])} of the motion, as {cause} leaves"
 
 
 def _range(shares: list[float]) -> str:

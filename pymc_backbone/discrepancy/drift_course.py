@@ -79,16 +79,27 @@ class Course(NamedTuple):
 
 def motion_of(cycles: Cycles, time: FloatArray) -> Motion:
     """Return how the motion of a record passes at these instants [s], by smooth curves through its cycles."""
-    at, count = cycles.time, cycles.time.size
-    degree = min(_MOST_BENDS, count // _CYCLES_PER_BEND)
-    errors = np.maximum(cycles.frequency_error, _LEAST_ERROR * cycles.frequency)
-    frequency = Polynomial.fit(at, cycles.frequency, degree, w=1.0 / errors)
-    falling = Polynomial.fit(at, np.log(np.maximum(cycles.smoothed_amplitude, 1e-300)), degree)
+    at, most = cycles.time, min(_MOST_BENDS, cycles.time.size // _CYCLES_PER_BEND)
+    frequency = _curve_of(cycles, most)
+    falling = Polynomial.fit(at, np.log(np.maximum(cycles.smoothed_amplitude, 1e-300)), most)
     inside = np.clip(time, at[0], at[-1])
     values = np.clip(frequency(inside), 0.5 * cycles.frequency.min(), 2.0 * cycles.frequency.max())
     least = _LEAST_FALL / max(float(np.ptp(at)), 1e-300)  # of a motion that hardly falls no law is seen
     falls = falling.deriv()(inside)
     return Motion(2.0 * np.pi * values, frequency.deriv()(inside) / values, falls / (falls**2 + least**2))
+
+
+def _curve_of(cycles: Cycles, most: int) -> Polynomial:
+    """Return the frequency over time as a polynomial, with no more bends than the cycles tell (by Schwarz's criterion).
+
+    Of a linear structure that is a constant: what noise would bend counts as a law with which drifts change the phase.
+    """
+    errors = np.maximum(cycles.frequency_error, _LEAST_ERROR * cycles.frequency)
+    curves = [Polynomial.fit(cycles.time, cycles.frequency, k, w=1.0 / errors) for k in range(most + 1)]
+    left = np.array([float((((cycles.frequency - curve(cycles.time)) / errors) ** 2).sum()) for curve in curves])
+    spread = max(float(left[-1]) / max(errors.size - most - 1, 1), 1e-300)
+    worth = left / spread + np.log(errors.size) * np.arange(1, most + 2)
+    return curves[int(np.argmin(worth))]
 
 
 def fade_of(amplitude: FloatArray) -> float:

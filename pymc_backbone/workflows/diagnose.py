@@ -249,6 +249,7 @@ def _option_value(name: str, value: Any) -> str:
 
 def describe_study(study: Study) -> str:
     """Say what was found: the verdict, why, the most probable sets, the gap before and after."""
+    from ..discrepancy.verdict import Status
     from ..reporting.words import candidate_name, mechanism_name, percent
 
     lines = [f"{study.verdict.upper()}: {study.sentence}"]
@@ -276,7 +277,9 @@ def describe_study(study: Study) -> str:
         if held_out is not None:
             gaps.append(f"{what} {short(held_out.before)} before, {short(held_out.after)} after")
     if gaps:
-        lines += ["", f"Gap on held-out data, as reduced chi-square: {'; '.join(gaps)}."]
+        drifts = any(item.status == Status.BEST and item.has_drift for item in study.candidates)
+        beside = " The drift beside the effects is in none of these." if drifts else ""
+        lines += ["", f"Gap on held-out data, as reduced chi-square: {'; '.join(gaps)}.{beside}"]
     warned = [f"- {check.message}" for check in study.checks if not check.passed]
     warned += [f"- {sentence}" for sentence in study.findings]
     if study.evidence_basis is not None and any(item.is_doubtful for item in study.candidates):
