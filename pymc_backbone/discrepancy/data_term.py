@@ -236,7 +236,7 @@ class TurningTerm:
             jacobian[part, : columns - 1] = slope[:, 1:] / error[:, None]
             jacobian[part, columns - 1] = slope[:, 0] / error
         if course.by_stiffness is not None:
-            jacobian[:n, 0] -= course.by_stiffness / stiffness / self.time_errors
+            jacobian[:n, 0] -= course.by_stiffness / (stiffness or 1.0) / self.time_errors
         jacobian[:n, columns] = course.pace / self.time_errors
         jacobian[n:, columns + 1] = 1.0 / self.value_errors
         jacobian[:n, columns + 2] = -course.by_drift / self.time_errors
@@ -403,7 +403,7 @@ class WaveformTerm:
         columns[:, p + 1] = -slopes[:, -1] * course.pace
         columns[:, p + 2] = 0.0
         if course.by_stiffness is not None:
-            columns[:, 0] += slopes[:, -1] * course.by_stiffness / float(parameters[0])
+            columns[:, 0] += slopes[:, -1] * course.by_stiffness / (float(parameters[0]) or 1.0)
         columns[:, p + 3] = slopes[:, -1] * course.by_drift + values * course.hastened
         columns[:, p + 4] = slopes[:, -1] * course.by_loss - values * course.share
         columns[:, p + 5] = values

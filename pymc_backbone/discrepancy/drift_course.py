@@ -173,9 +173,8 @@ def course_of(
     plain = np.sqrt(squared)
     rate = 2.0 * DRIFT * _growing(elapsed / length, settling) / length
     grows = motion.frequency_growth
-    growth = softness * (
-        (2.0 * stiffer - 1.0) * drift * rate - 2.0 * (stiffer - 1.0) * stiffer * grows
-    )  # of the square
+    # of the square of the pace
+    growth = softness * ((2.0 * stiffer - 1.0) * drift * rate - 2.0 * (stiffer - 1.0) * stiffer * grows)
     bend = (grows - 0.5 * growth / squared) * motion.bend
     less = -loss * share - 0.25 * np.log(squared)
     open_pace = np.maximum(1.0 + bend * less, _LEAST_LEFT)
@@ -183,9 +182,8 @@ def course_of(
     def pace_by(of_squared: FloatArray, of_growth: FloatArray) -> FloatArray:
         """Return the derivative of the pace, by those of the squared one without a law and of its growth."""
         of_bend = -0.5 * motion.bend * (of_growth - growth / squared * of_squared) / squared
-        by: FloatArray = 0.5 * of_squared / plain * open_pace + plain * (
-            of_bend * less - 0.25 * bend * of_squared / squared
-        )
+        of_open = of_bend * less - 0.25 * bend * of_squared / squared
+        by: FloatArray = 0.5 * of_squared / plain * open_pace + plain * of_open
         return by
 
     by_drift = 2.0 * DRIFT * there * (2.0 * stiffer - 1.0) * softness
