@@ -8,6 +8,7 @@ import pytest
 from pymc_backbone._common.checks import FloatArray
 from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.measurement.conditioning.conditioned import ConditionedRecord
+from pymc_backbone.measurement.conditioning.stuck import held_between
 from pymc_backbone.measurement.conditioning.time_grid import to_uniform
 from pymc_backbone.measurement.reading.record import Record
 from pymc_backbone.oscillator import Oscillator
@@ -81,6 +82,19 @@ def test_samples_that_a_coarse_converter_repeats_are_kept() -> None:
         values = np.round(_decay(0.0) / step) * step
         assert np.any(np.diff(values[:600]) == 0.0)
         assert not any("hold one value" in note for note in _conditioned(values).notes)
+
+
+@pytest.mark.parametrize("held", [2, 3])
+def test_equal_samples_before_a_release_are_the_rest_before_it(held: int) -> None:
+    """Of a velocity, which begins with a corner there: no cubic goes through it, and nothing was lost."""
+    rest = 60
+    rng = np.random.default_rng(5)
+    motion = np.exp(-0.6 * TIME) * np.sin(2.0 * np.pi * FREQUENCY * TIME)
+    values = np.concatenate([np.zeros(rest), motion])[: TIME.size] + 2e-3 * rng.standard_normal(TIME.size)
+    values[rest - held + 1 : rest + 1] = values[rest - held]
+    assert held_between(values, RATE / FREQUENCY, 0.0, 2e-3).size == 0
+    values[400:403] = values[399]  # and one that was
+    assert held_between(values, RATE / FREQUENCY, 0.0, 2e-3).tolist() == [400, 401, 402]
 
 
 @pytest.mark.parametrize(("rate", "missing"), [(480.0, ()), (810.0, ()), (480.0, (700,)), (700.0, (300, 301))])

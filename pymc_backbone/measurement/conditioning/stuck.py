@@ -16,6 +16,8 @@ _WIDEST = 1.0 / 6.0
 """Of a cycle, that what is held in between lasts at most: over more, what is beside it does not tell the motion."""
 _NOISY, _CUBIC = 8.0, 4.0 * 5.0 / 384.0
 """Standard deviations of the noise, and of what a cubic leaves of a sine, by which a held value is off at least."""
+_MOVES = 0.2
+"""Of the swing over half a cycle on one side, that the other side has at least: else one of them is no motion."""
 _STEPS = 6.0
 """Steps of the converter that the last swing has at least: what is smaller may hide within one step."""
 
@@ -68,7 +70,8 @@ def held_between(values: FloatArray, per_cycle: float, step: float, noise: float
     -----
     Of two or more equal samples one has to be off the cubic through two on either side, by more than noise, steps,
     and what a cubic leaves of a sine over such a gap. The first of them is kept where it is not off itself. Where a
-    sensor clips it holds its largest value: that is no loss of a few samples.
+    sensor clips it holds its largest value: that is no loss of a few samples. Where nothing moves on one side, the
+    structure was released there: what is held comes before its motion, and that begins with a corner.
     """
     is_same = np.diff(values) == 0.0
     edges = np.flatnonzero(np.diff(np.concatenate([[False], is_same, [False]]).astype(np.int8)))
@@ -82,6 +85,9 @@ def held_between(values: FloatArray, per_cycle: float, step: float, noise: float
     is_apart = np.maximum(np.abs(values[firsts - 1] - value), np.abs(values[lasts + 1] - value)) > least
     is_apart &= (value != values.max()) & (value != values.min())
     for first, last in zip(firsts[is_apart].tolist(), lasts[is_apart].tolist(), strict=True):
+        swings = [float(np.ptp(side)) for side in (values[max(first - around, 0) : first], values[last + 1 :][:around])]
+        if min(swings) < _MOVES * max(swings):
+            continue
         gap = last - first + 2
         at = np.array([first - 2, first - 1, last + 1, last + 2])
         run = np.arange(first, last + 1)
