@@ -264,6 +264,18 @@ def test_a_named_effect_comes_with_its_scatter_and_what_the_evidence_rests_on(cu
     assert (basis.cycles > 0.0) == (basis.sets > 0)
 
 
+def test_why_a_set_is_the_best_is_told_where_it_is_not_the_most_probable(cubic_study):
+    (best,) = (item for item in cubic_study.candidates if item.status == "best")
+    others = tuple(item for item in cubic_study.candidates if item is not best)
+    assert "best is" not in describe_study(cubic_study)
+    less = replace(best, probability=0.5 * others[0].probability, reason="it holds no more than matters")
+    said = describe_study(replace(cubic_study, candidates=(others[0], less, *others[1:])))
+    assert "  best is cubic stiffness: it holds no more than matters" in said.splitlines()
+    drifting = describe_study(replace(cubic_study, candidates=(replace(best, has_drift=True), *others)))
+    assert "The drift beside the effects is in none of these." in drifting
+    assert "The drift beside" not in describe_study(cubic_study)
+
+
 def test_two_missing_effects_are_found_together(rng):
     study = study_of(make_records(rng, ("cubic_stiffness", "coulomb_friction"), decibels=55.0))
     check_whole(study)

@@ -27,7 +27,7 @@ from .measure import Progress, Say, measure, say_warnings
 if TYPE_CHECKING:
     import xarray as xr
 
-    from ..discrepancy.study import Estimate, Study
+    from ..discrepancy.study import Candidate, Estimate, Study
     from ..measurement.reading.record import Record
 
     Data = str | os.PathLike[str] | Sequence[Record] | xr.Dataset
@@ -249,37 +249,11 @@ def _option_value(name: str, value: Any) -> str:
 
 def describe_study(study: Study) -> str:
     """Say what was found: the verdict, why, the most probable sets, the gap before and after."""
-    from ..discrepancy.verdict import Status
-    from ..reporting.words import candidate_name, mechanism_name, percent
-
     lines = [f"{study.verdict.upper()}: {study.sentence}"]
     lines += [f"- {sentence}" for sentence in (*study.reasons, *study.advice)]
     if study.force_curves is not None:
         lines.append(f"- {study.force_curves.sentence}")
-    if study.mechanisms:
-        heads: list[tuple[str, ...]] = [("mechanism", "laws", "probability", "share of the gap")]
-        for kind in study.mechanisms:
-            laws = ", ".join(f"{in_words(law.effect)} {percent(law.probability)}" for law in kind.laws[:TOP_LAWS])
-            name = mechanism_name(kind.mechanism)
-            heads.append((name, laws, percent(kind.probability), percent(kind.share_of_gap)))
-        lines += ["", aligned(heads)]
-    if study.candidates:
-        rows = [("effects added to the base", "status", "probability", "reduced chi-square", "log evidence")]
-        for item in study.candidates[:TOP_CANDIDATES]:
-            numbers = (percent(item.probability), short(item.reduced_chi_square), short(item.log_evidence))
-            rows.append((candidate_name(item), item.status, *numbers))
-        lines += ["", aligned(rows)]
-        rest = len(study.candidates) - TOP_CANDIDATES
-        if rest > 0:
-            lines.append(f"  and {rest} more, in the report")
-    gaps = []
-    for held_out, what in ((study.held_out_levels, "levels"), (study.held_out_specimens, "specimens")):
-        if held_out is not None:
-            gaps.append(f"{what} {short(held_out.before)} before, {short(held_out.after)} after")
-    if gaps:
-        drifts = any(item.status == Status.BEST and item.has_drift for item in study.candidates)
-        beside = " The drift beside the effects is in none of these." if drifts else ""
-        lines += ["", f"Gap on held-out data, as reduced chi-square: {'; '.join(gaps)}.{beside}"]
+    lines += [*_mechanism_lines(study), *_candidate_lines(study), *_held_out_lines(study)]
     warned = [f"- {check.message}" for check in study.checks if not check.passed]
     warned += [f"- {sentence}" for sentence in study.findings]
     if study.evidence_basis is not None and any(item.is_doubtful for item in study.candidates):
@@ -287,3 +261,55 @@ def describe_study(study: Study) -> str:
     if warned:
         lines += ["", "Look at this:", *warned]
     return "\n".join(lines)
+
+
+def _mechanism_lines(study: Study) -> list[str]:
+    from ..reporting.words import mechanism_name, percent
+
+    if not study.mechanisms:
+        return []
+    heads: list[tuple[str, ...]] = [("mechanism", "laws", "probability", "share of the gap")]
+    for kind in study.mechanisms:
+        laws = ", ".join(f"{in_words(law.effect)} {percent(law.probability)}" for law in kind.laws[:TOP_LAWS])
+        heads.append((mechanism_name(kind.mechanism), laws, percent(kind.probability), percent(kind.share_of_gap)))
+    return ["", aligned(heads)]
+
+
+def _best_of(study: Study) -> Candidate | None:
+    """Return the set that the verdict is said of."""
+    from ..discrepancy.verdict import Status
+
+    return next((item for item in study.candidates if item.status == Status.BEST), None)
+
+
+def _candidate_lines(study: Study) -> list[str]:
+    from ..reporting.words import candidate_name, percent
+
+    if not study.candidates:
+        return []
+    rows: list[tuple[str, ...]] = [
+        ("effects added to the base", "status", "probability", "reduced chi-square", "log evidence")
+    ]
+    for item in study.candidates[:TOP_CANDIDATES]:
+        numbers = (percent(item.probability), short(item.reduced_chi_square), short(item.log_evidence))
+        rows.append((candidate_name(item), item.status, *numbers))
+    lines = ["", aligned(rows)]
+    rest = len(study.candidates) - TOP_CANDIDATES
+    if rest > 0:
+        lines.append(f"  and {rest} more, in the report")
+    best = _best_of(study)
+    if best is not None and any(item.probability > best.probability for item in study.candidates):
+        lines.append(f"  best is {candidate_name(best)}: {best.reason}")
+    return lines
+
+
+def _held_out_lines(study: Study) -> list[str]:
+    gaps = []
+    for held_out, what in ((study.held_out_levels, "levels"), (study.held_out_specimens, "specimens")):
+        if held_out is not None:
+            gaps.append(f"{what} {short(held_out.before)} before, {short(held_out.after)} after")
+    if not gaps:
+        return []
+    best = _best_of(study)
+    beside = " The drift beside the effects is in none of these." if best is not None and best.has_drift else ""
+    return ["", f"Gap on held-out data, as reduced chi-square: {'; '.join(gaps)}.{beside}"]
