@@ -272,8 +272,8 @@ def test_why_a_set_is_the_best_is_told_where_it_is_not_the_most_probable(cubic_s
     said = describe_study(replace(cubic_study, candidates=(others[0], less, *others[1:])))
     assert "  best is cubic stiffness: it holds no more than matters" in said.splitlines()
     drifting = describe_study(replace(cubic_study, candidates=(replace(best, has_drift=True), *others)))
-    assert "The drift beside the effects is in none of these." in drifting
-    assert "The drift beside" not in describe_study(cubic_study)
+    assert "The drift with time is in none of these." in drifting
+    assert "The drift with time is" not in describe_study(cubic_study)
 
 
 def test_two_missing_effects_are_found_together(rng):

@@ -80,7 +80,7 @@ def held_out_gap(study: Study, figures: Mapping[str, Figure]) -> str:
     note = "Reduced chi-square; 1 is what measurement noise alone gives. "
     note += "A level is predicted from the others; for a specimen only linear stiffness and viscous damping are fitted."
     if any(item.status == Status.BEST and item.has_drift for item in study.candidates):
-        note += " The drift with time that stands beside the effects is in none of these."
+        note += " The drift with time is in none of these."
     parts += [f'<div class="pair">{pictures}</div>' if pictures else "", paragraph(note, "soft")]
     return section("The gap on data that the fit has not seen", *parts) if rows else ""
 

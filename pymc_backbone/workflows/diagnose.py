@@ -311,5 +311,5 @@ def _held_out_lines(study: Study) -> list[str]:
     if not gaps:
         return []
     best = _best_of(study)
-    beside = " The drift beside the effects is in none of these." if best is not None and best.has_drift else ""
+    beside = " The drift with time is in none of these." if best is not None and best.has_drift else ""
     return ["", f"Gap on held-out data, as reduced chi-square: {'; '.join(gaps)}.{beside}"]
