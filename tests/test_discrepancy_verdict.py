@@ -471,9 +471,8 @@ def test_a_drift_that_explains_all_is_the_best_and_no_effect_beside_it(tolerance
     assert 0.8 < best.reduced_chi_square < 1.2 and study.reasons == ()
     drifts = next(item for item in study.checks if item.check == "amplitude, not time")
     assert drifts.passed == (verdict == "adequate")
-    # damping over a second stays, and so over a cycle falls as the frequency rises: known to 1.3 % in a record
-    frequency, damping = re.search(r"by \+(0\.2\d?) % and ([-+]?[\d.]+) % over a record", drifts.message).groups()
-    assert abs(float(frequency) - 0.2) < 0.01 and abs(float(damping)) < 2.0 * 1.3 / np.sqrt(3)
+    # damping over a second stays, and so over a cycle falls by as much as the frequency rises
+    assert re.search(r"by \+0\.2\d? % and (0|-?0\.[0-4]\d?) % over a record", drifts.message)
     assert "explains the records alone" in drifts.message and ("tolerance" in drifts.message) == drifts.passed
     assert all(item.passed for item in study.checks if item is not drifts)
 
