@@ -21,7 +21,8 @@ from .question import Question
 from .search import Search, Set
 from .sensor_filter import SensorFilter
 
-_LESS = 0.5  # of what the best set left, where first cycles are left out or the release is another
+LESS = 0.5
+"""Share of what the best set left, up to which a set explains more of changed records."""
 
 Drifts = Callable[[Search], Mapping[Set, Drifting]]
 """Asks the sets of a finished search with a drift in time beside them."""
@@ -135,7 +136,7 @@ def is_exact(search: Search) -> bool:
 
 def is_better(tried: Search, search: Search) -> bool:
     """Return whether one search leaves noise, or half of what another left at most."""
-    return is_exact(tried) or left(tried).share < _LESS * left(search).share
+    return is_exact(tried) or left(tried).share < LESS * left(search).share
 
 
 def gains(tried: Search, search: Search) -> bool:
@@ -146,7 +147,7 @@ def gains(tried: Search, search: Search) -> bool:
     if len(tried.best()) >= tried.max_effects:
         return False
     same = search.fit_set(tried.best())
-    return same is None or left(tried).share < _LESS * evidence.lack_of_fit(search.batch, same).share
+    return same is None or left(tried).share < LESS * evidence.lack_of_fit(search.batch, same).share
 
 
-__all__ = ["Changed", "Drifts", "Known", "Undisturbed", "gains", "is_better", "is_exact", "left", "over_motion"]
+__all__ = ["LESS", "Changed", "Drifts", "Known", "Undisturbed", "gains", "is_better", "is_exact", "left", "over_motion"]

@@ -148,10 +148,10 @@ def course_of(
 
     ``fade`` and ``settling`` as above, ``square`` is the linear spring over the mass [rad^2/s^2]. What drifts is that
     spring, in proportion to the time (or as it settles), and no other force: the motion without a drift is passed
-    faster, but by less where the spring is less of the whole stiffness (`pace_of`). Over a cycle it hardly changes, so
-    that energy over frequency stays (the adiabatic invariant), and the amplitude falls as the root of the frequency
-    rises. Where the frequency goes with the amplitude, what the drifts take from that changes it as well. Without a
-    ``motion`` the structure counts as linear.
+    faster, but by less where the spring is less of the whole stiffness. Over a cycle it hardly changes, so that energy
+    over frequency stays (the adiabatic invariant), and the amplitude falls as the root of the frequency rises. Where
+    the frequency goes with the amplitude, what the drifts take from that changes it as well. Without a ``motion`` the
+    structure counts as linear.
     """
     _, release_time, _, drift, loss = nuisances
     length = float(time[-1] - time[0])
@@ -214,17 +214,13 @@ def _unchanged(
     return Course(None, 1.0, None, share, order * pace - 0.5 * faster, by_drift, by_loss, None)
 
 
-def pace_of(stiffer: FloatArray, softness: FloatArray) -> FloatArray:
-    """Return how much faster (n,) a motion passes with a linear spring that is so many times as stiff.
+def _squared_pace(stiffer: FloatArray, softness: FloatArray) -> FloatArray:
+    """Return the square of how much faster (n,) a motion passes with a linear spring that is so many times as stiff.
 
     The work of the linear spring adds to the square of the frequency, whatever else acts: to first order in what it
     changes, for any motion that is nearly harmonic. ``softness`` is the spring, as it was, over the mass and the square
     of the angular frequency as it is; of a linear structure that is one over ``stiffer``.
     """
-    return np.sqrt(_squared_pace(stiffer, softness))
-
-
-def _squared_pace(stiffer: FloatArray, softness: FloatArray) -> FloatArray:
     squared: FloatArray = np.maximum(1.0 + (stiffer - 1.0) * stiffer * softness, _LEAST_LEFT)
     return squared
 
@@ -262,9 +258,9 @@ class Passage(NamedTuple):
 def passage_of(
     share: FloatArray, drift: float, loss: float, length: float, settling: float, softness: FloatArray
 ) -> Passage:
-    """Return how levels are passed after these shares of a record of some length [s]; ``softness`` as in `pace_of`."""
+    """Return how levels are passed after shares of a record of some length [s]; ``softness`` is `_squared_pace`'s."""
     stiffer = np.maximum(1.0 + 2.0 * drift * DRIFT * covered(share, settling), _LEAST_LEFT)
-    pace = pace_of(stiffer, softness)
+    pace = np.sqrt(_squared_pace(stiffer, softness))
     hardening = drift * DRIFT * _growing(share, settling) * (2.0 * stiffer - 1.0) * softness / pace**2
     return Passage(share, pace, hardening, loss, length)
 

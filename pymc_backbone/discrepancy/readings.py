@@ -122,7 +122,7 @@ def _is_one_sensor(beside: _Left) -> bool:
     """Return whether one bent sensor may have read all records: by the same even curve, of the motion or its peak."""
     shares = np.array([item.even for item in beside.items])
     curves = shares / np.array([item.scale for item in beside.items])
-    return any(float(np.abs(of / np.median(of) - 1.0).max()) < _AS_BENT for of in (shares, curves))
+    return any(np.all(np.abs(of - np.median(of)) < _AS_BENT * abs(np.median(of))) for of in (shares, curves))
 
 
 def early_line(search: FittedSets) -> Disturbed | None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from ..measurement.options import Measuring
 from ..measurement.reading.record import Record
-from .changed import Changed, Drifts, Known, Undisturbed, gains, is_better, is_exact, left, over_motion
+from .changed import LESS, Changed, Drifts, Known, Undisturbed, gains, is_better, is_exact, left, over_motion
 from .disturbance import Disturbed, sentences
 from .drift_fits import drift_alone
 from .drifting_zero import drifting_zero
@@ -26,7 +26,6 @@ from .sensor_filter import SensorFilter
 
 _RARE = 0.05  # p-value of noise up to which a few samples are looked at
 _PASSES = 2  # times that bent sensors and lines are looked for
-_LESS = 0.5  # of what the best set left, that one may leave without first cycles for these to be worth a search
 _QUIETER = 0.8  # of the noise that a drift leaves over the motion, up to which straightened records explain more
 
 
@@ -197,7 +196,7 @@ def _without_first_cycles(changed: Changed, known: Undisturbed) -> Known | None:
     if (first := begun(known.search)) is None:
         return None
     cut = changed.but(first.sentence, records=first.undisturbed(changed.records))
-    return cut.if_promising(known.search, _LESS)
+    return cut.if_promising(known.search, LESS)
 
 
 def _weighed(changed: Changed, known: Undisturbed) -> Known | None:
