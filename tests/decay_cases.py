@@ -24,6 +24,7 @@ ROUGH = (
     *("bilinear_stiffness", "freeplay", "coulomb_friction", "jenkins", "iwan", "bouc_wen"),
     *("stribeck_friction", "power_damping", "power_stiffness", "offset_freeplay", "one_sided_stiffness"),
     *("hertz_contact", "absolute_displacement_damping", "structural_damping", "dahl_friction"),
+    "power_displacement_damping",
     *("tabulated_stiffness", "tabulated_damping"),
 )
 EFFECTS = tuple((name,) for name in LIBRARY if name not in BASE_EFFECTS)

@@ -277,6 +277,7 @@ ORACLES: dict[str, Callable[[], Spring]] = {
     "hertz_contact": lambda: Spring(_hertz, lambda p: (np.sign(p[0]) * p[1],)),
     "magnetic_stiffness": lambda: Spring(_magnets),
     "absolute_displacement_damping": lambda: Spring(lambda x, v, d, p, side: p[0] * side * x * v, lambda p: (0.0,)),
+    "power_displacement_damping": lambda: Spring(lambda x, v, d, p: p[0] * v * np.hypot(x / p[2], 1e-2) ** p[1]),
     "structural_damping": lambda: Spring(lambda x, v, d, p, side: p[0] * side * x * d, lambda p: (0.0,)),
     "tabulated_stiffness": lambda: Spring(tabulated_stiffness),
     "tabulated_damping": lambda: Spring(tabulated_damping),

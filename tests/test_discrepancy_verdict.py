@@ -240,6 +240,14 @@ def test_a_power_of_the_speed_below_one_is_friction(exponent, mechanism):
     assert search.mechanism_of("quadratic_damping") == "drag"
 
 
+@pytest.mark.parametrize(("gap", "mechanism"), [(-0.85, "asymmetry"), (-0.3, "clearance"), (0.4, "clearance")])
+def test_a_contact_that_is_closed_over_most_of_the_motion_is_an_asymmetric_spring(gap, mechanism):
+    search = Search(batch_of(make_records(np.random.default_rng(5), ())), LINEAR, ("hertz_contact",), 1)
+    held = {"hertz_gap": gap * search.batch.amplitude}
+    search.fits[("hertz_contact",)] = SimpleNamespace(cost=1.0, value_of=held.get)
+    assert search.mechanism_of("hertz_contact") == mechanism
+
+
 def test_laws_that_are_needed_together_are_no_alternatives():
     laws = tuple(
         LawProbability(name, chance) for name, chance in (("bouc_wen", 0.999), ("iwan", 0.97), ("jenkins", 0.1))

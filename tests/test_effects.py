@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import itertools
+import math
 import re
 import subprocess
 import sys
@@ -712,6 +713,25 @@ def test_power_damping_is_the_power_law_but_close_to_rest(rng):
         loss = np.mean([s * effect.force(0.0, 3.0 * s, 1.0, NO_STATE, p) for s in speed])
         assert loss == pytest.approx(np.mean(2.0 * speed ** (1.0 + exponent)), rel=1e-5)
     assert effect.force(0.0, 0.2, 1.0, NO_STATE, np.array([2.0, 1.0, 3.0])) == pytest.approx(0.4 / 3.0, rel=1e-15)
+
+
+def test_power_displacement_damping_is_the_power_law_but_in_the_middle():
+    """Of the force what the rounding changes at a tenth of the reference displacement; of the work what that adds."""
+    effect = LIBRARY["power_displacement_damping"]
+    angle = (np.arange(20000) + 0.5) * 2.0 * np.pi / 20000
+    for exponent in (0.2, 0.5, 1.0, 2.0, 4.0):
+        p = np.array([2.0, exponent, 3.0])
+        for x in (-3.0, -0.3, 0.4, 1.5):
+            law = 2.0 * (abs(x) / 3.0) ** exponent * 0.7
+            # (1 + (0.01 / 0.1)^2)^(exponent / 2)
+            assert effect.force(x, 0.7, 1.0, NO_STATE, p) == pytest.approx(law, rel=1.01**2 - 1.0)
+            assert effect.force(x, -0.7, -1.0, NO_STATE, p) == -effect.force(x, 0.7, 1.0, NO_STATE, p)
+        work = np.mean([-np.sin(t) * effect.force(3.0 * np.cos(t), -np.sin(t), 1.0, NO_STATE, p) for t in angle])
+        closed = 2.0 * math.gamma(0.5 * (exponent + 1)) * math.gamma(1.5) / (math.pi * math.gamma(0.5 * exponent + 2))
+        if exponent < 1.0:  # (u^2 + e^2)^(r/2) - |u|^r integrated over all u; beyond 1 the whole way adds about e^2
+            added = math.sqrt(math.pi) * math.gamma(-0.5 * (1.0 + exponent)) / math.gamma(-0.5 * exponent)
+            closed += 2.0 / math.pi * added * 0.01 ** (1.0 + exponent)
+        assert work == pytest.approx(closed, rel=1e-3)
 
 
 # What the signatures say, against the simulation.

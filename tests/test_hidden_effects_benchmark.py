@@ -160,8 +160,12 @@ def test_new_effects_move_as_the_package_says(number: int, effect: str) -> None:
         own = {name: specimen[name] for name in oscillator.parameter_names}
         time = record.time - record.release_time
         theirs = simulate_waveform(oscillator, own, time, record.release_amplitude).displacement
-        # The package interpolates between steps of 1e-9; forces with roots at contact cost either a little more.
-        np.testing.assert_allclose(record.exact, theirs, rtol=0.0, atol=1e-6 * record.release_amplitude)
+        # The package interpolates between steps of 1e-9; forces with roots at contact cost either a little more. Of a
+        # power between 2 and 3 the second derivative is infinite in the middle: there steps turn the phase by 1e-8.
+        limit = 1e-6
+        if 2.0 < specimen.get("power_stiffness_exponent", 0.0) < 3.0:
+            limit += 6e-8 * time[-1] * math.sqrt(specimen["linear_stiffness"] / truth["mass"]) / (2.0 * math.pi)
+        np.testing.assert_allclose(record.exact, theirs, rtol=0.0, atol=limit * record.release_amplitude)
 
 
 def test_new_effects_are_those_of_the_package_that_the_other_kinds_do_not_hide() -> None:

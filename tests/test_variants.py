@@ -26,6 +26,7 @@ TRUTHS = {
     "bilinear_damping": (0.03 * MASS * OMEGA,),
     "nonlinear_inertia": (0.2 * MASS / AMPLITUDE**2,),
     "absolute_displacement_damping": (0.04 * MASS * OMEGA / AMPLITUDE,),
+    "power_displacement_damping": (0.04 * MASS * OMEGA, 0.6, AMPLITUDE),
 }
 DAHL = {"dahl_friction": (0.1 * STIFFNESS, 0.01 * FORCE)}
 """A case of another effect, which is not looked for beside that one."""

@@ -47,10 +47,13 @@ HERTZ_K, HERTZ_GAP = (INDEX[name] for name in NEW["hertz_contact"])
 ARM_K, ARM_TIME = (INDEX[name] for name in NEW["maxwell_element"])
 PLAY_K, PLAY, PLAY_R = (INDEX[name] for name in NEW["offset_freeplay"])
 POWER_C, POWER_C_N, POWER_C_V = (INDEX[name] for name in NEW["power_damping"])
+WHERE_C, WHERE_N, WHERE_X = (INDEX[name] for name in NEW["power_displacement_damping"])
 POWER_K, POWER_K_N, POWER_K_X = (INDEX[name] for name in NEW["power_stiffness"])
 
 ROUNDED = 1e-3
 """Share of its reference speed below which a damper with a power of the speed is rounded, as the package defines it."""
+ROUNDED_X = 1e-2
+"""Share of its reference displacement below which a damper with a power of that is rounded."""
 
 
 @numba.njit(cache=True)
@@ -148,6 +151,9 @@ def _new(force, y, direction, probe, p):
     if p[POWER_C] != 0.0:
         u = v / p[POWER_C_V]
         force += p[POWER_C] * u * (u * u + ROUNDED**2) ** (0.5 * (p[POWER_C_N] - 1.0))
+    if p[WHERE_C] != 0.0:
+        u = x / p[WHERE_X]
+        force += p[WHERE_C] * v * (u * u + ROUNDED_X**2) ** (0.5 * p[WHERE_N])
     if p[POWER_K] != 0.0:
         force += p[POWER_K] * side * max(side * x / p[POWER_K_X], 0.0) ** p[POWER_K_N]
     return force

@@ -42,6 +42,7 @@ WORDS: dict[str, str] = {
     "bilinear_damping": "damping_asymmetry",
     "displacement_dependent_damping": "displacement_damping",
     "absolute_displacement_damping": "displacement_damping",
+    "power_displacement_damping": "displacement_damping",
     "nonlinear_inertia": "inertia",
     "maxwell_element": "other",
 }
@@ -142,6 +143,9 @@ def same_laws(effect: str, nominal: Mapping[str, float], amplitude: float) -> se
     elif effect == "power_damping":
         powers = {2: "quadratic_damping", 3: "cubic_damping"}
         found = {name for n, name in powers.items() if abs(nominal.get(f"{effect}_exponent", 0.5) - n) < _CLOSE}
+    elif effect == "power_displacement_damping":
+        powers = {1: "absolute_displacement_damping", 2: "displacement_dependent_damping"}
+        found = {name for n, name in powers.items() if abs(nominal["displacement_exponent"] - n) < _CLOSE}
     elif effect == "power_stiffness":
         powers = {3: "cubic_stiffness", 5: "quintic_stiffness"}
         found = {name for n, name in powers.items() if abs(nominal[f"{effect}_exponent"] - n) < _CLOSE}

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from laws import ROUNDED
+from laws import ROUNDED, ROUNDED_X
 from strengths import Drawn, log_uniform
 
 _ANGLE = np.linspace(0.0, 2.0 * math.pi, 4001)
@@ -142,6 +142,17 @@ def _power_damper(strength: float, rng: np.random.Generator, k: float, big: floa
     return parameters, strength
 
 
+def _power_of_displacement(strength: float, rng: np.random.Generator, k: float, big: float, omega: float) -> Drawn:
+    exponent = float(rng.uniform(*((0.4, 0.8), (1.3, 1.7), (2.4, 3.2))[int(rng.integers(3))]))
+    unit = _work((np.cos(_ANGLE) ** 2 + ROUNDED_X**2) ** (0.5 * exponent) * _SINE * omega * big, big)
+    parameters = {
+        "power_displacement_damping": strength / _ratio(unit, k, big),
+        "displacement_exponent": exponent,
+        "damping_displacement": big,
+    }
+    return parameters, strength
+
+
 def _power_spring(strength: float, rng: np.random.Generator, k: float, big: float, omega: float) -> Drawn:
     exponent = float(rng.uniform(*((1.4, 2.7), (3.3, 4.6), (5.4, 6.5))[int(rng.integers(3))]))
     share = strength if rng.random() < 0.5 else -min(strength, 0.35)
@@ -180,6 +191,7 @@ _DRAWN: dict[str, Callable[[float, np.random.Generator, float, float, float], Dr
     "offset_freeplay": _offset_play,
     "one_sided_stiffness": _one_sided,
     "power_damping": _power_damper,
+    "power_displacement_damping": _power_of_displacement,
     "power_stiffness": _power_spring,
     "stribeck_friction": _stribeck,
     "structural_damping": _structural,

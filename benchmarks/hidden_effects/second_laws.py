@@ -145,6 +145,11 @@ def _absolute(p: Values, release: float) -> Term:
     return Term(lambda x, v, s, at: c * (x if at > 0.0 else -x) * v, (0.0,))
 
 
+def _power_of_displacement(p: Values, release: float) -> Term:
+    c, n, unit = p["power_displacement_damping"], p["displacement_exponent"], p["damping_displacement"]
+    return Term(lambda x, v, s, at: c * v * math.hypot(x / unit, 1e-2) ** n)
+
+
 def _structural(p: Values, release: float) -> Term:
     c = p["structural_damping"]
     return Term(lambda x, v, s, at: c * s * (x if at > 0.0 else -x), (0.0,))
@@ -274,6 +279,7 @@ TERMS: dict[str, Callable[[Values, float], Term]] = {
     "one_way_drag": _one_way,
     "pendulum_stiffness": _pendulum,
     "power_damping": _power_damping,
+    "power_displacement_damping": _power_of_displacement,
     "power_stiffness": _power_stiffness,
     "quadratic_damping": _of_speed("quadratic_damping", 2),
     "quadratic_stiffness": _polynomial("quadratic_stiffness", 2),

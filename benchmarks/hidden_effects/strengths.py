@@ -308,6 +308,8 @@ _THE_SAME = frozenset(
         "bouc_wen_exponent",
         "joint_exponent",
         "magnet_exponent",
+        "displacement_exponent",
+        "damping_displacement",
         "power_damping_exponent",
         "power_damping_speed",
         "power_stiffness_exponent",

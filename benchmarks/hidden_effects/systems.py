@@ -49,6 +49,7 @@ NEW: dict[str, tuple[str, ...]] = {
     "asymmetric_drag": ("asymmetric_drag", "drag_asymmetry"),  # last: batches of the others stay what they were
     "bilinear_damping": ("bilinear_damping",),
     "nonlinear_inertia": ("nonlinear_inertia",),
+    "power_displacement_damping": ("power_displacement_damping", "displacement_exponent", "damping_displacement"),
 }
 """Effects that the package holds beside these, as variants or to be named, with its names of their parameters."""
 

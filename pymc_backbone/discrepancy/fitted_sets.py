@@ -188,6 +188,8 @@ class FittedSets:
         effect = self.own.get(name) or LIBRARY[name]
         if effect.mechanism_below is not None:
             parameter, limit, below = effect.mechanism_below
+            role = next(item.role for item in effect.parameters if item.name == parameter)
+            limit *= self.batch.amplitude if role == "gap" else 1.0
             held = [found for names, found in self.fits.items() if name in names]
             if held and min(held, key=lambda found: found.cost).value_of(parameter) < limit:
                 return below

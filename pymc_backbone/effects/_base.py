@@ -220,7 +220,7 @@ class Effect:
         What the effect does, whatever its law, a key of `MECHANISMS`: where records do not tell one law from another,
         that is named. Effects without one count together as another mechanism.
     mechanism_below : tuple of (str, float, str), optional
-        A parameter, and the mechanism that the effect has where that is below a value.
+        A parameter, and the mechanism that the effect has where that is below a value; a gap in amplitudes.
     variant_of : tuple of str
         Names of the effects of the library that this is a variant of: the search for a missing effect looks for it in
         the place of each of them, where a set that holds that one comes near the records, and not by itself. Named as a

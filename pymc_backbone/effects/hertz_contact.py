@@ -84,6 +84,7 @@ EFFECT = Effect(
         "impacting Hertzian contact. Part 1: harmonic excitation. Journal of Sound and Vibration 265(2), 289-307",
     ),
     mechanism="clearance",
+    mechanism_below=("hertz_gap", -0.5, "asymmetry"),  # closed over most of the motion: a spring that softens one way
     variant_of=("bilinear_stiffness", "freeplay"),
     signature=Signature(
         frequency="Rises once the amplitude has closed the gap; constant below. Where a preload closes it, falls with "
