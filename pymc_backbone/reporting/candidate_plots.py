@@ -38,7 +38,7 @@ STATUS_COLOURS: dict[str, str] = {
     Status.FAILED: "#C9C9C9",
 }
 MOST_CANDIDATES = 12
-MOST_LETTERS = 46  # of a set's name in letters of full size
+MOST_LETTERS = 42  # of a set's name in letters of full size
 
 
 def plot_candidates(study: Study, *, most: int = MOST_CANDIDATES) -> Figure:
