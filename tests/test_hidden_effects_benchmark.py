@@ -15,6 +15,7 @@ from scipy.integrate import solve_ivp
 
 from pymc_backbone import Oscillator
 from pymc_backbone.effects import LIBRARY as PACKAGE
+from pymc_backbone.simulation import decay
 from pymc_backbone.simulation.decay import simulate_waveform
 
 FOLDER = Path(__file__).resolve().parents[1] / "benchmarks" / "hidden_effects"
@@ -143,15 +144,23 @@ STEEP = pytest.mark.xfail(
     strict=True,
     reason="a power of the speed far below 1 rises within a thousandth of a turn at rest: steps pass over it",
 )
-MOVED = [
-    pytest.param(number, effect, marks=[STEEP] if effect == "power_damping" and number >= len(NEW) else [])
-    for index, effect in enumerate(NEW)
-    for number in (index, index + len(NEW))
-]
+TURNED = pytest.mark.xfail(
+    strict=True,
+    reason="a power of 2.19 has no third derivative in the middle: steps of 2e-9 turn the phase by 1e-8 a cycle",
+)
+MOVED = {(22, tolerance): [STEEP] for tolerance in (None, 1e-13)} | {(23, None): [TURNED]}
 
 
-@pytest.mark.parametrize("number, effect", MOVED)
-def test_new_effects_move_as_the_package_says(number: int, effect: str) -> None:
+# The package interpolates between its steps; forces with roots at contact cost either generator a little more.
+@pytest.mark.parametrize(("tolerance", "limit"), [(None, 1e-6), (1e-13, 3e-8)])
+@pytest.mark.parametrize(
+    "number, effect", [(number, effect) for index, effect in enumerate(NEW) for number in (index, index + len(NEW))]
+)
+def test_new_effects_move_as_the_package_says(request, monkeypatch, number, effect, tolerance, limit) -> None:
+    for mark in MOVED.get((number, tolerance), []):
+        request.applymarker(mark)
+    if tolerance is not None:
+        monkeypatch.setattr(decay, "TOLERANCE", tolerance)
     batch = make_batch(10, number, NEW_EFFECTS)
     truth = batch.truth
     assert truth["hidden"] == truth["hidden_in_library"] == [effect] and not truth["is_outside"]
@@ -160,11 +169,6 @@ def test_new_effects_move_as_the_package_says(number: int, effect: str) -> None:
         own = {name: specimen[name] for name in oscillator.parameter_names}
         time = record.time - record.release_time
         theirs = simulate_waveform(oscillator, own, time, record.release_amplitude).displacement
-        # The package interpolates between steps of 1e-9; forces with roots at contact cost either a little more. Of a
-        # power between 2 and 3 the second derivative is infinite in the middle: there steps turn the phase by 1e-8.
-        limit = 1e-6
-        if 2.0 < specimen.get("power_stiffness_exponent", 0.0) < 3.0:
-            limit += 6e-8 * time[-1] * math.sqrt(specimen["linear_stiffness"] / truth["mass"]) / (2.0 * math.pi)
         np.testing.assert_allclose(record.exact, theirs, rtol=0.0, atol=limit * record.release_amplitude)
 
 
