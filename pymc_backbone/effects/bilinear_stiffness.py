@@ -7,14 +7,7 @@ import numpy as np
 
 from .._common.checks import FloatArray
 from ._base import Effect, Parameter, Signature
-
-
-@numba.njit
-def regime(x: float, v: float, direction: float, z: FloatArray, p: FloatArray) -> int:
-    """Return 1 where the extra spring acts and -1 where not; on the kink, the side being entered."""
-    if x == 0.0:
-        return 1 if direction > 0.0 else -1
-    return 1 if x > 0.0 else -1
+from ._sides import regime
 
 
 @numba.njit

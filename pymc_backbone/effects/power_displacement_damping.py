@@ -13,6 +13,7 @@ import numba
 
 from .._common.checks import FloatArray
 from ._base import Effect, Parameter, Signature
+from ._sides import regime
 
 _ROUND = 1e-2  # of the reference displacement
 
@@ -75,6 +76,7 @@ EFFECT = Effect(
     ),
     force=force,
     gradient=gradient,
+    regime=regime,
     redundant=(("damping_displacement", lambda mass, amplitude, angular_frequency: amplitude),),
     references=("Nayfeh A. H., Mook D. T. (1979) Nonlinear Oscillations. Wiley. doi:10.1002/9783527617586",),
     mechanism="displacement_damping",

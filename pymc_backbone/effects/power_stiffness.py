@@ -13,14 +13,7 @@ import numpy as np
 
 from .._common.checks import FloatArray
 from ._base import Effect, Parameter, Signature
-
-
-@numba.njit
-def regime(x: float, v: float, direction: float, z: FloatArray, p: FloatArray) -> int:
-    """Return the sign of the displacement; at rest, the side being entered."""
-    if x == 0.0:
-        return 1 if direction > 0.0 else -1
-    return 1 if x > 0.0 else -1
+from ._sides import regime
 
 
 @numba.njit
