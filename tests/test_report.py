@@ -427,15 +427,20 @@ def test_powers_of_units_are_raised_letters_too(text, shown):
 
 
 def test_the_longest_name_of_a_set_stays_clear_of_its_percentage(studies):
-    """Both stand on one line above the bar: measured as they are drawn."""
+    """Both stand above the bar, and below the bar above, and can be read: measured as they are drawn."""
     study = studies[Verdict.FOUND]
     longest = tuple(sorted(LIBRARY, key=len)[-3:])
-    candidates = (dataclasses.replace(study.candidates[0], effects=longest, probability=0.9995), *study.candidates[1:])
-    figure = plot_candidates(dataclasses.replace(study, candidates=candidates))
+    first = dataclasses.replace(study.candidates[0], effects=longest, probability=0.9995)
+    figure = plot_candidates(dataclasses.replace(study, candidates=(first, first, *study.candidates[1:])))
     figure.canvas.draw()
-    name, share = figure.axes[0].texts[:2]
-    assert share.get_text() == "> 99.9 %"
-    assert name.get_window_extent().x1 < share.get_window_extent().x0
+    axis = figure.axes[0]
+    above = axis.patches[0].get_window_extent()
+    for row in range(2):
+        name, share = axis.texts[2 * row : 2 * row + 2]
+        assert share.get_text() == "> 99.9 %"
+        assert name.get_window_extent().x1 < share.get_window_extent().x0
+        assert name.get_fontsize() > 6.0
+    assert axis.texts[2].get_window_extent().y1 < above.y0
 
 
 def test_levels_that_were_left_out_have_the_unit_of_the_other_figures(studies):

@@ -38,7 +38,16 @@ STATUS_COLOURS: dict[str, str] = {
     Status.FAILED: "#C9C9C9",
 }
 MOST_CANDIDATES = 12
-MOST_LETTERS = 42  # of a set's name in letters of full size
+MOST_LETTERS = 44  # of a set's name in letters of full size
+
+
+def _in_lines(name: str) -> str:
+    """Return the name of a set in one line or, where it is long, in two as even as they can be."""
+    effects = name.split(" + ")
+    if len(name) <= MOST_LETTERS or len(effects) == 1:
+        return name
+    halves = [(" + ".join(effects[:k]), "+ " + " + ".join(effects[k:])) for k in range(1, len(effects))]
+    return "\n".join(min(halves, key=lambda lines: max(map(len, lines))))
 
 
 def plot_candidates(study: Study, *, most: int = MOST_CANDIDATES) -> Figure:
@@ -65,9 +74,10 @@ def plot_candidates(study: Study, *, most: int = MOST_CANDIDATES) -> Figure:
         axis.barh(row, share, height=0.34, color=colour)
         axis.barh(row, 1.0, height=0.34, color=QUIET, alpha=0.10, zorder=0)
         weight = "bold" if candidate.status == Status.BEST else "normal"
-        name = set_name(candidate.effects)
-        size = 8.0 * min(1.0, MOST_LETTERS / len(name))  # beside the percentage, whole
-        axis.text(0.0, row - 0.24, name, fontsize=size, va="bottom", weight=weight)
+        name = _in_lines(set_name(candidate.effects))
+        widest = max(len(line) for line in name.split("\n"))  # beside the percentage, whole
+        size = min(7.0 if "\n" in name else 8.0, 8.0 * MOST_LETTERS / widest)
+        axis.text(0.0, row - 0.24, name, fontsize=size, va="bottom", weight=weight, linespacing=1.0)
         axis.text(1.0, row - 0.24, percent(candidate.probability), fontsize=8, va="bottom", ha="right", weight=weight)
     axis.set_ylim(len(shown) - 0.6, -0.85)
     axis.set_xlim(0.0, 1.0)
