@@ -186,14 +186,11 @@ class FittedSets:
     def mechanism_of(self, name: str) -> str:
         """Return the mechanism of an effect: where a parameter decides, by the fit that leaves least with it."""
         effect = self.own.get(name) or LIBRARY[name]
-        if effect.mechanism_below is not None:
-            parameter, limit, below = effect.mechanism_below
-            role = next(item.role for item in effect.parameters if item.name == parameter)
-            limit *= self.batch.amplitude if role == "gap" else 1.0
-            held = [found for names, found in self.fits.items() if name in names]
-            if held and min(held, key=lambda found: found.cost).value_of(parameter) < limit:
-                return below
-        return effect.mechanism or "other"
+        held = [found for names, found in self.fits.items() if name in names] if effect.mechanism_below else []
+        if not held:
+            return effect.mechanism or "other"
+        least = min(held, key=lambda found: found.cost)
+        return effect.mechanism_at(least.value_of, self.batch.amplitude) or "other"
 
     def _was_asked(self, names: Set, other: Fit) -> bool:
         """Return whether a set was started from this fit of another before, and note that it now is."""

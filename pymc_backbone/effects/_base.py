@@ -327,6 +327,14 @@ class Effect:
                 "the parameter that is the power."
             )
 
+    def mechanism_at(self, value_of: Callable[[str], float], amplitude: float) -> Mechanism | None:
+        """Return the mechanism that the effect has at these parameters, in motions of this amplitude [m or rad]."""
+        if self.mechanism_below is None:
+            return self.mechanism
+        parameter, limit, below = self.mechanism_below
+        scale = amplitude if parameter in self.with_role("gap") else 1.0
+        return below if value_of(parameter) < limit * scale else self.mechanism
+
     def with_role(self, role: Role) -> tuple[str, ...]:
         """Return the names of the parameters with this role."""
         return tuple(parameter.name for parameter in self.parameters if parameter.role == role)
