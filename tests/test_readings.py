@@ -11,9 +11,9 @@ import pytest
 from scipy.signal import butter, sosfilt
 
 import pymc_backbone as pb
-from pymc_backbone.discrepancy import first_cycles
+from pymc_backbone.discrepancy import edges as edges_module
 from pymc_backbone.discrepancy.disturbance import Disturbance, Disturbed, line_modes, sentences
-from pymc_backbone.discrepancy.first_cycles import Begun, begun
+from pymc_backbone.discrepancy.edges import Edges, edges
 from pymc_backbone.discrepancy.promising import is_promising
 from pymc_backbone.discrepancy.readings import _is_one_line, disturbed, early_line
 from pymc_backbone.discrepancy.search import Search
@@ -243,7 +243,7 @@ def test_a_line_is_found_beside_the_model_as_it_is_although_the_noise_holds_it(r
 def test_nothing_is_taken_away_where_the_sensor_is_straight(rng, effects):
     search = searched(measured(rng, effects=effects))
     assert disturbed(search) is None
-    assert begun(search) is None
+    assert edges(search.batch, search.fits[search.best()]) is None
 
 
 def test_a_record_of_which_nothing_is_known_stays_as_it_is(rng):
@@ -264,13 +264,65 @@ def settling(rng):
 
 def test_first_cycles_that_are_not_free_are_left_out(rng):
     records = settling(rng)
-    found = begun(searched(records))
-    assert isinstance(found, Begun)
+    search = searched(records)
+    found = edges(search.batch, search.fits[search.best()])
+    assert isinstance(found, Edges)
     for record, cut in zip(records, found.undisturbed(records), strict=True):
-        first = found.by_specimen[record.specimen]
+        first = found.first[record.specimen]
         assert 1.5 < (first - RELEASE_TIME) * FREQUENCY < 4.0
         assert cut.starts_free
         np.testing.assert_array_equal(cut.values, record.values[record.time >= first])
+
+
+def settling_both_ways(rng):
+    """Records of a cubic spring from a low-pass that runs forward and back and begins at rest at either end."""
+    kept = TIME >= RELEASE_TIME
+    low_pass = butter(4, 6.0 * FREQUENCY, fs=1.0 / (TIME[1] - TIME[0]), output="sos")
+    found = []
+    for record in make_records(rng, ("cubic_stiffness",), specimens=3, decibels=200.0):
+        forward = sosfilt(low_pass, record.values[kept])
+        found.append(noisy(rng, record.specimen, TIME[kept], sosfilt(low_pass, forward[::-1])[::-1], 60.0))
+    return found
+
+
+def test_both_edges_of_records_from_a_filter_that_runs_both_ways_are_left_out():
+    """The noise is estimated from records that hold the edges: a damping that is not there left noise beside them."""
+    records = settling_both_ways(np.random.default_rng(3))
+    search = searched(records)
+    found = edges(search.batch, search.fits[search.best()])
+    for record, cut in zip(records, found.undisturbed(records), strict=True):
+        first, last = found.first[record.specimen], found.last[record.specimen]
+        assert 1.5 < (first - RELEASE_TIME) * FREQUENCY < 4.0
+        assert 1.5 < (record.time[-1] - last) * FREQUENCY < 4.0
+        kept = (record.time >= first) & (record.time <= last)
+        np.testing.assert_array_equal(cut.values, record.values[kept])
+    study = asked(records)
+    assert (study.verdict, study.missing_effects) == ("found", ("cubic_stiffness",))
+    assert any("the last cycles of 3 records" in note for note in study.notes)
+
+
+def test_what_is_left_of_an_edge_is_cut_where_it_is_known_to_be_none():
+    """A filter that settles slowly; another record, and an edge of which nothing is known, stay as they are."""
+    squares = np.repeat([*np.ones(22), 1.5, 5.0], 25)
+    term = SimpleNamespace(time=np.arange(600) / 25.0, values=np.cos(np.arange(600) * 2.0 * np.pi / 25.0))
+    term.compared = lambda values: values
+    seen = {
+        edges_module._Seen(name, term, 1.0, np.sqrt(np.roll(squares, shift))): name
+        for name, shift in (("one", 0), ("other", 300))
+    }
+    off = {item: item.at_end() for item in seen}
+    assert [item.remains for item in off.values()] == [1, 0]
+    assert edges_module._cut(off, {}) == []
+    assert [(seen[item], cut) for item, cut in edges_module._cut(off, {"one": 20.0, "other": 20.0})] == [("one", 1)]
+    assert edges_module._cut(off, {"other": 20.0}) == []
+
+
+def test_edges_of_records_that_had_lost_others_are_both():
+    before = edges_module.Edges({"one": 0.2, "other": 0.3}, {"one": 4.0})
+    after = edges_module.Edges({"one": 0.4}, {"other": 3.0}).within(before)
+    assert after.first == {"one": 0.4, "other": 0.3} and after.last == {"one": 4.0, "other": 3.0}
+    assert "the first cycles of 2 records (one, other) and the last cycles of 2 records" in after.sentence
+    assert "last cycles" not in edges_module.Edges({"one": 0.2}).sentence
 
 
 def test_a_second_blow_in_the_first_cycles_is_left_out(rng):
@@ -292,7 +344,7 @@ def test_records_without_first_cycles_are_searched_where_sets_gain_by_that(rng):
     """A filter that settles is in the first cycles alone; a law that no candidate holds is in all of them."""
     records = settling(rng)
     search = searched(records)
-    cut = batch_of(begun(search).undisturbed(records))
+    cut = batch_of(edges(search.batch, search.fits[search.best()]).undisturbed(records))
     assert is_promising(search, cut, 0.5) and is_promising(search, cut, 0.0)
     lacking = searched(make_records(rng, ("cubic_stiffness",), specimens=3), ("cubic_damping",))
     later = [
@@ -318,9 +370,9 @@ def test_only_the_first_cycles_are_off_where_they_are_not_free(cycles, disturbed
     fading = np.geomspace(100.0, 1.0, 10) if cycles[-1] > 100.0 and not disturbed else np.ones(10)
     squares = np.repeat([*cycles, *fading, *np.ones(20)], 25)
     alone = np.full(3, 5.0)
-    assert first_cycles._disturbed(np.sqrt(squares), 25.0, 3, alone=alone) == disturbed
+    assert edges_module._disturbed(np.sqrt(squares), 25.0, 3, alone=alone) == disturbed
     # of a noise that was taken for ten times as loud
-    assert first_cycles._disturbed(0.1 * np.sqrt(squares), 25.0, 3, alone=alone) == disturbed
+    assert edges_module._disturbed(0.1 * np.sqrt(squares), 25.0, 3, alone=alone) == disturbed
 
 
 def test_what_a_law_leaves_of_a_motion_that_falls_fast_is_no_hand():
@@ -332,10 +384,10 @@ def test_what_a_law_leaves_of_a_motion_that_falls_fast_is_no_hand():
         left = 60.0 * amplitude**3 * np.cos(6.0 * np.pi * time)
         left[:25] *= 30.0 if is_hand else 1.0
         left += np.sqrt(2.0) * np.cos(0.9 * np.pi * 25.0 * time)  # as loud as noise
-        alone = 5.0 * first_cycles._falls(motion, 25.0, 3) ** 3
-        assert first_cycles._disturbed(left, 25.0, 3, alone=alone) == is_hand
+        alone = 5.0 * edges_module._falls(motion, 25.0, 3) ** 3
+        assert edges_module._disturbed(left, 25.0, 3, alone=alone) == is_hand
         if not is_hand:  # it is the fall that tells
-            assert first_cycles._disturbed(left, 25.0, 3, alone=np.full(3, 5.0)) > 0
+            assert edges_module._disturbed(left, 25.0, 3, alone=np.full(3, 5.0)) > 0
 
 
 @pytest.mark.parametrize(("decays", "disturbed"), [(0.006, 1), (0.05, 0)])
@@ -343,12 +395,12 @@ def test_a_hand_that_is_hardly_felt_is_seen_where_no_law_leaves_so_much_less_aft
     """In most of several records: thirty times the noise, and twice the noise in the next cycle."""
     fall = np.exp(2.0 * np.pi * decays)
     squares = np.repeat([30.0, 2.0, *np.ones(30)], 25)
-    found = first_cycles._disturbed(np.sqrt(squares), 25.0, 3, 10.0, alone=np.full(3, 5.0 * fall**10))
+    found = edges_module._disturbed(np.sqrt(squares), 25.0, 3, 10.0, alone=np.full(3, 5.0 * fall**10))
     assert found == disturbed
-    assert first_cycles._disturbed(np.sqrt(squares), 25.0, 3, alone=np.full(3, 5.0)) == 0
+    assert edges_module._disturbed(np.sqrt(squares), 25.0, 3, alone=np.full(3, 5.0)) == 0
     time = np.arange(800) / 25.0
     motion = np.exp(-2.0 * np.pi * decays * time) * np.cos(2.0 * np.pi * time)
-    assert first_cycles._decrement(motion, 32.0) == pytest.approx(2.0 * np.pi * decays, rel=0.02)
+    assert edges_module._decrement(motion, 32.0) == pytest.approx(2.0 * np.pi * decays, rel=0.02)
 
 
 def test_a_spring_behind_a_filter_that_settles_is_named_and_the_cut_is_said(rng):

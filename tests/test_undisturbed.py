@@ -9,6 +9,7 @@ import pytest
 
 from pymc_backbone.discrepancy import changed
 from pymc_backbone.discrepancy import undisturbed as module
+from pymc_backbone.discrepancy.edges import Edges
 from pymc_backbone.discrepancy.evidence import Drifting
 from pymc_backbone.discrepancy.sensor_filter import SensorFilter
 
@@ -20,7 +21,7 @@ class Unmeasured:
     batch: object = None
 
     def of_records(self, *_):
-        return Unmeasured(SimpleNamespace(records=(), waveform=()))
+        return Unmeasured(SimpleNamespace(records=(), waveform=(), specimens=("one",)))
 
 
 @pytest.fixture(autouse=True)
@@ -38,7 +39,7 @@ def test_a_drift_is_asked_before_cycles_are_left_out_and_noise_is_weighed(is_dri
     def says(name):
         return lambda *_: asked.append(name)
 
-    names = ("drifting_zero", "is_relaxed_at_release", "drop_outs", "sensor_filter", "earlier", "begun")
+    names = ("drifting_zero", "is_relaxed_at_release", "drop_outs", "sensor_filter", "earlier", "edges")
     for name in (*names, "motion_noise", "disturbed"):
         monkeypatch.setattr(module, name, says(name))
     monkeypatch.setattr(changed.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
@@ -53,7 +54,7 @@ def test_a_drift_is_asked_before_cycles_are_left_out_and_noise_is_weighed(is_dri
 
     known = module.undisturbed(SimpleNamespace(batch=None), search, [], None, says("searched"), drifting)
     assert known.search is search and known.is_drifting == is_drifting
-    between = [] if is_drifting else ["begun", "motion_noise"]
+    between = [] if is_drifting else ["edges", "motion_noise"]
     # before first samples are left out: these say how what remembers was released
     first = ["drifting_zero", "is_relaxed_at_release", "drop_outs", "sensor_filter", "earlier"]
     assert asked == [*first, "drift", *between, "disturbed"]
@@ -61,7 +62,7 @@ def test_a_drift_is_asked_before_cycles_are_left_out_and_noise_is_weighed(is_dri
 
 def test_of_velocities_and_accelerations_a_filter_is_asked_before_the_zero(monkeypatch):
     asked = []
-    for name in ("drifting_zero", "drop_outs", "sensor_filter", "earlier", "begun", "motion_noise", "disturbed"):
+    for name in ("drifting_zero", "drop_outs", "sensor_filter", "earlier", "edges", "motion_noise", "disturbed"):
         monkeypatch.setattr(module, name, lambda *_, name=name: asked.append(name))
     monkeypatch.setattr(changed.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
     monkeypatch.setattr(changed.evidence, "leaves_noise", lambda *_: False)
@@ -74,7 +75,7 @@ def test_of_velocities_and_accelerations_a_filter_is_asked_before_the_zero(monke
 @pytest.mark.parametrize(("quieter", "is_straightened"), [(0.95, False), (0.5, True)])
 def test_sensors_are_straightened_beside_a_drift_where_less_noise_is_left(quieter, is_straightened, monkeypatch):
     """A noise that was estimated with the disturbance in it hides that, and a drift takes the rest."""
-    for name in ("drifting_zero", "drop_outs", "sensor_filter", "earlier", "begun", "motion_noise"):
+    for name in ("drifting_zero", "drop_outs", "sensor_filter", "earlier", "edges", "motion_noise"):
         monkeypatch.setattr(module, name, lambda *_: None)
     bent = SimpleNamespace(is_bent=True, undisturbed=lambda records: records)
     monkeypatch.setattr(module, "disturbed", lambda _: bent)
@@ -102,7 +103,7 @@ def test_a_low_pass_that_explains_nothing_to_the_noise_has_to_make_the_differenc
         sentence=lambda _: "a filter", passed=lambda batch: "filtered", undone=lambda records, _batch: records
     )
     left = {"base": 0.1, "large behind": 0.01, "large": same_set_leaves}
-    for name in ("earlier", "begun", "motion_noise", "disturbed", "drifting_zero", "drop_outs"):
+    for name in ("earlier", "edges", "motion_noise", "disturbed", "drifting_zero", "drop_outs"):
         monkeypatch.setattr(module, name, lambda *_: None)
     monkeypatch.setattr(module, "sensor_filter", lambda _: behind)
     monkeypatch.setattr(
@@ -131,8 +132,9 @@ def test_a_low_pass_is_kept_where_more_is_explained_behind_it(helps, monkeypatch
         sentence=lambda _: "a filter", passed=lambda batch: "filtered", undone=lambda records, _batch: records
     )
     seen = []
-    for name in ("earlier", "begun", "motion_noise", "disturbed"):
-        monkeypatch.setattr(module, name, lambda search, name=name: seen.append((name, search)))
+    for name in ("earlier", "motion_noise", "disturbed"):
+        monkeypatch.setattr(module, name, lambda search, name=name: seen.append(search.fits[()]))
+    monkeypatch.setattr(module, "edges", lambda _batch, found, _known: seen.append(found))
     for name in ("drifting_zero", "drop_outs"):
         monkeypatch.setattr(module, name, lambda *_: None)
     monkeypatch.setattr(module, "sensor_filter", lambda _: behind)
@@ -159,14 +161,14 @@ def test_a_low_pass_is_kept_where_more_is_explained_behind_it(helps, monkeypatch
     known = module.undisturbed(Question(), before, [], None, searched, lambda _: {})
     assert [(item.said, item.batch) for item in asked] == [(("a filter",), "filtered")]
     assert known.search is (after if helps else before)
-    assert {search.fits[()] for _, search in seen} == {known.search.fits[()]}
+    assert set(seen) == {known.search.fits[()]}
 
 
 @pytest.mark.parametrize("helps", [True, False])
 def test_a_search_that_a_filter_halted_goes_on_where_nothing_is_explained_behind_it(helps, monkeypatch):
     """Where a set leaves noise behind the filter, nothing else is asked."""
     seen = []
-    for name in ("drop_outs", "drifting_zero", "sensor_filter", "earlier", "begun", "motion_noise", "disturbed"):
+    for name in ("drop_outs", "drifting_zero", "sensor_filter", "earlier", "edges", "motion_noise", "disturbed"):
         monkeypatch.setattr(module, name, lambda *_, name=name: seen.append(name))
     monkeypatch.setattr(changed.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
     monkeypatch.setattr(changed.evidence, "leaves_noise", lambda _, found: found == "explained")
@@ -186,7 +188,7 @@ def test_a_search_that_a_filter_halted_goes_on_where_nothing_is_explained_behind
 
 def test_records_are_searched_without_the_line_that_halted_a_search(monkeypatch):
     """Again with all that is asked early, and at last without lines; what follows is asked of the last."""
-    for name in ("drop_outs", "drifting_zero", "sensor_filter", "earlier", "begun", "motion_noise", "disturbed"):
+    for name in ("drop_outs", "drifting_zero", "sensor_filter", "earlier", "edges", "motion_noise", "disturbed"):
         monkeypatch.setattr(module, name, lambda *_: None)
     monkeypatch.setattr(changed, "sentences", lambda found: [f"{len(found)} taken away"])
     monkeypatch.setattr(module, "sentences", lambda found: [f"{len(found)} taken away"])
@@ -225,7 +227,7 @@ def test_records_are_searched_without_the_line_that_halted_a_search(monkeypatch)
 @pytest.mark.parametrize(("is_bent", "explains"), [(False, True), (False, False), (True, True)])
 def test_everything_is_asked_anew_where_a_line_is_not_all_that_disturbs_records(is_bent, explains, monkeypatch):
     """A hum beside a baseline that tilts: a bent sensor and another mode had stood for what the tilt left."""
-    for name in ("drop_outs", "drifting_zero", "sensor_filter", "earlier", "begun", "motion_noise"):
+    for name in ("drop_outs", "drifting_zero", "sensor_filter", "earlier", "edges", "motion_noise"):
         monkeypatch.setattr(module, name, lambda *_: None)
     monkeypatch.setattr(changed.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
     monkeypatch.setattr(changed.evidence, "leaves_noise", lambda _, found: found == "explained")
@@ -261,7 +263,7 @@ def test_everything_is_asked_anew_where_a_line_is_not_all_that_disturbs_records(
 @pytest.mark.parametrize("explains", [True, False])
 def test_a_high_pass_that_what_was_found_behind_it_needs_not_is_taken_back(explains, monkeypatch):
     """The search without it is taken to its end; where that leaves more than noise, the one behind it stands."""
-    for name in ("drop_outs", "drifting_zero", "sensor_filter", "earlier", "begun", "motion_noise", "disturbed"):
+    for name in ("drop_outs", "drifting_zero", "sensor_filter", "earlier", "edges", "motion_noise", "disturbed"):
         monkeypatch.setattr(module, name, lambda *_: None)
     monkeypatch.setattr(module, "settled", lambda *_: None)
     monkeypatch.setattr(changed.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
@@ -281,7 +283,7 @@ def test_a_zero_that_drifts_is_the_answer_where_nothing_is_left_without_the_mid_
     """Then nothing else is asked; else the records are as they were."""
     monkeypatch.setattr(module, "drifting_zero", lambda *_: "steady")
     asked = []
-    for name in ("drop_outs", "sensor_filter", "earlier", "begun", "motion_noise", "disturbed"):
+    for name in ("drop_outs", "sensor_filter", "earlier", "edges", "motion_noise", "disturbed"):
         monkeypatch.setattr(module, name, lambda *_, name=name: asked.append(name))
     monkeypatch.setattr(changed.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
     monkeypatch.setattr(changed.evidence, "leaves_noise", lambda _, found: found == "explained")
@@ -317,14 +319,17 @@ def test_records_without_first_cycles_or_of_weighed_noise_are_searched_where_set
     asked = []
     for name in ("drifting_zero", "drop_outs", "sensor_filter", "earlier", "disturbed"):
         monkeypatch.setattr(module, name, lambda *_: None)
-    cut = SimpleNamespace(undisturbed=lambda records: ["cut"], sentence="first cycles")
+    passes = iter([Edges({"one": 0.2}), Edges({}, {"one": 0.8}), None])
     noise = SimpleNamespace(sentence="noise", weighed=lambda batch: batch)
-    monkeypatch.setattr(module, "begun", lambda *_: cut)
+    monkeypatch.setattr(module, "edges", lambda *_: next(passes))
+    monkeypatch.setattr(module, "fitted_on", lambda found, _batch: found)
+    monkeypatch.setattr(module, "_left_of_each", lambda *_: 1.0)
     monkeypatch.setattr(module, "motion_noise", lambda *_: noise)
     monkeypatch.setattr(changed, "is_promising", lambda search, batch, less: asked.append(less) or is_worth_it)
     monkeypatch.setattr(changed.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
     monkeypatch.setattr(changed.evidence, "leaves_noise", lambda *_: False)
-    search = SimpleNamespace(halted=None, is_told=False, batch=None, fits={(): "base"}, best=tuple)
+    batch = SimpleNamespace(specimens=("one",))
+    search = SimpleNamespace(halted=None, is_told=False, batch=batch, fits={(): "base"}, best=tuple)
     searches = []
     module.undisturbed(Unmeasured(), search, [], None, lambda other: searches.append(other) or search, lambda _: {})
     # without first cycles half of what was left is enough; the noise has to explain all of it

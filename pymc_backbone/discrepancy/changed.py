@@ -84,17 +84,18 @@ class Changed:
 
     def asked(self, *early: Callable[..., Any]) -> Known:
         """Return the question of these records, searched; ``early`` is what a search is asked as it begins."""
-        question = self._question()
+        question = self.posed()
         return Known(self, Undisturbed(question, self.searched(question, *early)))
 
     def if_promising(self, search: Search, less: float) -> Known | None:
         """Return the same where a set of an earlier search leaves noise then, or that share of what the best left."""
-        question = self._question()
+        question = self.posed()
         if not is_promising(search, question.batch, less):
             return None
         return Known(self, Undisturbed(question, self.searched(question)))
 
-    def _question(self) -> Question:
+    def posed(self) -> Question:
+        """Return the question of these records."""
         other = self.question.of_records(self.records, self.measuring, (*sentences(self.lines), *self.said))
         if self.is_relaxed:
             other = replace(other, batch=replace(other.batch, is_relaxed=True))

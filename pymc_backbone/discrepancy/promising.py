@@ -23,7 +23,7 @@ def is_promising(search: Search, batch: Batch, less: float) -> bool:
     before = evidence.lack_of_fit(search.batch, search.fits[search.best()]).share
     likeliest = sorted(search.fits, key=lambda names: search.fits[names].cost)[:_ASKED]
     for names in dict.fromkeys([search.best(), *likeliest, ()]):
-        found = _fitted_on(search.fits[names], batch)
+        found = fitted_on(search.fits[names], batch)
         if found is None:
             continue
         lack = evidence.lack_of_fit(batch, found)
@@ -32,7 +32,7 @@ def is_promising(search: Search, batch: Batch, less: float) -> bool:
     return False
 
 
-def _fitted_on(found: Fit, batch: Batch) -> Fit | None:
+def fitted_on(found: Fit, batch: Batch) -> Fit | None:
     """Return the fit of a set to other records of the same specimens."""
     own = found.state.own.copy()
     own[:, 2:4] = batch.own[:, 2:4]
@@ -42,4 +42,4 @@ def _fitted_on(found: Fit, batch: Batch) -> Fit | None:
     return fit(found.layout, batch.deciding, begun.state, iterations=_SETTLED, nuisances=batch.nuisances)
 
 
-__all__ = ["is_promising"]
+__all__ = ["fitted_on", "is_promising"]

@@ -1,4 +1,4 @@
-"""Records without what disturbs them: filters, first cycles, noise that grows, a bent sensor, another mode."""
+"""Records without what disturbs them: filters, edges, noise that grows, a bent sensor, another mode."""
 
 from __future__ import annotations
 
@@ -7,16 +7,19 @@ from dataclasses import replace
 
 from ..measurement.options import Measuring
 from ..measurement.reading.record import Record
+from .batch import Batch
 from .changed import LESS, Changed, Drifts, Known, Undisturbed, gains, is_better, is_exact, left, over_motion
 from .disturbance import Disturbed, sentences
 from .drift_fits import drift_alone
 from .drifting_zero import drifting_zero
 from .drop_outs import drop_outs
 from .earlier_release import earlier
+from .edges import edges
 from .filter_search import early_high_pass, sensor_filter, settled
-from .first_cycles import begun
 from .fitted_sets import FittedSets
+from .joint_fit import Fit
 from .motion_noise import motion_noise
+from .promising import fitted_on
 from .question import Question
 from .readings import disturbed, early_line
 from .relaxed_release import SENTENCE as RELAXED
@@ -26,6 +29,7 @@ from .sensor_filter import SensorFilter
 
 _RARE = 0.05  # p-value of noise up to which a few samples are looked at
 _PASSES = 2  # times that bent sensors and lines are looked for
+_EDGES = 4  # and edges
 _QUIETER = 0.8  # of the noise that a drift leaves over the motion, up to which straightened records explain more
 
 
@@ -57,14 +61,14 @@ def undisturbed(
     A zero that drifts is looked for where no set leaves noise: what does without the mid-line is the answer. Samples
     that are off all motion are put where the best set has them, where it explains the others and not all. A filter
     in front of the records, through which the simulation is sent, is looked for then (of velocities and accelerations
-    before, as what couples these to alternating current moves the mid-line, too), and once more without first cycles.
-    Specimens are released earlier, or else first cycles left out, where a set of effects leaves noise then, or half of
-    what was left at most. Where the noise grows with the motion, samples count by the noise that they have, if a set
-    leaves nothing else then. A bent sensor and another mode's line are taken out where a set leaves noise then; what
-    was found with the noise of disturbed records is found again without it. Where a set leaves noise with a drift in
-    time beside it, which is likelier, no cycle is left out, and sensors are straightened only where clearly less noise
-    is left then: an estimate of the noise that holds the disturbance hides it. Where the model as it is needs a drift
-    in time and nothing else, nothing else is asked. A line that the search was halted for is taken out before all
+    before, as what couples these to alternating current moves the mid-line, too), and once more without the edges.
+    Specimens are released earlier, or else first or last cycles left out, where a set of effects leaves noise then, or
+    half of what was left at most. Where the noise grows with the motion, samples count by the noise that they have, if
+    a set leaves nothing else then. A bent sensor and another mode's line are taken out where a set leaves noise then;
+    what was found with the noise of disturbed records is found again without it. Where a set leaves noise with a drift
+    in time beside it, which is likelier, no cycle is left out, and sensors are straightened only where clearly less
+    noise is left then: an estimate of the noise that holds the disturbance hides it. Where the model as it is needs a
+    drift in time and nothing else, nothing else is asked. A line that the search was halted for is taken out before all
     that.
     """
     return _undisturbed(Known(Changed(question, measuring, searched, drifts, records), Undisturbed(question, search)))
@@ -105,9 +109,9 @@ def _one_by_one(first: Known) -> Undisturbed:
     now = _released_earlier(*now) or now
     known = _with_drifts(now.found, drifts)
     is_asked = now.changed.release is None and not known.is_drifting
-    cut = _without_first_cycles(*now) if is_asked else None
+    cut = _without_edges(*now) if is_asked else None
     if cut is not None:
-        now, known = cut, cut.found if is_better(cut.search, first.search) else known
+        now, known = cut, cut.found if _is_better_without(cut.search, first.search) else known
         if (behind := _filtered(*now)) is not None:
             now, known = behind, behind.found
     if not known.is_drifting and (weighed := _weighed(*now)) is not None:
@@ -191,12 +195,37 @@ def _released_earlier(changed: Changed, known: Undisturbed) -> Known | None:
     return _if_better(changed.but(release.sentence, release=release).asked(), known.search)
 
 
-def _without_first_cycles(changed: Changed, known: Undisturbed) -> Known | None:
-    """Return the question of records without their first cycles, where these alone are off and sets gain by that."""
-    if (first := begun(known.search)) is None:
+def _without_edges(changed: Changed, known: Undisturbed) -> Known | None:
+    """Return the question of records without first or last cycles, where these alone are off and sets gain by that."""
+    search = known.search
+    batch, found = search.batch, search.fits[search.best()]
+    cut, lost = None, None
+    for _ in range(_EDGES):  # while one edge is in the record, the estimate of the noise holds it, and hides the other
+        if (more := edges(batch, found, lost)) is None:
+            break
+        lost = more if lost is None else more.within(lost)
+        cut = changed.but(lost.sentence, records=lost.undisturbed(changed.records))
+        batch = cut.posed().batch
+        again = fitted_on(found, batch) if batch.specimens == search.batch.specimens else None
+        if again is None:
+            break
+        found = again
+    if cut is None:
         return None
-    cut = changed.but(first.sentence, records=first.undisturbed(changed.records))
-    return cut.if_promising(known.search, LESS)
+    # what was taken for noise held the edges
+    is_quieter = _left_of_each(batch, found) < LESS * _left_of_each(search.batch, search.fits[search.best()])
+    return cut.asked() if is_quieter else cut.if_promising(search, LESS)
+
+
+def _is_better_without(cut: Search, search: Search) -> bool:
+    """Return whether a search of records without their edges explains more than one with these."""
+    per_value = [_left_of_each(item.batch, item.fits[item.best()]) for item in (cut, search)]
+    return is_better(cut, search) or per_value[0] < LESS * per_value[1]
+
+
+def _left_of_each(batch: Batch, found: Fit) -> float:
+    """Return what a fit leaves of each value."""
+    return float(found.chi_square.sum()) / sum(term.size for term in batch.deciding)
 
 
 def _weighed(changed: Changed, known: Undisturbed) -> Known | None:
