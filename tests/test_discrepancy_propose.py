@@ -130,6 +130,53 @@ def test_looks_err_as_averaging_does(name):
         assert lacking <= (size + decrement) * size, (o, lacking, size, added[o], looked[o])
 
 
+def test_only_what_moves_the_mid_line_is_looked_at_at_several_strengths():
+    """Of all else the look is in proportion to the strength, dampers and friction among them."""
+    batch = _batch(Oscillator(MASS, ["cubic_stiffness"]), {"cubic_stiffness": 0.1 * SPRING / AMPLITUDE**2})
+    data = level_data(batch.levels, MASS)
+    found = {}
+    for name in IN_METRES:
+        layout = make_layout(Oscillator(MASS, [name]), AMPLITUDE, OMEGA)
+        found[name] = atoms_of(layout, name, data)
+    shifting = {name for name, item in found.items() if item.is_asymmetric}
+    assert shifting == {"bilinear_stiffness", "quadratic_stiffness"}
+    assert len(found["quadratic_damping"].points) == len(found["coulomb_friction"].points) == 1
+    assert len(found["quadratic_stiffness"].points) == 24
+
+
+def test_a_set_whose_look_lost_an_effect_begins_where_what_it_holds_explains_more(monkeypatch):
+    """A stop on one side, its look far off, left a power damper no strength and an exponent from which none grows."""
+    values = {"stop_stiffness": 0.6 * SPRING, "stop_gap": 0.4 * AMPLITUDE, "power_damping": 0.015 * SPRING * AMPLITUDE,
+              "power_damping_exponent": 1.6, "power_damping_speed": AMPLITUDE * OMEGA}  # fmt: skip
+    truth = ("one_sided_stiffness", "power_damping")
+    batch = _batch(Oscillator(MASS, list(truth)), values, specimens=4)
+    proposer = _Proposer(batch, Oscillator(MASS), ("quadratic_damping",), 2, {}, truth)
+    proposer.run()
+    lost = proposer.points[truth][0].copy()
+    lost.eta[-2], lost.cost = 0.0, 10.0 * proposer._cost(("one_sided_stiffness",))
+    proposer.points[truth] = [lost]
+    proposer.asked.clear()
+    monkeypatch.setattr("pymc_backbone.discrepancy.propose._LEADERS", 1)
+    leader = min(proposer.sets, key=lambda names: proposer._cost(names) + proposer._penalty(names))
+    assert leader == ("one_sided_stiffness", "quadratic_damping")
+    proposer._ask_relatives()  # the stop by itself, from the leader
+    proposer._ask_relatives()
+    assert proposer._cost(truth) < proposer._cost(leader)
+    assert 1.3 < proposer.points[truth][0].eta[-1] < 1.9
+
+
+@pytest.mark.parametrize("asymmetry", [0.4, -0.55])
+def test_a_play_off_the_middle_beside_friction_is_the_likeliest(asymmetry):
+    """How far it is off lies between the middle and the ends of what is possible: the looks come near enough."""
+    values = {"play_stiffness": 0.5 * SPRING, "play": 0.4 * AMPLITUDE, "play_asymmetry": asymmetry,
+              "friction_force": 0.006 * SPRING * AMPLITUDE}  # fmt: skip
+    truth = ("coulomb_friction", "offset_freeplay")
+    batch = _batch(Oscillator(MASS, list(truth)), values, scatter=0.0)
+    found = propose(batch, Oscillator(MASS), IN_METRES, 2, variants=("offset_freeplay", "one_sided_stiffness"))
+    assert found[0].names == truth
+    assert found[0].eta[-1] == pytest.approx(asymmetry, abs=0.05)
+
+
 def test_every_set_is_there_once_and_the_same_call_gives_the_same():
     truth = Oscillator(MASS, ["cubic_stiffness"])
     batch = _batch(truth, {"cubic_stiffness": 0.35 * SPRING / AMPLITUDE**2})

@@ -28,6 +28,8 @@ _SMALLEST_SLIP = 0.005  # of the amplitude
 _PER_DECADE = 6
 _GAPS = (0.02, 0.05, 0.1, 0.17, 0.25, 0.33, 0.42, 0.5, 0.58, 0.67, 0.75, 0.83, 0.9, 0.96)
 _ASYMMETRIES = (-0.4, 0.0, 0.4)
+_EXPONENTS = (0.1, 0.5, 0.95)  # where these lie between their limits
+_BETWEEN = (0.05, 0.3, 0.5, 0.7, 0.95)
 _STRENGTHS = np.geomspace(2e-3, 1.5, 12)  # of asymmetric effects, in parts of the default bounds
 _EVEN = 0.05  # force at rest over that which follows the motion, from which an effect shifts the mid-line
 _CLOSE_TO_STRENGTH = 0.3  # an asymmetric atom stands for strengths so close to its own
@@ -171,7 +173,8 @@ def atoms_of(layout: Layout, effect: str, data: LevelData) -> Atoms:
     top = float(layout.width[where[0]] * np.sqrt(12.0))
     glance = _looks(layout, where, np.array([[0.1 * top, *shapes[len(shapes) // 2]]]), data, 2)
     shift = float(np.abs(glance[0, :, MIDDLE] * data.mass * data.omegas**2).max())
-    is_asymmetric = shift > _EVEN * float(np.abs(glance[0, :, [STIFFNESS, AT_TURN]]).max())
+    follows = np.abs([glance[0, :, STIFFNESS], glance[0, :, AT_TURN], glance[0, :, DAMPING] * data.omegas])
+    is_asymmetric = shift > _EVEN * float(follows.max())
     is_signed = bool(layout.low[where[0]] < 0.0)
     if not is_asymmetric:
         points = np.array([[0.1 * top, *shape] for shape in shapes])
@@ -221,8 +224,9 @@ def shape_grid(layout: Layout, where: list[int]) -> tuple[FloatArray, Any]:
             axes.append(list(enumerate(_ASYMMETRIES)))
         elif place in powers:  # displacement over amplitude at which the state saturates
             axes.append(list(enumerate(np.geomspace(_SMALLEST_SLIP, 3.0, 12))))
-        elif abs(layout.high[place] - layout.low[place] - top[j]) < 1e-6 * top[j]:  # an exponent
-            axes.append([(3 * k, layout.low[place] + share * top[j]) for k, share in enumerate((0.1, 0.5, 0.95))])
+        elif abs(layout.high[place] - layout.low[place] - top[j]) < 1e-6 * top[j]:  # an exponent, or an asymmetry
+            shares = _BETWEEN if layout.low[place] < 0.0 else _EXPONENTS
+            axes.append([(3 * k, layout.low[place] + share * top[j]) for k, share in enumerate(shares)])
         elif layout.low[place] < 0.0:
             axes.append([(k, share * top[j]) for k, share in enumerate((-0.4, -0.1, 0.1, 0.4))])
         else:

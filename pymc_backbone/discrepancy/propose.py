@@ -235,7 +235,7 @@ class _Proposer:
                 if t > 0 and found[0][s, t] > 2.0 * best + 50.0:
                     continue
                 start = self.fits.at_atoms(names, found[1][s, t], found[2][s, t], defect)
-                self.fits.refine(names, start, self.sharp, 6 if s in near else 3)
+                self.fits.refine(names, start, self.sharp, 6 if s in near else 3, careful=s in near)
                 starts.append(start)
             starts.sort(key=lambda item: item.cost)
             self.points[names] = starts
@@ -322,7 +322,8 @@ class _Proposer:
     def _ask_relatives(self) -> None:
         """Start sets that lag behind a larger or smaller one from where that one stands.
 
-        A set that holds another one cannot be worse, and one effect less than the best is what has to be ruled out.
+        A set that holds another one cannot be worse, and one effect less than the best is what has to be ruled out. So
+        it is with what has another effect in the place of one of the best: its look may have lost the rest.
         """
         exact = [names for names in self.sets if self.points[names] and self.points[names][0].is_exact]
         leaders = sorted(exact, key=lambda names: self._cost(names) + self._penalty(names))[:_LEADERS]
@@ -333,12 +334,11 @@ class _Proposer:
                 less = tuple(other for other in leader if other != name)
                 if self._cost(less) > cost + 10.0 and (leader, less) not in self.asked:
                     jobs.setdefault(less, leader)
-            for name in self.candidates:
-                more = tuple(sorted({*leader, name}))
-                is_known = len(more) == len(leader) or more not in self.points or (leader, more) in self.asked
-                is_known = is_known or more in self.needless
-                if not is_known and self._cost(more) > cost + 0.5:
-                    jobs.setdefault(more, leader)
+                elif less in self.points and less:
+                    for lagging in self._lagging(less):
+                        jobs.setdefault(lagging, less)
+            for more in self._lagging(leader):
+                jobs.setdefault(more, leader)
         self.asked.update((leader, names) for names, leader in jobs.items())
 
         def work(names: Set, leader: Set) -> None:
@@ -352,6 +352,13 @@ class _Proposer:
                 self.points[names].sort(key=lambda item: item.cost)
 
         in_threads([partial(work, n, b) for n, b in jobs.items()])
+
+    def _lagging(self, smaller: Set) -> list[Set]:
+        """Return the sets that hold one effect more than another and explain less, unless they began there."""
+        larger = (tuple(sorted({*smaller, name})) for name in self.candidates if name not in smaller)
+        known = (names for names in larger if names in self.points and names not in self.needless)
+        cost = self._cost(smaller)
+        return [names for names in known if (smaller, names) not in self.asked and self._cost(names) > cost + 0.5]
 
     def _cost(self, names: Set) -> float:
         return min((start.cost for start in self.points[names]), default=np.inf)
