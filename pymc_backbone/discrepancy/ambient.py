@@ -52,7 +52,7 @@ def ambient_check(batch: Batch, best: Fit, *, is_explained: bool = False) -> Che
     if not batch.has_records:
         return Check(name, True, "not testable without records")
     if is_explained:
-        return Check(name, True, "what the model leaves is noise")
+        return Check(name, True, "what the model leaves along the motion is noise")
     looked = [found for r in range(len(batch.waveform)) if (found := _rest(batch, best, r)) is not None]
     moved, flat = [item for item in looked if item.is_moved], [item for item in looked if item.is_flat]
     most = _MOST * len(batch.waveform)

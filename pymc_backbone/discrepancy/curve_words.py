@@ -29,7 +29,9 @@ _ONE_SIDE = (
     "by which an even part of a force would be measured."
 )
 WHY = {
-    "drift": "a drift with time explains more of the rest than any such force",
+    "drift": (
+        "a drift with time explains more of the rest than any such force (a kink, as of another stop, is not smooth)"
+    ),
     "hysteresis": "a force that remembers the way explains more of the rest",
     "": "what they leave is no noise either",
 }

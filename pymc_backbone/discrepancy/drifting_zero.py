@@ -17,8 +17,9 @@ from .question import Question
 from .search import Search
 
 SENTENCE = (
-    "warning: the zero of the sensor drifts: no known effect moves the mid-line so, and without it the records "
-    "are explained; it was counted as noise, not as the structure's. Let the sensor warm up, or look at its electronics"
+    "warning: the mid-line moves as no known effect moves it, as where the zero of the sensor drifts; without it the "
+    "records are explained, and it was counted as noise, not as the structure's. Let the sensor warm up, or look at "
+    "its electronics; where these are steady, it is the structure's after all, by an effect that is not known"
 )
 
 

@@ -77,6 +77,14 @@ def second_mode_check(batch: Batch, best: Fit, *, is_adequate: bool = False) -> 
             f"what the model leaves of {small[2]} holds a line at {small[1]:.4g} Hz, {per_cent(small[0])} of the "
             "motion there, as another mode leaves: too small to speak against what was found",
         )
+    times = float(np.median([best.chi_square[r] / term.size for r, term in enumerate(batch.waveform)] or [0.0]))
+    if times > _NO_NOISE:
+        return Check(
+            name,
+            True,
+            f"what the model leaves, {times:.2g} times the noise (chi-square), holds no line that stands beside the "
+            "harmonics of the mode: one that lies within their range, as where the frequency changes much, is not told",
+        )
     return Check(name, True, "what the model leaves holds no line beside the harmonics of the mode")
 
 

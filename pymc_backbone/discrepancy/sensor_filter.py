@@ -101,7 +101,8 @@ class SensorFilter:
         if self.shows_at_release:  # which says little of its order and cut-off
             return (
                 f"warning: the records begin with a slow decay beside the motion, as behind a {self.kind} below the "
-                f"frequency of the mode; the simulation was sent through one. {look}"
+                "frequency of the mode, from a hand that lets go slowly, or of a sensor that bends; the simulation was "
+                f"sent through a {self.kind}, which draws it. {look}, and at the release"
             )
         ratio = self.cut / float(np.median([record.frequency for record in batch.records]))
         done = "turned" if self.kind == "high-pass" else "turned and weakened"
