@@ -22,8 +22,9 @@ from ..oscillator import Oscillator
 from .batch import Batch
 from .look_kernels import N_LOOK
 from .looks import regression
+from .points import Point
 from .scatter import SCATTER, WIDE_SCATTER
-from .set_fits import Point, Set, SetFits
+from .set_fits import Set, SetFits
 from .set_kernels import best_atoms
 
 _SECOND_LOOK = 3.0  # standard deviations of chi-square above its mean from which effects may differ more
@@ -40,7 +41,6 @@ _PENALTY, _RARER = 10.0, 7.0  # chi-square by which an effect, and one that is a
 _TRUST = 0.2  # of the chi-square of a look
 _LEADERS = 8  # sets whose relatives are asked
 _NEARLY_AS_GOOD = 10.0  # chi-square above that of the best point of a set
-_APART = 3.0  # standard deviations
 _POLISHED = 16
 _LARGEST_VARIED = 2  # effects of the sets that hold variants
 _NEAR = 100  # sets that are refined from several starts
@@ -378,7 +378,7 @@ class _Proposer:
         apart: list[Point] = []
         logs = []
         for log, item in known:
-            if all(_is_apart(item, other) for other in apart):
+            if all(item.is_apart_from(other) for other in apart):
                 apart.append(item)
                 logs.append(log)
         return float(np.logaddexp.reduce(logs))
@@ -415,9 +415,3 @@ class _Proposer:
         most = max((item.log_evidence for item in proposals if item.is_exact), default=np.inf)
         known = [replace(item, log_evidence=min(item.log_evidence, most)) for item in proposals]
         return sorted(known, key=lambda item: (-item.log_evidence, not item.is_exact))
-
-
-def _is_apart(point: Point, other: Point) -> bool:
-    """Return whether a point lies standard deviations away from another, by the information at the other."""
-    away = point.eta - other.eta
-    return float(away @ other.shared @ away) > _APART**2

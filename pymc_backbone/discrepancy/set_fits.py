@@ -7,7 +7,6 @@ exact simulator confirms a step or has it cut back.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +19,7 @@ from .batch import Batch
 from .layout import Layout, make_layout
 from .look_kernels import N_LOOK
 from .looks import ROUNDS, Atoms, LevelData, atoms_of, level_data
+from .points import Point, own_values
 from .refine_kernels import observe, refine
 from .scatter import SCATTER
 from .starts import positions
@@ -28,34 +28,6 @@ Set = tuple[str, ...]
 
 _CUTS = 3
 _FAR = 3.0  # chi-square over the number of values from which specimens are taken for alike at first
-_ARRAYS = ("eta", "own", "defect", "look", "tilt", "origin", "slopes", "shared")
-
-
-@dataclass(eq=False)
-class Point:
-    """A point of a set, with what the look lacks there."""
-
-    eta: FloatArray
-    own: FloatArray
-    defect: FloatArray
-    look: FloatArray
-    tilt: FloatArray
-    origin: FloatArray
-    slopes: FloatArray
-    cost: float = np.inf
-    log_determinant: float = 0.0
-    shared: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
-    is_exact: bool = False
-
-    def copy(self) -> Point:
-        """Return a point that moves on its own."""
-        return replace(self, **{name: getattr(self, name).copy() for name in _ARRAYS})
-
-    def become(self, other: Point) -> None:
-        """Move where another point of the set is."""
-        for name in _ARRAYS:
-            getattr(self, name)[...] = getattr(other, name)
-        self.cost, self.log_determinant = other.cost, other.log_determinant
 
 
 class _View(NamedTuple):
@@ -71,32 +43,6 @@ class _View(NamedTuple):
     is_asymmetric: Any
     is_proportional: Any
     points: Any
-
-
-class _OwnValues(NamedTuple):
-    """What the level values of a specimen say of its stiffness and damping, where no effect is.
-
-    Attributes
-    ----------
-    stiffness, damping : (m,) arrays
-        Of which effects take their share, at levels with a frequency, and at levels with a damping.
-    at_frequency, at_damping : (m,) arrays of int
-        These levels.
-    """
-
-    stiffness: FloatArray
-    damping: FloatArray
-    at_frequency: Any
-    at_damping: Any
-
-
-def _own_values(data: LevelData, specimen: int) -> _OwnValues:
-    m = data.count[specimen]
-    (observable, level), values = data.rows[specimen, :m].T, data.values[specimen, :m]
-    omega = 2.0 * np.pi * values[observable == 0]
-    at = level[observable == 1]
-    damping = values[observable == 1] * data.mass * data.omegas[at] / np.pi
-    return _OwnValues(data.mass * omega**2, damping, level[observable == 0], at)
 
 
 def _mean(values: FloatArray) -> float:
@@ -146,7 +92,7 @@ class SetFits:
             effect = by_name.get(name) or own_effects.get(name) or LIBRARY[name]
             layout = make_layout(Oscillator(base.mass, [effect]), batch.amplitude, batch.angular_frequency)
             self.atoms.append(atoms_of(layout, name, self.data))
-        self.own_values = [_own_values(self.data, r) for r in range(self.data.count.size)]
+        self.own_values = [own_values(self.data, r) for r in range(self.data.count.size)]
         self.firsts = np.concatenate([[0], np.cumsum([len(item.points) for item in self.atoms])]).astype(np.int64)
 
     def layout(self, names: Set) -> Layout:
