@@ -12,6 +12,7 @@ from scipy.signal import butter, sosfilt
 
 import pymc_backbone as pb
 from pymc_backbone.discrepancy import edges as edges_module
+from pymc_backbone.discrepancy import evidence
 from pymc_backbone.discrepancy.disturbance import Disturbance, Disturbed, line_modes, sentences
 from pymc_backbone.discrepancy.edges import Edges, edges
 from pymc_backbone.discrepancy.promising import is_promising
@@ -312,9 +313,26 @@ def test_what_is_left_of_an_edge_is_cut_where_it_is_known_to_be_none():
     }
     off = {item: item.at_end() for item in seen}
     assert [item.remains for item in off.values()] == [1, 0]
-    assert edges_module._cut(off, {}) == []
-    assert [(seen[item], cut) for item, cut in edges_module._cut(off, {"one": 20.0, "other": 20.0})] == [("one", 1)]
-    assert edges_module._cut(off, {"other": 20.0}) == []
+    assert edges_module._cut(off, {}) == {}
+    cut = edges_module._cut(off, {"one": 20.0, "other": 20.0})
+    assert {seen[item]: count for item, count in cut.items()} == {"one": 1}
+    assert edges_module._cut(off, {"other": 20.0}) == {}
+
+
+@pytest.mark.parametrize(("cycles", "first", "last"), [(14, 1, 1), (11, 1, 0), (9, 0, 0)])
+def test_eight_cycles_of_a_record_remain_whatever_its_edges_are(cycles, first, last, monkeypatch):
+    """Both ends are off; where not enough would remain, the first cycles are left out alone, or none."""
+    squares = np.repeat([900.0, *np.ones(cycles - 2), 900.0], 25)
+    monkeypatch.setattr(evidence, "residuals_of", lambda *_: np.sqrt(squares))
+    time = np.linspace(0.0, float(cycles), 25 * cycles)
+    term = SimpleNamespace(time=time, values=np.cos(2.0 * np.pi * time), compared=lambda values: values)
+    batch = SimpleNamespace(
+        has_open_records=True, specimens=("one",), waveform=(term,), records=(SimpleNamespace(frequency=1.0),)
+    )
+    found = edges(batch, None)
+    assert (0 if found is None else len(found.first), 0 if found is None else len(found.last)) == (first, last)
+    kept = cycles if found is None else found.last.get("one", cycles) - found.first.get("one", 0.0)
+    assert kept >= 8.0
 
 
 def test_edges_of_records_that_had_lost_others_are_both():

@@ -92,35 +92,37 @@ def edges(batch: Batch, found: Fit, known: Edges | None = None) -> Edges | None:
     ]
     long_enough = [item for item in seen if item.is_long_enough]
     ends = (known.first, known.last) if known is not None else ({}, {})
-    first = {
-        item.specimen: float(item.time[0]) + (cut + _BEYOND) / item.frequency
-        for item, cut in _cut({item: item.at_begin() for item in long_enough}, ends[0])
-    }
-    last = {
-        item.specimen: float(item.time[-1]) - (cut + _BEYOND) / item.frequency
-        for item, cut in _cut({item: item.at_end() for item in long_enough}, ends[1])
-    }
-    return Edges(first, last) if first or last else None
+    first = _cut({item: item.at_begin() for item in long_enough}, ends[0])
+    lost = {item: cut + _BEYOND for item, cut in first.items()}
+    left_over = [item for item in long_enough if item.cycles - lost.get(item, 0.0) >= _FEWEST + 1.0 + _BEYOND]
+    last = _cut({item: item.at_end(lost.get(item, 0.0)) for item in left_over}, ends[1])
+    if not (first or last):
+        return None
+    return Edges(
+        {item.specimen: float(item.time[0]) + (cut + _BEYOND) / item.frequency for item, cut in first.items()},
+        {item.specimen: float(item.time[-1]) - (cut + _BEYOND) / item.frequency for item, cut in last.items()},
+    )
 
 
-def _cut(seen: Mapping[_Seen, _Off], known: Mapping[str, float]) -> list[tuple[_Seen, int]]:
+def _cut(seen: Mapping[_Seen, _Off], known: Mapping[str, float]) -> dict[_Seen, int]:
     """Return how many cycles are cut of the records whose edge is no free motion, known to be none or not."""
     if known:
-        return [(item, off.remains) for item, off in seen.items() if item.specimen in known and off.remains]
+        return {item: off.remains for item, off in seen.items() if item.specimen in known and off.remains}
     clearly = {item: off.clearly for item, off in seen.items()}
     if 2 * sum(off.slightly > 0 for off in seen.values()) > len(seen) > 1:
         clearly = {item: off.slightly for item, off in seen.items()}
     counts = [count for count in clearly.values() if count]
     usual = int(np.ceil(np.median(counts))) if 2 * len(counts) > len(seen) else 0
-    return [(item, cut) for item, count in clearly.items() if (cut := max(count, usual))]
+    return {item: cut for item, count in clearly.items() if (cut := min(max(count, usual), seen[item].most))}
 
 
 class _Off(NamedTuple):
-    """How many cycles at an edge are no free motion: clearly, at least a little, and of what is known to be none."""
+    """How many cycles at an edge are no free motion: clearly, a little, of what is known to be none; and at most."""
 
     clearly: int
     slightly: int
     remains: int
+    most: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,37 +149,37 @@ class _Seen:
         """Whether enough cycles remain without those of one edge."""
         return self.cycles >= _FEWEST + 1.0 + _BEYOND and self.left.size >= 4.0 * self.cycles
 
-    @property
-    def most(self) -> int:
-        """Cycles that may be left out at one edge."""
-        return min(_MOST, int(self.cycles - _FEWEST - _BEYOND))
-
     def at_begin(self) -> _Off:
         """Return how many first cycles are no free motion."""
-        motion = self.term.compared(self.term.values)
-        steps = _falls(motion, motion.size / self.cycles, self.most) ** _STEEP
-        return self._off(self.left, motion, steps)
+        motion, most = self.term.compared(self.term.values), self._most(0.0)
+        return self._off(self.left, motion, _falls(motion, motion.size / self.cycles, most) ** _STEEP)
 
-    def at_end(self) -> _Off:
-        """Return how many last cycles are none: there the motion, and what a law leaves of it, does not grow."""
-        return self._off(self.left[::-1], self.term.compared(self.term.values), np.ones(self.most))
+    def at_end(self, lost: float = 0.0) -> _Off:
+        """Return how many last cycles are none, beside those lost at the begin.
+
+        There the motion, and what a law leaves of it, does not grow.
+        """
+        return self._off(self.left[::-1], self.term.compared(self.term.values), np.ones(self._most(lost)))
+
+    def _most(self, lost: float) -> int:
+        """Return how many cycles may be left out at an edge beside those lost at the other."""
+        return min(_MOST, int(self.cycles - lost - _FEWEST - _BEYOND))
 
     def _off(self, left: FloatArray, motion: FloatArray, steps: FloatArray) -> _Off:
-        each = left.size / self.cycles
-        clearly = _disturbed(left, each, self.most, alone=_FIRST_ALONE * steps)
+        each, most = left.size / self.cycles, steps.size
+        clearly = _disturbed(left, each, most, alone=_FIRST_ALONE * steps)
         fall = float(np.exp(_decrement(motion, self.cycles)))
         alone = _FIRST_ALONE * np.maximum(steps, fall**_STEEPEST)
-        slightly = clearly or _disturbed(left, each, self.most, _SEEN, alone=alone)
-        return _Off(clearly, slightly, _disturbed(left, each, self.most, _REMAINS, alone=_REMAINS_ALONE * steps))
+        slightly = clearly or _disturbed(left, each, most, _SEEN, alone=alone)
+        return _Off(clearly, slightly, _disturbed(left, each, most, _REMAINS, alone=_REMAINS_ALONE * steps), most)
 
 
 def _decrement(values: FloatArray, cycles: float) -> float:
     """Return the logarithmic decrement over a cycle of motion, by the first quarters of a record; of noise, zero."""
     around = values - values[values.size // 2 :].mean()
     early, late = (float((part**2).mean()) for part in np.array_split(around, 4)[:2])
-    return max(
-        2.0 * float(np.log(early / max(late, 1e-300))) / cycles, 0.0
-    )  # a quarter apart, squares of the amplitude
+    # a quarter apart, squares of the amplitude
+    return max(2.0 * float(np.log(early / max(late, 1e-300))) / cycles, 0.0)
 
 
 def _falls(values: FloatArray, each: float, most: int) -> FloatArray:
