@@ -67,9 +67,13 @@ def study_of(data, base=(), **options):
 def check_whole(study):
     """What holds for every study, whatever was found."""
     assert isinstance(study.verdict, Verdict) and study.sentence.endswith(".")
-    # what is less probable than 1e-9 is in the order of what it leaves
-    probabilities = [item.probability if item.probability >= 1e-9 else 0.0 for item in study.candidates]
-    assert probabilities == sorted(probabilities, reverse=True)
+    probabilities = [item.probability for item in study.candidates]
+    told = [probability for probability in probabilities if probability >= 1e-9]
+    assert probabilities[: len(told)] == sorted(told, reverse=True)
+    # what is less probable is in the order of what it leaves, but for one that may be told first
+    fitted = [item for item in study.candidates[len(told) :] if np.isfinite(item.reduced_chi_square)]
+    left = [item.reduced_chi_square for item in fitted if item.parameters]
+    assert left[1:] == sorted(left[1:])
     assert 0.0 < sum(probabilities) <= 1.0 + 1e-9
     assert all(item.reason for item in study.candidates)
     names = [item.effects for item in study.candidates]
