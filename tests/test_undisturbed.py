@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from pymc_backbone.discrepancy import changed
@@ -21,7 +22,9 @@ class Unmeasured:
     batch: object = None
 
     def of_records(self, *_):
-        return Unmeasured(SimpleNamespace(records=(), waveform=(), specimens=("one",)))
+        return Unmeasured(
+            SimpleNamespace(records=(), waveform=(), specimens=("one",), deciding=(SimpleNamespace(size=4),))
+        )
 
 
 @pytest.fixture(autouse=True)
@@ -322,14 +325,15 @@ def test_records_without_first_cycles_or_of_weighed_noise_are_searched_where_set
     passes = iter([Edges({"one": 0.2}), Edges({}, {"one": 0.8}), None])
     noise = SimpleNamespace(sentence="noise", weighed=lambda batch: batch)
     monkeypatch.setattr(module, "edges", lambda *_: next(passes))
-    monkeypatch.setattr(module, "fitted_on", lambda found, _batch: found)
-    monkeypatch.setattr(module, "_left_of_each", lambda *_: 1.0)
+    left = SimpleNamespace(chi_square=np.array([4.0]))
+    monkeypatch.setattr(module, "fitted_on", lambda *_: left)
     monkeypatch.setattr(module, "motion_noise", lambda *_: noise)
     monkeypatch.setattr(changed, "is_promising", lambda search, batch, less: asked.append(less) or is_worth_it)
     monkeypatch.setattr(changed.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
     monkeypatch.setattr(changed.evidence, "leaves_noise", lambda *_: False)
     batch = SimpleNamespace(specimens=("one",))
     search = SimpleNamespace(halted=None, is_told=False, batch=batch, fits={(): "base"}, best=tuple)
+    search.reduced = lambda _: 1.0
     searches = []
     module.undisturbed(Unmeasured(), search, [], None, lambda other: searches.append(other) or search, lambda _: {})
     # without first cycles half of what was left is enough; the noise has to explain all of it

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 from ..measurement.options import Measuring
 from ..measurement.reading.record import Record
-from .batch import Batch
 from .changed import LESS, Changed, Drifts, Known, Undisturbed, gains, is_better, is_exact, left, over_motion
 from .disturbance import Disturbed, sentences
 from .drift_fits import drift_alone
@@ -17,7 +16,6 @@ from .earlier_release import earlier
 from .edges import edges
 from .filter_search import early_high_pass, sensor_filter, settled
 from .fitted_sets import FittedSets
-from .joint_fit import Fit
 from .motion_noise import motion_noise
 from .promising import fitted_on
 from .question import Question
@@ -213,19 +211,15 @@ def _without_edges(changed: Changed, known: Undisturbed) -> Known | None:
     if cut is None:
         return None
     # what was taken for noise held the edges
-    is_quieter = _left_of_each(batch, found) < LESS * _left_of_each(search.batch, search.fits[search.best()])
+    left_of_each = float(found.chi_square.sum()) / sum(term.size for term in batch.deciding)
+    is_quieter = left_of_each < LESS * search.reduced(search.fits[search.best()])
     return cut.asked() if is_quieter else cut.if_promising(search, LESS)
 
 
 def _is_better_without(cut: Search, search: Search) -> bool:
     """Return whether a search of records without their edges explains more than one with these."""
-    per_value = [_left_of_each(item.batch, item.fits[item.best()]) for item in (cut, search)]
-    return is_better(cut, search) or per_value[0] < LESS * per_value[1]
-
-
-def _left_of_each(batch: Batch, found: Fit) -> float:
-    """Return what a fit leaves of each value."""
-    return float(found.chi_square.sum()) / sum(term.size for term in batch.deciding)
+    reduced = [item.reduced(item.fits[item.best()]) for item in (cut, search)]
+    return is_better(cut, search) or reduced[0] < LESS * reduced[1]
 
 
 def _weighed(changed: Changed, known: Undisturbed) -> Known | None:
