@@ -22,9 +22,7 @@ class Unmeasured:
     batch: object = None
 
     def of_records(self, *_):
-        return Unmeasured(
-            SimpleNamespace(records=(), waveform=(), specimens=("one",), deciding=(SimpleNamespace(size=4),))
-        )
+        return Unmeasured(SimpleNamespace(records=(), waveform=(), specimens=("one",), count=4))
 
 
 @pytest.fixture(autouse=True)

@@ -211,7 +211,7 @@ def _without_edges(changed: Changed, known: Undisturbed) -> Known | None:
     if cut is None:
         return None
     # what was taken for noise held the edges
-    left_of_each = float(found.chi_square.sum()) / sum(term.size for term in batch.deciding)
+    left_of_each = float(found.chi_square.sum()) / batch.count
     is_quieter = left_of_each < LESS * search.reduced(search.fits[search.best()])
     return cut.asked() if is_quieter else cut.if_promising(search, LESS)
 
