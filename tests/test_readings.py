@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.signal import butter, sosfilt
 
 import pymc_backbone as pb
@@ -358,6 +359,40 @@ def test_a_second_blow_in_the_first_cycles_is_left_out(rng):
     assert any("a second blow" in note for note in study.notes)
 
 
+def dragged(rng, drag=0.12, cycles=0.55, stop=0.0, specimens=3):
+    """Records of a linear structure that a hand lets go over half a cycle, or that a stop is reached by at first."""
+    kept = np.asarray(TIME) >= RELEASE_TIME
+    since, found = np.asarray(TIME)[kept] - RELEASE_TIME, []
+    for r in range(specimens):
+        omega = OMEGA * (1.0 + 0.004 * rng.standard_normal())
+
+        def rate(time, state, omega=omega):
+            x, v = state
+            hand = 2.0 * drag * OMEGA * max(1.0 - time * FREQUENCY / cycles, 0.0)
+            return [v, -(omega**2) * (x + stop * max(x - 0.8 * AMPLITUDE, 0.0)) - (2.0 * RATIO * OMEGA + hand) * v]
+
+        until = (0.0, since[-1])
+        motion = solve_ivp(
+            rate, until, [AMPLITUDE, 0.0], t_eval=since, rtol=1e-9, atol=1e-12, max_step=0.05 / FREQUENCY
+        )
+        found.append(noisy(rng, f"specimen {r + 1}", np.asarray(TIME)[kept], motion.y[0], 50.0))
+    return found
+
+
+@pytest.mark.parametrize("drag", [0.06, 0.2])
+def test_a_hand_in_the_first_cycle_is_no_slider_that_slips_there_alone(rng, drag):
+    """By the samples it is one, with 99 %: what is loaded to the release holds another force before it first turns."""
+    study = asked(dragged(rng, drag), ("jenkins", "coulomb_friction", "cubic_stiffness"))
+    assert study.verdict == "adequate"
+    assert any("a hand" in note for note in study.notes)
+
+
+def test_a_stop_that_first_cycles_reach_is_named(rng):
+    """It is in the first cycles alone as well, but acts whenever they are as large: without them nothing is left."""
+    study = asked(dragged(rng, drag=0.0, stop=0.3), ("one_sided_stiffness", "jenkins"))
+    assert study.missing_effects == ("one_sided_stiffness",)
+
+
 def test_records_without_first_cycles_are_searched_where_sets_gain_by_that(rng):
     """A filter that settles is in the first cycles alone; a law that no candidate holds is in all of them."""
     records = settling(rng)
@@ -428,9 +463,9 @@ def test_a_spring_behind_a_filter_that_settles_is_named_and_the_cut_is_said(rng)
     assert any("no free motion" in note for note in study.notes)
 
 
-def asked(records):
+def asked(records, candidates=CANDIDATES):
     return pb.find_missing_effect(
-        pb.Oscillator(MASS), records, candidates=CANDIDATES, quick=True, held_out=0, random_seed=1
+        pb.Oscillator(MASS), records, candidates=candidates, quick=True, held_out=0, random_seed=1
     )
 
 

@@ -27,6 +27,7 @@ TRUTHS = {
     "nonlinear_inertia": (0.2 * MASS / AMPLITUDE**2,),
     "absolute_displacement_damping": (0.04 * MASS * OMEGA / AMPLITUDE,),
     "power_displacement_damping": (0.04 * MASS * OMEGA, 0.6, AMPLITUDE),
+    "dead_band_damping": (0.05 * MASS * OMEGA, 0.45 * AMPLITUDE),
 }
 DAHL = {"dahl_friction": (0.1 * STIFFNESS, 0.01 * FORCE)}
 """A case of another effect, which is not looked for beside that one."""

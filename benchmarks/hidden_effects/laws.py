@@ -41,6 +41,7 @@ PAIR_F, MAGNET_D, PAIR_N = (INDEX[name] for name in NEW["magnetic_stiffness"])
 ABS_C = INDEX["absolute_displacement_damping"]
 BOTH_C, BOTH_R = (INDEX[name] for name in NEW["asymmetric_drag"])
 BUMP = INDEX["bilinear_damping"]
+EDGE_C, EDGE_X = (INDEX[name] for name in NEW["dead_band_damping"])
 MOVES_ALONG = INDEX["nonlinear_inertia"]
 DAHL_K, DAHL_F = (INDEX[name] for name in NEW["dahl_friction"])
 HERTZ_K, HERTZ_GAP = (INDEX[name] for name in NEW["hertz_contact"])
@@ -54,6 +55,8 @@ ROUNDED = 1e-3
 """Share of its reference speed below which a damper with a power of the speed is rounded, as the package defines it."""
 ROUNDED_X = 1e-2
 """Share of its reference displacement below which a damper with a power of that is rounded."""
+EDGE = 0.01
+"""Share of a dead band on either side of its edge over which the package lets the damper set in."""
 
 
 @numba.njit(cache=True)
@@ -154,6 +157,12 @@ def _new(force, y, direction, probe, p):
     if p[WHERE_C] != 0.0:
         u = x / p[WHERE_X]
         force += p[WHERE_C] * v * (u * u + ROUNDED_X**2) ** (0.5 * p[WHERE_N])
+    if p[EDGE_C] != 0.0 and abs(probe) > (1.0 - EDGE) * p[EDGE_X]:
+        if abs(probe) > (1.0 + EDGE) * p[EDGE_X]:
+            force += p[EDGE_C] * v
+        else:
+            s = 0.5 + 0.5 * (side * x / p[EDGE_X] - 1.0) / EDGE
+            force += p[EDGE_C] * v * s * s * (3.0 - 2.0 * s)
     if p[POWER_K] != 0.0:
         force += p[POWER_K] * side * max(side * x / p[POWER_K_X], 0.0) ** p[POWER_K_N]
     return force
@@ -206,6 +215,10 @@ def next_kink(x, direction, margin, slider, p):
     if p[BAND_C] != 0.0:
         best = _nearer(best, direction * (p[BAND] - x), margin)
         best = _nearer(best, direction * (-p[BAND] - x), margin)
+    if p[EDGE_C] != 0.0:
+        for side in (-1.0, 1.0):
+            best = _nearer(best, direction * (side * (1.0 - EDGE) * p[EDGE_X] - x), margin)
+            best = _nearer(best, direction * (side * (1.0 + EDGE) * p[EDGE_X] - x), margin)
     if p[HERTZ_K] != 0.0:
         best = _nearer(best, direction * (math.copysign(1.0, p[HERTZ_K]) * p[HERTZ_GAP] - x), margin)
     if p[PLAY_K] != 0.0:

@@ -43,6 +43,7 @@ WORDS: dict[str, str] = {
     "displacement_dependent_damping": "displacement_damping",
     "absolute_displacement_damping": "displacement_damping",
     "power_displacement_damping": "displacement_damping",
+    "dead_band_damping": "displacement_damping",
     "nonlinear_inertia": "inertia",
     "maxwell_element": "other",
 }

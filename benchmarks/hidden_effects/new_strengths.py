@@ -153,6 +153,12 @@ def _power_of_displacement(strength: float, rng: np.random.Generator, k: float, 
     return parameters, strength
 
 
+def _dead_band(strength: float, rng: np.random.Generator, k: float, big: float, omega: float) -> Drawn:
+    band = float(rng.uniform(0.1, 0.8))
+    unit = _work(np.where(np.abs(np.cos(_ANGLE)) > band, _SINE, 0.0) * omega * big, big)
+    return {"dead_band_damping": strength / _ratio(unit, k, big), "dead_band": band * big}, strength
+
+
 def _power_spring(strength: float, rng: np.random.Generator, k: float, big: float, omega: float) -> Drawn:
     exponent = float(rng.uniform(*((1.4, 2.7), (3.3, 4.6), (5.4, 6.5))[int(rng.integers(3))]))
     share = strength if rng.random() < 0.5 else -min(strength, 0.35)
@@ -183,6 +189,7 @@ _DRAWN: dict[str, Callable[[float, np.random.Generator, float, float, float], Dr
     "absolute_displacement_damping": _absolute,
     "asymmetric_drag": _two_way,
     "bilinear_damping": _bump,
+    "dead_band_damping": _dead_band,
     "dahl_friction": _dahl,
     "hertz_contact": _hertz,
     "magnetic_stiffness": _magnets,

@@ -181,6 +181,19 @@ def _deadband(p: Values, release: float) -> Term:
     return Term(lambda x, v, s, at: c * v if abs(at) > band else 0.0, (-band, band))
 
 
+def _dead_band(p: Values, release: float) -> Term:
+    c, band = p["dead_band_damping"], p["dead_band"]
+    low, high = 0.99 * band, 1.01 * band
+
+    def force(x: float, v: float, s: float, at: float) -> float:
+        if abs(at) > high or abs(at) < low:
+            return c * v if abs(at) > high else 0.0
+        share = (abs(x) - low) / (high - low)
+        return c * v * (3.0 * share**2 - 2.0 * share**3)
+
+    return Term(force, (-high, -low, low, high))
+
+
 def _one_way(p: Values, release: float) -> Term:
     c = p["one_way_drag"]
     return Term(lambda x, v, s, at: c * v * v if s > 0.0 else 0.0)
@@ -261,6 +274,7 @@ TERMS: dict[str, Callable[[Values, float], Term]] = {
     "cubic_damping": _of_speed("cubic_damping", 3),
     "cubic_stiffness": _polynomial("cubic_stiffness", 3),
     "dahl_friction": _dahl,
+    "dead_band_damping": _dead_band,
     "deadband_damper": _deadband,
     "displacement_dependent_damping": _van_der_pol,
     "displacement_dependent_inertia": _inertia,

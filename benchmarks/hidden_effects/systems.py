@@ -50,6 +50,7 @@ NEW: dict[str, tuple[str, ...]] = {
     "bilinear_damping": ("bilinear_damping",),
     "nonlinear_inertia": ("nonlinear_inertia",),
     "power_displacement_damping": ("power_displacement_damping", "displacement_exponent", "damping_displacement"),
+    "dead_band_damping": ("dead_band_damping", "dead_band"),
 }
 """Effects that the package holds beside these, as variants or to be named, with its names of their parameters."""
 
@@ -72,9 +73,10 @@ LIBRARY_NAMES_OF_OUTSIDE: dict[str, str] = {
     "structural_damping": "structural_damping",
     "one_way_drag": "asymmetric_drag",
     "displacement_dependent_inertia": "nonlinear_inertia",
+    "deadband_damper": "dead_band_damping",
 }
 """Laws of `OUTSIDE` that an effect of the package describes by now: the same force, written in other parameters, or
-with an exponent of one half, or an asymmetry of one. A magnet on one side is not the package's pair of magnets: its
+with an exponent of one half, an asymmetry of one, or a band of sharp edge. A magnet on one side is not the package's pair of magnets: its
 force has even powers."""
 
 BASE: tuple[str, ...] = ("linear_stiffness", "linear_stiffness_rate", "viscous_damping", "viscous_damping_rate")

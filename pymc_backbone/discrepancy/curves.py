@@ -21,6 +21,7 @@ _NEAR = 2.0  # reduced chi-square
 _GLANCE, _MOST, _LAST = 8, 20, 4  # iterations: of each start, of the best of these, and over all specimens
 _MOST_HEAVY = 3  # specimens that a model which takes long is fitted to first, or held against
 _OFFSET = OBSERVABLES.index("offset")
+_BEYOND = 4  # amplitudes above the levels that all specimens reach
 _SIDE = 1e-3  # share of the largest amplitude from which a mid-line is a model's own
 NO_NUISANCES = np.zeros(5)  # levels see none of them
 
@@ -159,9 +160,10 @@ def _simulated(layout: Layout, parameters: FloatArray, levels: FloatArray, relea
 
 
 def relative_change(batch: Batch, larger: Fit, smaller: Fit) -> dict[str, float]:
-    """Return the largest change of the backbones over the levels between two fits.
+    """Return the largest change of the backbones between two fits, over all amplitudes that specimens swung through.
 
-    Of frequency and damping relative to their values; the offset is a share of the amplitude already.
+    Of frequency and damping relative to their values; the offset is a share of the amplitude already. Levels are those
+    that all specimens reach; what acts beyond them, in those that were released from farther, counts as well.
     """
     levels = np.asarray(batch.backbones["level"])
     first = on_levels(batch, larger)
@@ -169,12 +171,20 @@ def relative_change(batch: Batch, larger: Fit, smaller: Fit) -> dict[str, float]
     worst = {"frequency": 0.0, "damping": 0.0, "offset": 0.0}
     for r, term in enumerate(batch.levels):
         inside = levels[(levels >= term.levels[0] * 0.999) & (levels <= term.levels[-1] * 1.001)]
+        inside = np.concatenate([inside, _beyond(batch, r)])
         a, b = (curve(item, item.parameters(r), inside, term.release) for item in (first, second))
         for row, key in enumerate(worst):
             with np.errstate(invalid="ignore", divide="ignore"):
                 change = np.abs(a[row] - b[row]) / (1.0 if key == "offset" else np.abs(a[row]))
             worst[key] = max(worst[key], float(np.nanmax(change)) if np.isfinite(change).any() else np.inf)
     return worst
+
+
+def _beyond(batch: Batch, specimen: int) -> FloatArray:
+    """Return amplitudes above the highest level of a specimen, up to that of its largest cycle."""
+    highest = float(batch.levels[specimen].levels[-1])
+    largest = float(np.max(batch.cycles[specimen].amplitude, initial=0.0)) if batch.cycles else 0.0
+    return np.geomspace(highest, largest, _BEYOND + 1)[1:] if largest > highest else np.empty(0)
 
 
 def measured(batch: Batch) -> tuple[FloatArray, FloatArray]:

@@ -24,6 +24,8 @@ from .sensor_filter import GIBBS, Chain, SensorFilter, first_values, with_past
 from .telling import Telling, most_telling
 from .whitening import with_slow_noise
 
+Spectrum = tuple[FloatArray, FloatArray]
+
 _ORDERS = (1, 2, 3, 4, 6, 8)
 _CUTS = (1.6, 9.0)  # cut-offs of low-passes that are looked at, over the frequency of the mode
 _COUPLED = (0.02, 0.045, 0.1, 0.2, 0.4)  # those of high-passes behind which sets are fitted at first ...
@@ -31,11 +33,14 @@ _NEARER = (1.4, 1.18)  # ... and ratios to the best of them of those that are tr
 _MEASURED = 1.08  # that of those between which the cut-off is measured
 _PROMISING = 0.8  # share of what is left of some records, that a filter leaves at most to be asked of all
 _LOOKS = 20
+_ERASED = 0.1  # of a third harmonic, what a low-pass passes at most that takes it away, by what it does to the first
+_FALLEN = 0.1  # of the noise below the cut-off, what there is beyond it at most where the noise went through, too
 _FINER = (
     (1.25, 9),
     (1.06, 7),
     (1.015, 5),
 )  # ratio and number of cut-offs around the best, once the set is fitted with it
+_BELOW, _BEYOND = (0.1, 0.9), (1.5, 4.0)  # frequencies over the cut-off at which the noise is held against itself
 _FEWEST_CYCLES = 8  # of a record, that a look needs
 _MASKED = (3.0, 0.5)  # cycles at the beginning and the end that a look leaves out
 _PRICE = 16.0  # chi-square that order and cut-off must be worth
@@ -151,7 +156,9 @@ def _low_passes(batch: Batch, starts: Sequence[Fit], frequency: float) -> list[_
     promised = []
     for start in starts:
         part = most_telling(batch, start)
-        looked = _look(part.batch, part.batch, part.found, filters)
+        left = _spectra(batch, start)
+        seen = [item for item in filters if _is_seen(item, left, frequency)]
+        looked = _look(part.batch, part.batch, part.found, seen) if seen else None
         if looked is not None and looked.gain > _PRICE:
             price = _EACH * start.layout.free.size
             promised.append((looked.cost * batch.count / part.batch.count + price, start, looked.best))
@@ -301,8 +308,38 @@ def _behind(batch: Batch, start: Fit, first: SensorFilter) -> _Behind | None:
     if len(part.specimens) < len(batch.specimens):
         measured = _nearer(batch, behind, best, *_FINER[-1])
         best = best if measured is None or measured.cost() > best.cost() else measured
-    lowest, highest = (bound * float(np.median([record.frequency for record in batch.records])) for bound in _CUTS)
-    return _behind_it(batch, best.filter, best.found) if lowest < best.filter.cut < highest else None
+    frequency = float(np.median([record.frequency for record in batch.records]))
+    is_inside = _CUTS[0] < best.filter.cut / frequency < _CUTS[1]
+    if not (is_inside and _is_seen(best.filter, _spectra(batch, start), frequency)):
+        return None
+    return _behind_it(batch, best.filter, best.found)
+
+
+def _is_seen(low_pass: SensorFilter, left: Sequence[Spectrum], frequency: float) -> bool:
+    """Return whether a low-pass shows in the records: in harmonics that it turns and weakens, or in their noise.
+
+    One that takes all harmonics away makes up for any law whose harmonics are wrong. It is one of the records only
+    where the noise of most of them went through it as well. ``left`` are the spectra of what a set leaves.
+    """
+    first, third = low_pass.response(np.array([1.0, 3.0]) * frequency)[0]
+    return bool(third > _ERASED * first or np.mean([_falls(low_pass.cut, *item) for item in left]) > 0.5)
+
+
+def _falls(cut: float, at: FloatArray, power: FloatArray) -> bool:
+    """Return whether there is much less noise beyond a frequency [Hz] than below."""
+    ratio = at / cut
+    below, beyond = (power[(ratio > low) & (ratio < high)] for low, high in (_BELOW, _BEYOND))
+    return bool(below.size and beyond.size and np.median(beyond) < _FALLEN * np.median(below))
+
+
+def _spectra(batch: Batch, found: Fit) -> list[Spectrum]:
+    """Return frequencies (n,) [Hz] and the power (n,) of what a set leaves of each record."""
+    spectra = []
+    for r, term in enumerate(batch.waveform):
+        left = evidence.residuals_as_measured(term, found, r)
+        power = np.abs(np.fft.rfft(left * np.hanning(left.size))) ** 2
+        spectra.append((np.fft.rfftfreq(left.size, float(np.median(np.diff(term.time)))), power))
+    return spectra
 
 
 def _looked_for(batch: Batch, begun: _Fitted) -> _Fitted | None:

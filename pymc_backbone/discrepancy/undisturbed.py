@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
+from itertools import combinations
+from typing import NamedTuple
 
 from ..measurement.options import Measuring
 from ..measurement.reading.record import Record
+from . import evidence
+from .batch import Batch
 from .changed import LESS, Changed, Drifts, Known, Undisturbed, gains, is_better, is_exact, left, over_motion
 from .disturbance import Disturbed, sentences
 from .drift_fits import drift_alone
@@ -16,6 +20,7 @@ from .earlier_release import earlier
 from .edges import edges
 from .filter_search import early_high_pass, sensor_filter, settled
 from .fitted_sets import FittedSets
+from .joint_fit import Fit
 from .motion_noise import motion_noise
 from .promising import fitted_on
 from .question import Question
@@ -24,6 +29,7 @@ from .relaxed_release import SENTENCE as RELAXED
 from .relaxed_release import is_relaxed_at_release
 from .search import Search
 from .sensor_filter import SensorFilter
+from .set_fits import Set
 
 _RARE = 0.05  # p-value of noise up to which a few samples are looked at
 _PASSES = 2  # times that bent sensors and lines are looked for
@@ -194,26 +200,56 @@ def _released_earlier(changed: Changed, known: Undisturbed) -> Known | None:
 
 
 def _without_edges(changed: Changed, known: Undisturbed) -> Known | None:
-    """Return the question of records without first or last cycles, where these alone are off and sets gain by that."""
+    """Return the question of records without first or last cycles, where these alone are off and sets gain by that.
+
+    Where the best set leaves noise, or its edges are free motion: what leaves noise of records without edges that it
+    finds off with some effects of that set. What remembers holds another force before it first turns, and follows a
+    hand in the first cycle: a slider that slips there, and never again, is no law of the structure.
+    """
     search = known.search
-    batch, found = search.batch, search.fits[search.best()]
-    cut, lost = None, None
+    best = search.best()
+    if (cut := _cut_by(changed, search, best)) is not None:
+        # what was taken for noise held the edges
+        left_of_each = float(cut.found.chi_square.sum()) / cut.batch.count
+        is_quieter = left_of_each < LESS * search.reduced(search.fits[best])
+        return cut.changed.asked() if is_quieter else cut.changed.if_promising(search, LESS)
+    for names in (names for size in range(len(best)) for names in combinations(best, size) if names in search.fits):
+        is_asked = not is_exact(search) or _remember(search, {*best} - {*names})
+        cut = _cut_by(changed, search, names) if is_asked else None
+        if cut is not None and evidence.leaves_noise(cut.batch, cut.found):
+            return cut.changed.asked()
+    return None
+
+
+def _remember(search: Search, names: Collection[str]) -> bool:
+    """Return whether effects have a memory or states of their own, all of them."""
+    return all(effect.n_states for effect in search.layout(search.best()).oscillator.effects if effect.name in names)
+
+
+class _Cut(NamedTuple):
+    """Records without edges that are off by a set, their batch, and the set fitted to them."""
+
+    changed: Changed
+    batch: Batch
+    found: Fit
+
+
+def _cut_by(changed: Changed, search: Search, names: Set) -> _Cut | None:
+    """Return the records without the edges that are off by a set; None where none are."""
+    cut: _Cut | None = None
+    batch, found, lost = search.batch, search.fits[names], None
     for _ in range(_EDGES):  # while one edge is in the record, the estimate of the noise holds it, and hides the other
         if (more := edges(batch, found, lost)) is None:
             break
         lost = more if lost is None else more.within(lost)
-        cut = changed.but(lost.sentence, records=lost.undisturbed(changed.records))
-        batch = cut.posed().batch
+        shorter = changed.but(lost.sentence, records=lost.undisturbed(changed.records))
+        batch = shorter.posed().batch
         again = fitted_on(found, batch) if batch.specimens == search.batch.specimens else None
+        cut = _Cut(shorter, batch, again or found)
         if again is None:
             break
         found = again
-    if cut is None:
-        return None
-    # what was taken for noise held the edges
-    left_of_each = float(found.chi_square.sum()) / batch.count
-    is_quieter = left_of_each < LESS * search.reduced(search.fits[search.best()])
-    return cut.asked() if is_quieter else cut.if_promising(search, LESS)
+    return cut
 
 
 def _is_better_without(cut: Search, search: Search) -> bool:
