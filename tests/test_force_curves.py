@@ -375,6 +375,10 @@ LAWS = [
     (DAMPING, "saturation", 0.1, lambda u: np.tanh(u / 0.1)),
     (DAMPING, "minimum of damping", 0.15, lambda u: np.sign(u) * (1.0 + 0.8 * np.exp(-np.abs(u) / 0.15))),
     (DAMPING, "minimum of damping", 0.3, lambda u: -u / (1.0 + (u / 0.3) ** 2)),
+    (DAMPING, "kink", 0.35, lambda u: np.sign(u) * np.maximum(np.abs(u) - 0.35, 0.0)),
+    (DAMPING, "kink", 0.3, lambda u: -np.sign(u) * np.maximum(np.abs(u) - 0.3, 0.0)),
+    (DAMPING, "kink on one side", 0.5, lambda u: -np.maximum(u - 0.5, 0.0)),
+    (DAMPING, "largest at a speed", 0.4, lambda u: u / (1.0 + (u / 0.4) ** 2)),
 ]
 
 

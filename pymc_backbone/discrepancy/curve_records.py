@@ -59,7 +59,8 @@ class Proposal:
         ``conservative`` or ``damping``.
     family : str
         ``power law``, ``power law on one side``, ``power law, even``, ``kink``, ``kink on one side``,
-        ``pole on one side``, ``saturation``, ``minimum of damping``, ``none``, or ``nothing`` where there is no curve.
+        ``pole on one side``, ``saturation``, ``minimum of damping``, ``largest at a speed``, ``none``, or ``nothing``
+        where there is no curve.
     probability : float
         Against the others.
     number : str

@@ -21,6 +21,7 @@ WORDS = {
     "pole on one side": "the pull or push of something on one side{place}, with the square of the distance to it",
     "saturation": "a force that saturates, over a {number}{of}",
     "minimum of damping": "damping that is least at a speed, over a {number}{of}",
+    "largest at a speed": "a force that is largest{place}, as that of eddy currents",
     NONE: "none of the families",
     NOTHING: "not seen",
 }

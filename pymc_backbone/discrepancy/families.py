@@ -98,6 +98,11 @@ def _limited(u: FloatArray, s: float) -> FloatArray:
     return -u / (1.0 + (u / s) ** 2)
 
 
+def _eddy(u: FloatArray, s: float) -> FloatArray:
+    """Force of eddy currents, which is largest at a speed: beyond, the field does not get into the metal."""
+    return u / (1.0 + (u / s) ** 2)
+
+
 FAMILIES: dict[str, tuple[_Family, ...]] = {
     "conservative": (
         _Family("power law", "exponent", (_power,), 1.3, 8.0),
@@ -113,6 +118,9 @@ FAMILIES: dict[str, tuple[_Family, ...]] = {
         _Family("saturation", "speed", (_saturating,), 0.02, 0.6, sign=1.0),
         _Family("minimum of damping", "speed", (_falling,), 0.02, 0.6, sign=1.0),
         _Family("minimum of damping", "speed", (_limited,), 0.04, 0.8, sign=1.0),
+        _Family("kink", "speed", (_kink,), 0.05, 0.95),
+        _Family("kink on one side", "speed", (_kink_above, _kink_below), 0.05, 0.95),
+        _Family("largest at a speed", "speed", (_eddy,), 0.08, 0.9, sign=1.0),
     ),
 }
 
