@@ -30,8 +30,9 @@ def wind(rng: np.random.Generator, size: float) -> np.ndarray:
     return size * moved / moved.std()
 
 
-def check_of(rests: list[np.ndarray], rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, band=None, **options):
-    terms = [SimpleNamespace(time=TIME, values=DECAY + rest, size=TIME.size) for rest in rests]
+def check_of(rests: list[np.ndarray], rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, band=None, model=DECAY,
+             **options):  # fmt: skip
+    terms = [SimpleNamespace(time=TIME, values=model + rest, size=TIME.size) for rest in rests]
     monkeypatch.setattr(ambient, "residuals_as_measured", lambda term, best, r: rests[r])
     batch = SimpleNamespace(
         waveform=terms, records=[SimpleNamespace(frequency=FREQUENCY, band=band)] * len(terms), has_records=True,
@@ -57,6 +58,9 @@ def test_wind_is_told_from_what_a_law_leaves(rng, monkeypatch):
     wrong = np.minimum(TIME / 30.0, 1.0) ** 3 * DECAY
     assert check_of([wrong + item for item in noise], rng, monkeypatch).passed
     assert check_of([wind(rng, 0.01) + noise[0], *noise[1:]], rng, monkeypatch).passed
+    # nor one that decays too slowly, and moves on where the structure rests in the noise
+    slow, fast = (np.exp(-2.0 * np.pi * RATIO * FREQUENCY * TIME) ** (share - 1.0) * DECAY for share in (0.3, 3.0))
+    assert check_of([fast + 10.0 * item - slow for item in noise], rng, monkeypatch, model=slow).passed
     assert check_of([wind(rng, 0.01) + item for item in noise], rng, monkeypatch, is_explained=True).passed
 
 

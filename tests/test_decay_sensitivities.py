@@ -127,7 +127,8 @@ def test_waveform_sensitivities(effects, exactly):
 def test_a_fractional_bouc_wen_exponent_costs_accuracy_of_derivatives_only(exactly):
     oscillator = oscillator_of("bouc_wen")
     p = parameters_of(oscillator)
-    assert 1.0 < p[-1] < 2.0
+    assert oscillator.parameter_names[-1] == "bouc_wen_exponent"
+    p[-1] = 1.55
     levels = AMPLITUDE * np.array([0.35, 0.5, 0.65])
 
     def values(q):

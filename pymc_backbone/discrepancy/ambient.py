@@ -27,6 +27,7 @@ _DECAYED = 4.0  # times as large as in the last part the motion is in the first 
 _NO_DECAY = 0.4  # of what is in the last part, that is no decay of the model
 _GOES_ON = 3.0  # times as much is left in the first part as in the last at most
 _OVER_NOISE = 3.0  # times what white noise as loud as what changes from sample to sample would have there
+_ITS_OWN = 1.5  # times the motion in the last part, that is left there at most: of more, the model moves and not it
 _NO_EXPONENTIAL = 0.1  # of what is in the last part, that is no exponential decay of one frequency
 _MOST = 0.6  # of the records in which that must be so
 _FLAT = 1.5  # times as much is left in the first part as in the last at most, where records are held against each other
@@ -97,7 +98,8 @@ def _rest(batch: Batch, best: Fit, r: int) -> _Rest | None:
     per_cycle = 1.0 / (frequency * float(np.median(np.diff(time))))
     noise = rough_noise(left) / np.sqrt(per_cycle)
     first = 0 if batch.records[r].band is None else 1  # other modes, which a band keeps out, have decayed then
-    if not (motion[first] > _DECAYED * motion[-1] and rest[-1] > _OVER_NOISE * noise):
+    is_loud = _OVER_NOISE * noise < min(rest[-1], motion[-1])
+    if not (motion[first] > _DECAYED * motion[-1] and is_loud and rest[-1] < _ITS_OWN * motion[-1]):
         return None
     goes_on = rest[-1] > _NO_DECAY * motion[-1] and rest[first] < _GOES_ON * rest[-1]
     is_no_decay = _size(moving[-1] - _exponential(moving[-1])) >= _NO_EXPONENTIAL * motion[-1]
