@@ -203,7 +203,7 @@ def _dead_band(x, v, d, p, *sides):
     place = sum(sides)
     if abs(place) != 2.0:
         return p[0] * v if abs(place) == 4.0 else 0.0
-    share = (abs(x) / p[1] - 0.95) / 0.1
+    share = (abs(x) / p[1] - 0.98) / 0.04
     return p[0] * v * share**2 * (3.0 - 2.0 * share)
 
 
@@ -287,7 +287,7 @@ ORACLES: dict[str, Callable[[], Spring]] = {
     "magnetic_stiffness": lambda: Spring(_magnets),
     "absolute_displacement_damping": lambda: Spring(lambda x, v, d, p, side: p[0] * side * x * v, lambda p: (0.0,)),
     "power_displacement_damping": lambda: Spring(lambda x, v, d, p: p[0] * v * np.hypot(x / p[2], 1e-2) ** p[1]),
-    "dead_band_damping": lambda: Spring(_dead_band, lambda p: (-1.05 * p[1], -0.95 * p[1], 0.95 * p[1], 1.05 * p[1])),
+    "dead_band_damping": lambda: Spring(_dead_band, lambda p: (-1.02 * p[1], -0.98 * p[1], 0.98 * p[1], 1.02 * p[1])),
     "structural_damping": lambda: Spring(lambda x, v, d, p, side: p[0] * side * x * d, lambda p: (0.0,)),
     "tabulated_stiffness": lambda: Spring(tabulated_stiffness),
     "tabulated_damping": lambda: Spring(tabulated_damping),

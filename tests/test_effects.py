@@ -679,7 +679,7 @@ FORMULAS = {
     "displacement_dependent_damping": lambda x, v, p: p[0] * x**2 * v,
     "absolute_displacement_damping": lambda x, v, p: p[0] * abs(x) * v,
     "dead_band_damping": lambda x, v, p: (
-        p[0] * v * np.polyval([-2, 3, 0, 0], np.clip((abs(x) / p[1] - 0.95) / 0.1, 0, 1))
+        p[0] * v * np.polyval([-2, 3, 0, 0], np.clip((abs(x) / p[1] - 0.98) / 0.04, 0, 1))
     ),
     "structural_damping": lambda x, v, p: p[0] * abs(x) * np.sign(v),
     "stribeck_friction": lambda x, v, p: np.sign(v) * (p[0] + p[0] * p[1] * np.exp(-abs(v) / p[2])),

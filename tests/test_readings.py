@@ -17,7 +17,7 @@ from pymc_backbone.discrepancy import evidence
 from pymc_backbone.discrepancy.disturbance import Disturbance, Disturbed, line_modes, sentences
 from pymc_backbone.discrepancy.edges import Edges, edges
 from pymc_backbone.discrepancy.promising import is_promising
-from pymc_backbone.discrepancy.readings import _is_one_line, disturbed, early_line
+from pymc_backbone.discrepancy.readings import _is_hum, _is_one_line, disturbed, early_line
 from pymc_backbone.discrepancy.search import Search
 
 from .discrepancy_cases import (
@@ -239,6 +239,34 @@ def test_a_line_is_found_beside_the_model_as_it_is_although_the_noise_holds_it(r
     assert found.beside == ()
     assert all(item.lasts for item in found.by_specimen.values())
     assert "what runs nearby" in sentences([found])[0]
+
+
+def test_a_hum_that_meets_a_harmonic_of_one_record_is_taken_away_beside_another_mode():
+    """Both lines leave more than noise, and in that record the hum is no line; nothing is missing.
+
+    Of another draw of such short records (one of three) nothing is taken away.
+    """
+    rng = np.random.default_rng(1)
+    ratios, hum = (0.92, 0.95, 1.0, 1.06), 3.0 * FREQUENCY * np.sqrt(1.0 - RATIO**2)
+    records = []
+    for number, ratio in enumerate(ratios):
+        place, since = ratio * FREQUENCY, np.maximum(TIME - RELEASE_TIME, 0.0)
+        motion = (
+            AMPLITUDE
+            * np.exp(-2.0 * np.pi * RATIO * place * since)
+            * np.cos(2.0 * np.pi * place * np.sqrt(1.0 - RATIO**2) * since)
+        )
+        hums = 0.002 * AMPLITUDE * np.cos(2.0 * np.pi * hum * TIME + rng.uniform(0.0, 6.0))
+        other = decaying_sinusoid(0.03 * AMPLITUDE, 2.2 * FREQUENCY)
+        records.append(noisy(rng, f"specimen {number + 1}", TIME, motion + other + hums, 52.0))
+    study = asked(records)
+    assert study.verdict == "adequate"
+    told = " ".join(note for note in study.notes if note.startswith("warning"))
+    assert "another mode leaves" in told and "what runs nearby leaves" in told
+    # negative control: at one order of the frequency in all, it is no hum
+    places = np.array([15.0, 15.01, 14.99])
+    assert _is_hum(places, places / np.array([5.0, 5.2, 4.9]))
+    assert not _is_hum(places, np.array([3.0, 3.001, 2.999]))
 
 
 @pytest.mark.parametrize("effects", [("cubic_stiffness",), ("quadratic_damping",), ()])

@@ -55,7 +55,7 @@ ROUNDED = 1e-3
 """Share of its reference speed below which a damper with a power of the speed is rounded, as the package defines it."""
 ROUNDED_X = 1e-2
 """Share of its reference displacement below which a damper with a power of that is rounded."""
-EDGE = 0.05
+EDGE = 0.02
 """Share of a dead band on either side of its edge over which the package lets the damper set in."""
 
 

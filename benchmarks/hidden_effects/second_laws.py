@@ -183,7 +183,7 @@ def _deadband(p: Values, release: float) -> Term:
 
 def _dead_band(p: Values, release: float) -> Term:
     c, band = p["dead_band_damping"], p["dead_band"]
-    low, high = 0.95 * band, 1.05 * band
+    low, high = 0.98 * band, 1.02 * band
 
     def force(x: float, v: float, s: float, at: float) -> float:
         if abs(at) > high or abs(at) < low:

@@ -32,9 +32,14 @@ def line_beside(time: FloatArray, residuals: FloatArray, between: tuple[float, f
 
     But for what is much slower: a zero that wanders has its highest bins there, and no neighbours to hold them against.
     """
+    return next(iter(lines_beside(time, residuals, between)), Line())
+
+
+def lines_beside(time: FloatArray, residuals: FloatArray, between: tuple[float, float]) -> list[Line]:
+    """Return the lines beside the harmonics of a motion whose frequency was in a range, the highest first."""
     grid, power = _periodogram(time, residuals)
     beside = beside_harmonics(grid, between, _FAR * grid[1])
-    return _highest(grid, power, beside & (grid > _LOWEST * between[0]))
+    return sorted(_lines(grid, power, beside & (grid > _LOWEST * between[0])), reverse=True)
 
 
 def line_below(time: FloatArray, residuals: FloatArray, between: tuple[float, float]) -> Line:
@@ -46,13 +51,16 @@ def line_below(time: FloatArray, residuals: FloatArray, between: tuple[float, fl
 
 def _highest(grid: FloatArray, power: FloatArray, beside: BoolArray) -> Line:
     """Return the highest line in some bins."""
+    return max(_lines(grid, power, beside), default=Line())
+
+
+def _lines(grid: FloatArray, power: FloatArray, beside: BoolArray) -> list[Line]:
+    """Return the lines in some bins."""
     if np.count_nonzero(beside) < _FEWEST:
-        return Line()
-    highest = Line()
-    for peak in np.flatnonzero(beside)[np.argsort(-power[beside])][:_PEAKS]:
-        line = _line(grid, power, int(peak), _level(power, beside, int(peak)))
-        highest = max(highest, line)
-    return highest
+        return []
+    peaks = np.flatnonzero(beside)[np.argsort(-power[beside])][:_PEAKS]
+    found = [_line(grid, power, int(peak), _level(power, beside, int(peak))) for peak in peaks]
+    return [line for line in found if line.height > 0.0]
 
 
 def line_near(time: FloatArray, residuals: FloatArray, between: tuple[float, float]) -> Line:
@@ -102,4 +110,4 @@ def _line(grid: FloatArray, power: FloatArray, peak: int, level: float) -> Line:
     return Line(float(2.0 * np.sqrt(power[peak]) / (power.size - 1)), float(grid[peak] + shift * grid[1]))
 
 
-__all__ = ["Line", "line_below", "line_beside", "line_near"]
+__all__ = ["Line", "line_below", "line_beside", "line_near", "lines_beside"]

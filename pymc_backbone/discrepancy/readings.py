@@ -28,7 +28,7 @@ from .drift_fits import drift_fit
 from .fitted_sets import FittedSets
 from .harmonic_lines import beside_harmonics, frequencies_of, frequencies_with, is_harmonic
 from .joint_fit import Fit, fit
-from .lines import line_beside
+from .lines import lines_beside
 from .normal_equations import DRIFTS, State, derivatives
 from .search import Search, Set
 from .telling import Telling, most_telling
@@ -49,6 +49,7 @@ _DECAYS = (0.0, 3.0, 10.0)  # of lines over a record, as they are looked for
 _MOST_RECORDS, _AS_HIGH = 0.6, 4.0  # share of the records that hold one line, and ratio of its heights there
 _RINGS = 0.3  # decay of a line over its frequency, from which it does not ring: 5 % of critical damping
 _AS_BENT = 0.25  # by which the curve of one sensor comes out differently from two records, relative
+_ONE_FREQUENCY, _NO_ORDER = 3e-3, 0.3  # relative range of the frequencies of a hum, and that over the one of its orders
 _ALIKE = 0.03  # difference of the orders of one line in specimens that are alike
 
 
@@ -176,18 +177,24 @@ def _is_one_line(batch: Batch, items: list[Disturbance]) -> bool:
 def _is_common_line(batch: Batch, found: Fit) -> bool:
     """Return whether half of the records show the same line in what a set leaves of them, clear of coloured noise.
 
-    Beside the harmonics of the motion as it was measured and as the set has it.
+    Beside the harmonics of the motion as it was measured and as the set has it. A hum may be higher in some of them
+    than the line of another mode.
     """
-    orders = []
+    orders: list[list[float]] = []
     left = _left_over(batch, found)
     for r, (term, values, modelled) in enumerate(zip(batch.waveform, left, _ranges(batch, found), strict=True)):
         record = batch.records[r]
         measured = frequencies_of(batch.levels[r], record.frequency, batch.cycles[r])
         between = min(modelled[0], measured[0]), max(modelled[1], measured[1])
-        if place := line_beside(term.compared(term.time), values, between).frequency:
-            orders.append(place / record.frequency)
-    alike = np.abs(np.array(orders) - np.median(orders)) < _ALIKE if orders else np.zeros(0)
-    return 2 * int(np.count_nonzero(alike)) >= len(batch.records)
+        lines = lines_beside(term.compared(term.time), values, between)
+        orders.append([line.frequency / record.frequency for line in lines])
+    most = max((_with_line(orders, order) for own in orders for order in own), default=0)
+    return 2 * most >= len(batch.records)
+
+
+def _with_line(orders: list[list[float]], order: float) -> int:
+    """Return in how many records there is a line at an order of the frequency."""
+    return sum(any(abs(other - order) < _ALIKE for other in own) for own in orders)
 
 
 def _bent_beside(part: Telling, few: float, whole: Callable[[], _Left | None]) -> _Left | None:
@@ -224,10 +231,7 @@ def _beside(batch: Batch, start: Fit, limit: float, *, has_line: bool, is_bent: 
         if solved is None:
             return None
         found = solved
-    if has_line and any(
-        is_harmonic(item.frequency, between, _APART / (item.end - item.begin))
-        for item, between in zip(items, _ranges(batch, found), strict=True)
-    ):
+    if has_line and not _are_beside(batch, found, items):
         return None
     if not found.cost < limit:
         return None
@@ -238,6 +242,24 @@ def _beside(batch: Batch, start: Fit, limit: float, *, has_line: bool, is_bent: 
     ]
     items = [replace(item, release=release) for item, release in zip(items, begun, strict=True)]
     return _Left(found.cost, items, evidence.lack_of_fit(without, found).p_value >= evidence.UNEXPLAINED)
+
+
+def _are_beside(batch: Batch, found: Fit, items: list[Disturbance]) -> bool:
+    """Return whether lines lie beside the harmonics of the motion.
+
+    What hums at one frequency in all records may meet a harmonic of some, but not of most.
+    """
+    together = zip(items, _ranges(batch, found), strict=True)
+    on = np.array([is_harmonic(item.frequency, at, _APART / (item.end - item.begin)) for item, at in together])
+    places = np.array([item.frequency for item in items])
+    orders = places / np.array([record.frequency for record in batch.records])
+    return not on.any() or (2 * int(on.sum()) < on.size and _is_hum(places, orders))
+
+
+def _is_hum(places: FloatArray, orders: FloatArray) -> bool:
+    """Return whether lines are at one frequency, and at different orders of that of the motion."""
+    at, of = (float(np.ptp(values) / np.median(values)) for values in (places, orders))
+    return places.size > 1 and at < min(_ONE_FREQUENCY, _NO_ORDER * of)
 
 
 def _ranges(batch: Batch, found: Fit) -> list[tuple[float, float]]:
@@ -264,14 +286,17 @@ def _with_lines(batch: Batch, without: Batch, found: Fit, items: list[Disturbanc
     frequencies = np.array([record.frequency for record in batch.records])
     if not any(item.frequency for item in items):
         lines = _begun_lines(batch, without, found)
-        seen = np.array([place / frequency for place, frequency in zip(lines, frequencies, strict=True) if place > 0.0])
-        if not seen.size:
+        seen = np.array(lines) > 0.0
+        if not seen.any():
             return items
-        order = float(np.median(seen))
-        items = [
-            replace(item, frequency=place if abs(place / frequency - order) < _ALIKE else order * frequency)
-            for item, place, frequency in zip(items, lines, frequencies, strict=True)
-        ]
+        places = np.array(lines)
+        orders = places / frequencies
+        if _is_hum(places[seen], orders[seen]):  # of one frequency, whatever the specimen does
+            expected = np.full(places.size, np.median(places[seen]))
+        else:
+            expected = np.median(orders[seen]) * frequencies
+        usual = np.where(np.abs(places - expected) < _ALIKE * frequencies, places, expected)
+        items = [replace(item, frequency=float(place)) for item, place in zip(items, usual, strict=True)]
     left = _left_over(without, found)
     return [_refined(term, values, item) for term, values, item in zip(without.waveform, left, items, strict=True)]
 

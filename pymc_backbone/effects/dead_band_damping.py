@@ -1,6 +1,6 @@
 """Damper with a dead band: viscous beyond a displacement on either side, without force in between.
 
-The coefficient rises smoothly over the twentieth part of the band on either side of its edge, so that the force is
+The coefficient rises smoothly over the fiftieth part of the band on either side of its edge, so that the force is
 continuous; by symmetry the loss of a cycle is that of a sharp edge, but for motions that end there.
 """
 
@@ -11,7 +11,7 @@ import numba
 from .._common.checks import FloatArray
 from ._base import Effect, Parameter, Signature
 
-_EDGE = 0.05  # half the width of the edge over the dead band
+_EDGE = 0.02  # half the width of the edge over the dead band
 
 
 @numba.njit
