@@ -511,6 +511,31 @@ def test_what_an_effect_does_not_bring_about_is_not_told_as_its_own(monkeypatch)
     assert "frequency rises" in reason
 
 
+def test_laws_of_one_mechanism_are_told_together():
+    """Of a spring that softens one of two laws had been told, by which the frequency rises."""
+    base = pb.Oscillator(MASS, ["pendulum_stiffness"])
+    found = SimpleNamespace(
+        layout=SimpleNamespace(oscillator=base + "cubic_stiffness" + "quintic_stiffness" + "jenkins" + "iwan")
+    )
+    asked = SimpleNamespace(base=base)
+    assert words._of_one_mechanism(found, ("jenkins", "quintic_stiffness"), asked) == [
+        ["jenkins", "iwan"], ["quintic_stiffness", "cubic_stiffness"],
+    ]  # fmt: skip
+    both = ("cubic_stiffness", "quintic_stiffness")
+    assert words._of_one_mechanism(found, both, asked) == [[*both]]
+    # of what is not known to be added, only what is named
+    assert words._of_one_mechanism(found, ("jenkins", "quintic_stiffness"), None) == [
+        ["jenkins"], ["quintic_stiffness"],
+    ]  # fmt: skip
+
+
+def test_a_base_that_is_best_because_nothing_explains_is_no_chance():
+    chances = {(): 0.01, ("iwan",): 0.02}
+    decision = decision_of("unexplained", best=(), p_missing=1e-20, probabilities=chances)
+    assert candidate_table._of_best(decision) == "no set of effects explains enough to be told in its place"
+    assert "no rare chance" in candidate_table._of_best(replace(decision, p_missing=0.2))
+
+
 @pytest.mark.parametrize("is_taken", [True, False])
 def test_a_beating_mode_is_reported(is_taken, rng, monkeypatch):
     """Taken away where it is a disturbance; where it is more than that, nothing is named."""

@@ -22,11 +22,13 @@ from pymc_backbone.discrepancy.search import Search
 
 from .discrepancy_cases import (
     AMPLITUDE,
+    DAMPING,
     FREQUENCY,
     MASS,
     OMEGA,
     RATIO,
     RELEASE_TIME,
+    STIFFNESS,
     TIME,
     batch_of,
     decaying_sinusoid,
@@ -413,6 +415,20 @@ def test_a_hand_in_the_first_cycle_is_no_slider_that_slips_there_alone(rng, drag
     study = asked(dragged(rng, drag), ("jenkins", "coulomb_friction", "cubic_stiffness"))
     assert study.verdict == "adequate"
     assert any("a hand" in note for note in study.notes)
+    assert any("without Jenkins, which would act in them alone" in note for note in study.notes)
+
+
+def test_a_slider_that_slips_in_some_cycles_is_named(rng):
+    """It acts in the first ones alone, and in each the less the smaller it is: no hand does that."""
+    slider = {"slider_stiffness": 0.05 * STIFFNESS, "slip_force": 0.05 * STIFFNESS * 0.6 * AMPLITUDE}
+    oscillator, kept = pb.Oscillator(MASS, "jenkins"), TIME[TIME >= RELEASE_TIME]
+    records = []
+    for number in range(3):
+        own = {"linear_stiffness": STIFFNESS * (1.0 + 0.005 * number), "viscous_damping": 0.3 * DAMPING, **slider}
+        exact = pb.simulate_waveform(oscillator, own, kept - RELEASE_TIME, AMPLITUDE).displacement
+        records.append(noisy(rng, f"specimen {number + 1}", kept, exact, 55.0))
+    study = asked(records, ("jenkins", "cubic_stiffness"))
+    assert study.missing_effects == ("jenkins",)
 
 
 def test_a_stop_that_first_cycles_reach_is_named(rng):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .._common.text import in_words
+from . import evidence
 from .curves import level_chi_square, on_levels
 from .decision import Decision
 from .estimates import estimates_of
@@ -118,6 +119,8 @@ def _of_best(decision: Decision) -> str:
         return "the most probable set"
     if decision.below:
         return "the most probable set together with those that differ from it by what is below the tolerance only"
+    if not decision.best and not decision.p_missing > evidence.MISSING:
+        return "no set of effects explains enough to be told in its place"
     if not decision.best:
         return f"a gap as large as this is no rare chance without any missing effect (p = {decision.p_missing:.2g})"
     return "the most probable set without what is only possible in it"

@@ -28,10 +28,22 @@ _REMAINS, _REMAINS_ALONE = 3.0, 2.0  # the same two where the edge is known to b
 
 @dataclass(frozen=True, eq=False)
 class Edges:
-    """Time [s] from which each record is free motion, and until which, where its first or last cycles are not."""
+    """Time [s] from which each record is free motion, and until which, where its first or last cycles are not.
+
+    Attributes
+    ----------
+    first, last : dict of str to float
+        By specimen; those whose edge is free motion are in neither.
+    cycles : int
+        How many first cycles are none, in the record of which these are most.
+    beside : str
+        An effect that explains these as well, as it acts in them alone; empty for none.
+    """
 
     first: dict[str, float]
     last: dict[str, float] = field(default_factory=dict)
+    cycles: int = 0
+    beside: str = ""
 
     def undisturbed(self, records: Iterable[Record]) -> list[Record]:
         """Return the records where they are free motion."""
@@ -42,7 +54,7 @@ class Edges:
 
     def within(self, other: Edges) -> Edges:
         """Return these edges of records that had already lost others."""
-        return Edges({**other.first, **self.first}, {**other.last, **self.last})
+        return Edges({**other.first, **self.first}, {**other.last, **self.last}, self.cycles + other.cycles)
 
     @property
     def sentence(self) -> str:
@@ -54,8 +66,11 @@ class Edges:
         if self.last:
             parts.append(f"the last cycles of {_counted(self.last)}")
             causes.append("a filter that runs both ways meets the end there, or something stops the motion")
+        explained = "that any set of effects explains"
+        if self.beside:
+            explained = f"of the structure without {self.beside}, which would act in them alone"
         return (
-            f"warning: {' and '.join(parts)} are no free motion that any set of effects explains, as where "
+            f"warning: {' and '.join(parts)} are no free motion {explained}, as where "
             f"{', and '.join(causes)}; they were left out, and what acts in them alone is not looked for"
         )
 
@@ -101,6 +116,7 @@ def edges(batch: Batch, found: Fit, known: Edges | None = None) -> Edges | None:
     return Edges(
         {item.specimen: float(item.time[0]) + (cut + _BEYOND) / item.frequency for item, cut in first.items()},
         {item.specimen: float(item.time[-1]) - (cut + _BEYOND) / item.frequency for item, cut in last.items()},
+        max(first.values(), default=0),
     )
 
 

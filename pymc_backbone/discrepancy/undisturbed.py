@@ -7,6 +7,7 @@ from dataclasses import replace
 from itertools import combinations
 from typing import NamedTuple
 
+from .._common.text import in_words
 from ..measurement.options import Measuring
 from ..measurement.reading.record import Record
 from . import evidence
@@ -17,7 +18,7 @@ from .drift_fits import drift_alone
 from .drifting_zero import drifting_zero
 from .drop_outs import drop_outs
 from .earlier_release import earlier
-from .edges import edges
+from .edges import Edges, edges
 from .filter_search import early_high_pass, sensor_filter, settled
 from .fitted_sets import FittedSets
 from .joint_fit import Fit
@@ -202,9 +203,10 @@ def _released_earlier(changed: Changed, known: Undisturbed) -> Known | None:
 def _without_edges(changed: Changed, known: Undisturbed) -> Known | None:
     """Return the question of records without first or last cycles, where these alone are off and sets gain by that.
 
-    Where the best set leaves noise, or its edges are free motion: what leaves noise of records without edges that it
-    finds off with some effects of that set. What remembers holds another force before it first turns, and follows a
-    hand in the first cycle: a slider that slips there, and never again, is no law of the structure.
+    Where what the best set leaves is free motion at the edges, too: what leaves noise, with some effects of that set,
+    of records without edges that are off by it. Of a best set that leaves noise itself, that is the first cycle alone,
+    and without effects that remember: these hold another force before they first turn, and follow a hand there. A
+    slider that slips in that cycle and never again is told beside it, and not named.
     """
     search = known.search
     best = search.best()
@@ -213,11 +215,15 @@ def _without_edges(changed: Changed, known: Undisturbed) -> Known | None:
         left_of_each = float(cut.found.chi_square.sum()) / cut.batch.count
         is_quieter = left_of_each < LESS * search.reduced(search.fits[best])
         return cut.changed.asked() if is_quieter else cut.changed.if_promising(search, LESS)
+    is_needed = not is_exact(search)
     for names in (names for size in range(len(best)) for names in combinations(best, size) if names in search.fits):
-        is_asked = not is_exact(search) or _remember(search, {*best} - {*names})
-        cut = _cut_by(changed, search, names) if is_asked else None
-        if cut is not None and evidence.leaves_noise(cut.batch, cut.found):
-            return cut.changed.asked()
+        idle = tuple(name for name in best if name not in names)
+        if not (is_needed or _remember(search, idle)) or (cut := _cut_by(changed, search, names)) is None:
+            continue
+        if evidence.leaves_noise(cut.batch, cut.found) and (is_needed or cut.lost.cycles == 1):
+            beside = "" if is_needed else " and ".join(map(in_words, idle))
+            said = replace(cut.lost, beside=beside)
+            return changed.but(said.sentence, records=said.undisturbed(changed.records)).asked()
     return None
 
 
@@ -227,9 +233,10 @@ def _remember(search: Search, names: Collection[str]) -> bool:
 
 
 class _Cut(NamedTuple):
-    """Records without edges that are off by a set, their batch, and the set fitted to them."""
+    """Records without edges that are off by a set, what was cut, their batch, and the set fitted to them."""
 
     changed: Changed
+    lost: Edges
     batch: Batch
     found: Fit
 
@@ -245,7 +252,7 @@ def _cut_by(changed: Changed, search: Search, names: Set) -> _Cut | None:
         shorter = changed.but(lost.sentence, records=lost.undisturbed(changed.records))
         batch = shorter.posed().batch
         again = fitted_on(found, batch) if batch.specimens == search.batch.specimens else None
-        cut = _Cut(shorter, batch, again or found)
+        cut = _Cut(shorter, lost, batch, again or found)
         if again is None:
             break
         found = again

@@ -43,8 +43,9 @@ def reasons(
     What differs between the two sides changes the damping by the mid-line alone: nothing is told of that where the
     mid-line is not measured; nor of the mid-line where both sides are alike, which a damped cycle has without any
     effect. Nor is what the effect itself does not bring about, as the model has it. Curves that change by less than
-    the tolerance of what was ``asked`` are told where no other changes by more. Effects of the model as it was that the
-    records do not hold are told as well.
+    the tolerance of what was ``asked`` are told where no other changes by more. Laws of one mechanism are told
+    together: each may do what another takes back. Effects of the model as it was that the records do not hold are told
+    as well.
     """
     sentences = []
     brought = on_levels(batch, found)
@@ -52,10 +53,11 @@ def reasons(
     sides = {effect.name for effect in found.layout.oscillator.effects if effect.mechanism == "asymmetry"}
     has_mid_line = all(record.offset_is_measured for record in batch.records)
     with_it = _curves(batch, brought)
-    for name in names:
-        without_it = _curves(batch, without(brought, [name]))
+    for together in _of_one_mechanism(found, names, asked):
+        name = together[0]
+        without_it = _curves(batch, without(brought, together))
         rows: tuple[int, ...] = (0, 2) if name in sides and not has_mid_line else (0, 1, 2)
-        if _is_odd(batch, found, name):
+        if all(_is_odd(batch, found, one) for one in together):
             rows = tuple(row for row in rows if OBSERVABLES[row] != "offset")
         if asked is not None:
             # a spring of two sides need not change what the backbones hold: its harmonics tell it
@@ -68,10 +70,25 @@ def reasons(
         ]
         unseen = "the waveforms show it" if batch.has_records else "all levels together show it"
         text = "; ".join(parts) if parts else f"not to be told from single levels; {unseen}"
-        sentences.append(f"{capitalised(in_words(name))}: {text}.{_said_by_the_library(summaries[name], bool(parts))}")
+        said = _said_by_the_library(summaries[name], bool(parts)) if len(together) == 1 else ""
+        sentences.append(f"{capitalised(' and '.join(in_words(one) for one in together))}: {text}.{said}")
     if scatter is not None and names:
         sentences.append(scatter_sentence(scatter, len(names)))
     return (*sentences, *([] if asked is None else _unseen_in(asked.base, found)))
+
+
+def _of_one_mechanism(found: Fit, names: Set, asked: Question | None) -> list[list[str]]:
+    """Return the named effects, each with what a fit adds to the model as it was that is of the same mechanism."""
+    kinds = {effect.name: effect.mechanism for effect in found.layout.oscillator.effects}
+    old = set(kinds) if asked is None else {effect.name for effect in asked.base.effects}
+    groups: list[list[str]] = []
+    for name in names:
+        if any(name in group for group in groups):
+            continue
+        kin = [other for other, kind in kinds.items() if kind is not None and kind == kinds[name]]
+        others = [other for other in kin if other != name and (other in names or other not in old)]
+        groups.append([name, *others])
+    return groups
 
 
 def _is_odd(batch: Batch, found: Fit, name: str) -> bool:
