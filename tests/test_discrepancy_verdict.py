@@ -28,6 +28,7 @@ from pymc_backbone.discrepancy import (
     words,
 )
 from pymc_backbone.discrepancy.batch import batch_of_backbones
+from pymc_backbone.discrepancy.curves import level_chi_square
 from pymc_backbone.discrepancy.decision import Decision, as_one
 from pymc_backbone.discrepancy.drift_course import DRIFT
 from pymc_backbone.discrepancy.evidence import Evidence, LackOfFit
@@ -527,6 +528,22 @@ def test_laws_of_one_mechanism_are_told_together():
     assert words._of_one_mechanism(found, ("jenkins", "quintic_stiffness"), None) == [
         ["jenkins"], ["quintic_stiffness"],
     ]  # fmt: skip
+
+
+def test_values_of_one_curve_speak_each_by_its_own_error(rng):
+    """Errors that go together leave a difference between neighbours that is said to be known twenty times better."""
+    together = np.full((10, 10), 1.0) + 0.0025 * np.eye(10)
+    whitening = np.linalg.inv(np.linalg.cholesky(together))
+    left = 0.5 * np.where(np.arange(10) % 2, 1.0, -1.0)
+    term = SimpleNamespace(size=10, whitening=whitening, residuals=lambda *_: whitening @ left)
+    batch = SimpleNamespace(has_records=False, levels=[term] * 3)
+    found = SimpleNamespace(layout=SimpleNamespace(simulator=None), parameters=lambda _: None)
+    assert level_chi_square(batch, found) > 50.0
+    assert level_chi_square(batch, found, is_apart=True) == pytest.approx(30.0 * 0.25 / 1.0025 / 24.0)
+    # negative control: what is six errors off is so by either
+    left = np.full(10, 6.0)
+    term.residuals = lambda *_: whitening @ left
+    assert level_chi_square(batch, found, is_apart=True) > 36.0
 
 
 def test_a_base_that_is_best_because_nothing_explains_is_no_chance():

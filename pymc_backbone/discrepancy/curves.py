@@ -193,9 +193,11 @@ def measured(batch: Batch) -> tuple[FloatArray, FloatArray]:
     return np.asarray(chosen["value"]), np.asarray(chosen["standard_error"])
 
 
-def level_chi_square(batch: Batch, found: Fit) -> float:
+def level_chi_square(batch: Batch, found: Fit, *, is_apart: bool = False) -> float:
     """Return the reduced chi-square of the backbones at a fit, a drift in time that it holds in them.
 
+    Of all values together; or, where ``is_apart``, of each by its own error. The errors of one curve go together, and
+    how two of its values differ is said to be known many times better than either.
     The zero of the sensor is where the samples want it: what remembers may come to rest off the middle, and the mean of
     the last samples, from which the mid-line was counted, with it.
     """
@@ -210,6 +212,9 @@ def level_chi_square(batch: Batch, found: Fit) -> float:
         if batch.has_records and not batch.waveform[r].order:  # that of a rate is no displacement
             zero = found.state.own[r, ZERO] / term.levels[term.rows[:, 1]]
             left = left - term.whitening @ np.where(term.rows[:, 0] == _OFFSET, zero, 0.0)
+        if is_apart:
+            root = np.linalg.inv(term.whitening)
+            left = (root @ left) / np.sqrt((root**2).sum(axis=1))
         total += float(left @ left)
         count += term.size
     return total / max(count - 2 * len(batch.levels), 1)

@@ -67,6 +67,9 @@ def checks_of(question: Question, outcome: Outcome, verification: Verification) 
     """Return the checks on the data: explanations that are no effect."""
     batch, decision = question.batch, outcome.decision
     named = outcome.model if decision.model in decision.drifts else None
+    reduced = verification.reduced
+    if not decision.is_approximate:  # the samples speak for it: each value of the backbones may speak against it
+        reduced = min(reduced, level_chi_square(outcome.judged, outcome.model, is_apart=True))
     return (
         rivals.drift_check(
             outcome.drifting,
@@ -80,7 +83,7 @@ def checks_of(question: Question, outcome: Outcome, verification: Verification) 
         data_checks.alike_check(batch, outcome.model, is_exact=not decision.is_approximate),
         data_checks.data_terms_check(
             outcome.judged,
-            verification.reduced,
+            reduced,
             AGREE,
             before=level_chi_square(outcome.judged, verification.before),
             is_exact=not decision.is_approximate,
