@@ -119,6 +119,28 @@ def test_where_nothing_has_harmonics_the_release_shows_a_high_pass(rng):
     assert not data_checks.data_terms_check(without.batch, 50.0, 5.0).passed
 
 
+def test_a_linear_structure_shows_no_harmonics_that_a_high_pass_turns(rng):
+    """Coupled at a twentieth of the mode, read by a clock that jitters: a cut-off of 0.7 had been made up for."""
+    time = np.arange(3000) / (36.0 * FREQUENCY)
+    elapsed = time - 0.8 / FREQUENCY
+    moving, records = elapsed >= 0.0, []
+    for name in ("one", "two", "three"):
+        omega = 2.0 * np.pi * FREQUENCY * (1.0 + 0.004 * rng.standard_normal())
+        exact = np.where(
+            moving, -AMPLITUDE * omega**2 * np.exp(-0.005 * omega * elapsed) * np.cos(omega * elapsed), 0.0
+        )
+        coupled = sosfilt(butter(1, 0.1 * FREQUENCY * time[1], "highpass", output="sos"), exact)
+        jitter = 0.003 / FREQUENCY * rng.standard_normal(time.size) * np.gradient(coupled, time)
+        noise = 3e-3 * np.abs(exact).max() * rng.standard_normal(time.size)
+        values = coupled + np.where(elapsed > 2.0 * time[1], jitter, 0.0) + noise
+        records.append(pb.Record(name, time, values, "acceleration", "m/s^2"))
+    without = searched(records)
+    found = early_high_pass(SimpleNamespace(batch=without.batch, fits={(): without.fits[()]}))
+    assert found.kind == "high-pass" and found.shows_at_release
+    assert set(found.gains(without.batch).values()) == {1.0}
+    assert "were added" not in found.sentence(without.batch)
+
+
 @pytest.mark.parametrize("shows_at_release", [False, True])
 def test_what_a_filter_takes_from_the_motion_is_given_back(shows_at_release, rng):
     """Of a coupling at a third of the frequency 5 %: a cubic stiffness had been a tenth too large."""

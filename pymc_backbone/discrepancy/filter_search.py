@@ -11,6 +11,7 @@ import numpy as np
 
 from .._common.checks import FloatArray
 from .._common.threads import in_threads
+from ..effects import BASE_EFFECTS
 from . import evidence
 from .batch import Batch
 from .data_term import WaveformTerm
@@ -232,7 +233,8 @@ def _high_pass(batch: Batch, start: Fit, filters: Sequence[SensorFilter]) -> _Fi
     is_exact = best.cost() < start.cost - _PRICE and _is_exact(batch, best)
     if not is_exact and not best.cost() < _LESS * past - _PRICE:
         return None
-    shows_at_release = past - best.cost() < _BY_HARMONICS * (start.cost - best.cost())
+    is_linear = all(effect.name in BASE_EFFECTS for effect in start.layout.oscillator.effects)  # without harmonics
+    shows_at_release = is_linear or past - best.cost() < _BY_HARMONICS * (start.cost - best.cost())
     if shows_at_release and not all(term.order for term in batch.waveform):
         return None  # of a displacement, a start that settles looks alike
     if shows_at_release and not best.cost() < _left_by(start, batch, _free_at_first(batch)) - _PRICE:
