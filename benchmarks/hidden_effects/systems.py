@@ -76,8 +76,8 @@ LIBRARY_NAMES_OF_OUTSIDE: dict[str, str] = {
     "deadband_damper": "dead_band_damping",
 }
 """Laws of `OUTSIDE` that an effect of the package describes by now: the same force, written in other parameters, or
-with an exponent of one half, an asymmetry of one, or a band of sharp edge. A magnet on one side is not the package's pair of magnets: its
-force has even powers."""
+with an exponent of one half, an asymmetry of one, or a band of sharp edge. A magnet on one side is not the package's
+pair of magnets: its force has even powers."""
 
 BASE: tuple[str, ...] = ("linear_stiffness", "linear_stiffness_rate", "viscous_damping", "viscous_damping_rate")
 
