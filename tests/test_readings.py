@@ -411,7 +411,7 @@ def dragged(rng, drag=0.12, cycles=0.55, stop=0.0, specimens=3):
 
 @pytest.mark.parametrize("drag", [0.06, 0.2])
 def test_a_hand_in_the_first_cycle_is_no_slider_that_slips_there_alone(rng, drag):
-    """By the samples it is one, with 99 %: what is loaded to the release holds another force before it first turns."""
+    """By the samples it is one: what is loaded to the release holds another force before it first turns."""
     study = asked(dragged(rng, drag), ("jenkins", "coulomb_friction", "cubic_stiffness"))
     assert study.verdict == "adequate"
     assert any("a hand" in note for note in study.notes)

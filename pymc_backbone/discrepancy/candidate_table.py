@@ -119,11 +119,11 @@ def _of_best(decision: Decision) -> str:
         return "the most probable set"
     if decision.below:
         return "the most probable set together with those that differ from it by what is below the tolerance only"
-    if not decision.best and not decision.p_missing > evidence.MISSING:
-        return "no set of effects explains enough to be told in its place"
-    if not decision.best:
+    if decision.best:
+        return "the most probable set without what is only possible in it"
+    if decision.p_missing > evidence.MISSING:
         return f"a gap as large as this is no rare chance without any missing effect (p = {decision.p_missing:.2g})"
-    return "the most probable set without what is only possible in it"
+    return "no set of effects explains enough to be told in its place"
 
 
 def _reason(names: Set, probability: float, gain: float, decision: Decision, status: Status) -> str:

@@ -94,13 +94,13 @@ def _falling(u: FloatArray, s: float) -> FloatArray:
     return np.column_stack([np.sign(u) * np.exp(-np.abs(u) / s), np.sign(u)])
 
 
-def _limited(u: FloatArray, s: float) -> FloatArray:
-    return -u / (1.0 + (u / s) ** 2)
-
-
 def _eddy(u: FloatArray, s: float) -> FloatArray:
     """Force of eddy currents, which is largest at a speed: beyond, the field does not get into the metal."""
     return u / (1.0 + (u / s) ** 2)
+
+
+def _limited(u: FloatArray, s: float) -> FloatArray:
+    return -_eddy(u, s)
 
 
 FAMILIES: dict[str, tuple[_Family, ...]] = {
