@@ -288,6 +288,8 @@ ORACLES: dict[str, Callable[[], Spring]] = {
     "absolute_displacement_damping": lambda: Spring(lambda x, v, d, p, side: p[0] * side * x * v, lambda p: (0.0,)),
     "power_displacement_damping": lambda: Spring(lambda x, v, d, p: p[0] * v * np.hypot(x / p[2], 1e-2) ** p[1]),
     "dead_band_damping": lambda: Spring(_dead_band, lambda p: (-1.02 * p[1], -0.98 * p[1], 0.98 * p[1], 1.02 * p[1])),
+    "mid_stroke_damping": lambda: Spring(lambda x, v, d, p: p[0] * v / np.exp(x**2 / p[1] ** 2)),
+    "speed_limited_damping": lambda: Spring(lambda x, v, d, p: p[0] * v * p[1] ** 2 / (p[1] ** 2 + v**2)),
     "structural_damping": lambda: Spring(lambda x, v, d, p, side: p[0] * side * x * d, lambda p: (0.0,)),
     "tabulated_stiffness": lambda: Spring(tabulated_stiffness),
     "tabulated_damping": lambda: Spring(tabulated_damping),

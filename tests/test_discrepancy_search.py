@@ -1181,6 +1181,22 @@ def test_variants_are_looked_for_in_the_place_of_what_they_vary():
     assert ("stribeck_friction",) not in search.fits
 
 
+def test_a_variant_is_asked_where_its_backbones_are_likely_though_what_it_varies_is_not_the_best():
+    """Damping with the displacement's size beside cubic damping, which explains as much at this noise."""
+    batch = batch_of(make_records(np.random.default_rng(5), ("quadratic_damping",), decibels=22.0))
+    search = Search(batch, Oscillator(MASS), ("cubic_damping",), 1, variants=("absolute_displacement_damping",))
+    for names in ((), ("cubic_damping",)):
+        search.fit_set(names)
+    assert search.best() == ("cubic_damping",) and search.explains(search.fits[search.best()])
+    search._vary()
+    kept = search.fits[("absolute_displacement_damping",)]
+    assert search.explains(kept) and kept.cost < search.fits[("cubic_damping",)].cost
+    fitted, search.proposals = dict(search.fits), {}  # negative control: backbones that promise nothing
+    search.fits = {names: found for names, found in fitted.items() if names != ("absolute_displacement_damping",)}
+    search._vary()
+    assert ("absolute_displacement_damping",) not in search.fits
+
+
 def test_a_variant_of_another_mechanism_that_is_as_simple_stays_beside_what_it_varies():
     """Damping with the displacement's size makes the backbones of drag: where no harmonic tells, both remain."""
     batch = batch_of(make_records(np.random.default_rng(36), ("quadratic_damping",), decibels=40.0))

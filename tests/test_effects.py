@@ -403,14 +403,24 @@ def test_a_variant_does_what_its_first_original_does():
             original = LIBRARY[effect.variant_of[0]]
             assert effect.mechanism == original.mechanism or {effect.mechanism, original.mechanism} == {
                 "clearance", "asymmetry"
-            } or effect.name in ("bilinear_damping", "nonlinear_inertia")  # fmt: skip
+            } or effect.mechanism in ("damping_asymmetry", "falling_damping", "inertia")  # fmt: skip
             # the mid-line of a bilinear spring is that of a bilinear damper, whose force is another; the backbones of
-            # a spring are those of an inertia
+            # a spring are those of an inertia; damping falls as that of dry friction does
 
 
 def test_an_unknown_role_is_named_with_its_nearest():
     with pytest.raises(InputError, match="Did you mean 'exponent'"):
         number("one", "exponents")
+
+
+def _damper(x, slow, fast, back):
+    """Return the mechanism of a damper from its coefficients over displacement, at two speeds and backwards."""
+    if np.allclose(slow, slow[0]):
+        if np.allclose(fast, slow):
+            assert not np.allclose(slow, back)  # else it would be the viscous damper
+            return "damping_asymmetry"
+        return "drag" if np.any(fast > slow) else "falling_damping"
+    return "displacement_damping" if slow[np.abs(x).argmax()] > slow[np.abs(x).argmin()] else "falling_damping"
 
 
 @ALL
@@ -456,12 +466,11 @@ def test_mechanism_is_what_the_force_does(effect, rng):
     elif np.abs(force(x, 0.0, 1.0)).max() > 0.0:
         expected = "hysteresis"  # opposes the motion however slow it is
     else:
-        expected = "drag" if np.allclose(slow, slow[0]) else "displacement_damping"
         assert np.allclose(force(x, 0.0, 1.0), 0.0)
-        if np.allclose(fast * v[0], slow * v[-1]) and np.allclose(slow, slow[0]):  # in proportion to the speed
-            assert not np.allclose(slow, -back)  # else it would be the viscous damper
-            expected = "damping_asymmetry"
-    assert effect.mechanism == expected
+        expected = _damper(x, slow / v[0], fast / v[-1], -back / v[0])
+    values = dict(zip(effect.parameter_names, p, strict=True))
+    falls = effect.mechanism == "falling_damping"  # as long as its coefficient is positive
+    assert (effect.mechanism_at(values.__getitem__, AMPLITUDE) if falls else effect.mechanism) == expected
 
 
 def test_an_unknown_mechanism_is_named_with_its_nearest():
@@ -681,6 +690,8 @@ FORMULAS = {
     "dead_band_damping": lambda x, v, p: (
         p[0] * v * np.polyval([-2, 3, 0, 0], np.clip((abs(x) / p[1] - 0.98) / 0.04, 0, 1))
     ),
+    "mid_stroke_damping": lambda x, v, p: p[0] * np.exp(-(x**2) / p[1] ** 2) * v,
+    "speed_limited_damping": lambda x, v, p: p[0] * p[1] ** 2 * v / (p[1] ** 2 + v**2),
     "structural_damping": lambda x, v, p: p[0] * abs(x) * np.sign(v),
     "stribeck_friction": lambda x, v, p: np.sign(v) * (p[0] + p[0] * p[1] * np.exp(-abs(v) / p[2])),
     "power_stiffness": lambda x, v, p: p[0] / p[2] ** p[1] * abs(x) ** p[1] * np.sign(x),

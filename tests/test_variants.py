@@ -28,6 +28,8 @@ TRUTHS = {
     "absolute_displacement_damping": (0.04 * MASS * OMEGA / AMPLITUDE,),
     "power_displacement_damping": (0.04 * MASS * OMEGA, 0.6, AMPLITUDE),
     "dead_band_damping": (0.05 * MASS * OMEGA, 0.45 * AMPLITUDE),
+    "mid_stroke_damping": (0.04 * MASS * OMEGA, 0.3 * AMPLITUDE),
+    "speed_limited_damping": (0.04 * MASS * OMEGA, 0.4 * AMPLITUDE * OMEGA),
 }
 DAHL = {"dahl_friction": (0.1 * STIFFNESS, 0.01 * FORCE)}
 """A case of another effect, which is not looked for beside that one."""

@@ -42,6 +42,8 @@ ABS_C = INDEX["absolute_displacement_damping"]
 BOTH_C, BOTH_R = (INDEX[name] for name in NEW["asymmetric_drag"])
 BUMP = INDEX["bilinear_damping"]
 EDGE_C, EDGE_X = (INDEX[name] for name in NEW["dead_band_damping"])
+MID_C, MID_X = (INDEX[name] for name in NEW["mid_stroke_damping"])
+LIMITED_C, LIMITED_V = (INDEX[name] for name in NEW["speed_limited_damping"])
 MOVES_ALONG = INDEX["nonlinear_inertia"]
 DAHL_K, DAHL_F = (INDEX[name] for name in NEW["dahl_friction"])
 HERTZ_K, HERTZ_GAP = (INDEX[name] for name in NEW["hertz_contact"])
@@ -163,6 +165,10 @@ def _new(force, y, direction, probe, p):
         else:
             s = 0.5 + 0.5 * (side * x / p[EDGE_X] - 1.0) / EDGE
             force += p[EDGE_C] * v * s * s * (3.0 - 2.0 * s)
+    if p[MID_C] != 0.0:
+        force += p[MID_C] * v * math.exp(-((x / p[MID_X]) ** 2))
+    if p[LIMITED_C] != 0.0:
+        force += p[LIMITED_C] * v / (1.0 + (v / p[LIMITED_V]) ** 2)
     if p[POWER_K] != 0.0:
         force += p[POWER_K] * side * max(side * x / p[POWER_K_X], 0.0) ** p[POWER_K_N]
     return force

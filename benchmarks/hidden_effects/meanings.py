@@ -44,6 +44,8 @@ WORDS: dict[str, str] = {
     "absolute_displacement_damping": "displacement_damping",
     "power_displacement_damping": "displacement_damping",
     "dead_band_damping": "displacement_damping",
+    "mid_stroke_damping": "falling_damping",
+    "speed_limited_damping": "falling_damping",
     "nonlinear_inertia": "inertia",
     "maxwell_element": "other",
 }
@@ -131,6 +133,8 @@ def rightly(law: str, nominal: Mapping[str, float]) -> set[str]:
     if law in ("power_damping", "root_damping") and exponent < 1.0:
         # The force rises with the speed, and the decrement falls with the amplitude as that of friction does.
         return {"drag", "hysteresis"}
+    if WORDS.get(law) == "falling_damping" and nominal.get(law, 1.0) < 0.0:  # taken away where motion is small
+        return {"drag" if law == "speed_limited_damping" else "displacement_damping"}
     return _RIGHTLY.get(law) or {WORDS.get(law, "other")}
 
 

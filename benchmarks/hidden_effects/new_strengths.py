@@ -159,6 +159,21 @@ def _dead_band(strength: float, rng: np.random.Generator, k: float, big: float, 
     return {"dead_band_damping": strength / _ratio(unit, k, big), "dead_band": band * big}, strength
 
 
+def _mid_stroke(strength: float, rng: np.random.Generator, k: float, big: float, omega: float) -> Drawn:
+    middle = log_uniform(rng, 0.15, 0.9)
+    unit = _work(np.exp(-((np.cos(_ANGLE) / middle) ** 2)) * _SINE * omega * big, big)
+    return {"mid_stroke_damping": strength / _ratio(unit, k, big), "mid_stroke": middle * big}, strength
+
+
+def _speed_limited(strength: float, rng: np.random.Generator, k: float, big: float, omega: float) -> Drawn:
+    critical = log_uniform(rng, 0.1, 0.8)
+    unit = _work(_SINE / (1.0 + (_SINE / critical) ** 2) * omega * big, big)
+    return {
+        "speed_limited_damping": strength / _ratio(unit, k, big),
+        "critical_speed": critical * omega * big,
+    }, strength
+
+
 def _power_spring(strength: float, rng: np.random.Generator, k: float, big: float, omega: float) -> Drawn:
     exponent = float(rng.uniform(*((1.4, 2.7), (3.3, 4.6), (5.4, 6.5))[int(rng.integers(3))]))
     share = strength if rng.random() < 0.5 else -min(strength, 0.35)
@@ -194,12 +209,14 @@ _DRAWN: dict[str, Callable[[float, np.random.Generator, float, float, float], Dr
     "hertz_contact": _hertz,
     "magnetic_stiffness": _magnets,
     "maxwell_element": _arm,
+    "mid_stroke_damping": _mid_stroke,
     "nonlinear_inertia": _inertia,
     "offset_freeplay": _offset_play,
     "one_sided_stiffness": _one_sided,
     "power_damping": _power_damper,
     "power_displacement_damping": _power_of_displacement,
     "power_stiffness": _power_spring,
+    "speed_limited_damping": _speed_limited,
     "stribeck_friction": _stribeck,
     "structural_damping": _structural,
 }

@@ -194,6 +194,16 @@ def _dead_band(p: Values, release: float) -> Term:
     return Term(force, (-high, -low, low, high))
 
 
+def _mid_stroke(p: Values, release: float) -> Term:
+    c, middle = p["mid_stroke_damping"], p["mid_stroke"]
+    return Term(lambda x, v, s, at: c * v / math.exp(x * x / middle**2))
+
+
+def _speed_limited(p: Values, release: float) -> Term:
+    c, at_speed = p["speed_limited_damping"], p["critical_speed"]
+    return Term(lambda x, v, s, at: c * v * at_speed**2 / (at_speed**2 + v * v))
+
+
 def _one_way(p: Values, release: float) -> Term:
     c = p["one_way_drag"]
     return Term(lambda x, v, s, at: c * v * v if s > 0.0 else 0.0)
@@ -287,6 +297,7 @@ TERMS: dict[str, Callable[[Values, float], Term]] = {
     "magnetic_attraction": _magnet,
     "magnetic_stiffness": _magnets,
     "maxwell_element": _arm,
+    "mid_stroke_damping": _mid_stroke,
     "nonlinear_inertia": _inertia,
     "offset_freeplay": _offset_freeplay,
     "one_sided_stiffness": _one_sided,
@@ -299,6 +310,7 @@ TERMS: dict[str, Callable[[Values, float], Term]] = {
     "quadratic_stiffness": _polynomial("quadratic_stiffness", 2),
     "quintic_stiffness": _polynomial("quintic_stiffness", 5),
     "root_damping": _root,
+    "speed_limited_damping": _speed_limited,
     "stribeck_friction": _stribeck,
     "structural_damping": _structural,
 }

@@ -51,6 +51,8 @@ NEW: dict[str, tuple[str, ...]] = {
     "nonlinear_inertia": ("nonlinear_inertia",),
     "power_displacement_damping": ("power_displacement_damping", "displacement_exponent", "damping_displacement"),
     "dead_band_damping": ("dead_band_damping", "dead_band"),
+    "mid_stroke_damping": ("mid_stroke_damping", "mid_stroke"),
+    "speed_limited_damping": ("speed_limited_damping", "critical_speed"),
 }
 """Effects that the package holds beside these, as variants or to be named, with its names of their parameters."""
 
@@ -74,10 +76,11 @@ LIBRARY_NAMES_OF_OUTSIDE: dict[str, str] = {
     "one_way_drag": "asymmetric_drag",
     "displacement_dependent_inertia": "nonlinear_inertia",
     "deadband_damper": "dead_band_damping",
+    "limited_negative_damping": "speed_limited_damping",
 }
 """Laws of `OUTSIDE` that an effect of the package describes by now: the same force, written in other parameters, or
-with an exponent of one half, an asymmetry of one, or a band of sharp edge. A magnet on one side is not the package's
-pair of magnets: its force has even powers."""
+with an exponent of one half, an asymmetry of one, a band of sharp edge, or a coefficient below zero. A magnet on one
+side is not the package's pair of magnets: its force has even powers."""
 
 BASE: tuple[str, ...] = ("linear_stiffness", "linear_stiffness_rate", "viscous_damping", "viscous_damping_rate")
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import combinations
+from itertools import batched, combinations
 
 import numpy as np
 
@@ -12,8 +12,11 @@ from .joint_fit import Fit
 from .propose import propose
 from .revisited_sets import RevisitedSets
 from .set_fits import Set
+from .side_by_side import ABREAST, fit_side_by_side
 
 _LIKELIEST = 4  # sets whose variants are replaced by what they vary
+_AS_LIKELY = 4.0  # logarithm of evidence of the backbones, within which others with variants are asked ...
+_MOST_PROMISED = 8  # ... and how many
 NEEDED = 5.0
 """Chi-square by which a less simple set of the same mechanisms must leave less."""
 
@@ -30,21 +33,43 @@ class VariedSets(RevisitedSets):
         best = self.best()
         for name in best if not self.is_refuted(best) else ():
             for variant in self.variants:
-                names = tuple(sorted({*(other for other in best if other != name), variant}))
-                is_new = variant != name and len(names) == len(best) and names not in self.fits
-                if not (is_new and is_akin(name, variant)) or (self._is_costly(names) and not self._is_costly(best)):
-                    continue
-                if self._is_spent and (self._is_costly(names) or not self.explains(self.fits[best])):
-                    continue  # of what explains the records, the few that are soon fitted are asked all the same
-                self.progress("variants of effects", 0.5)
-                found = self._fit_varied(names)
-                if self._is_needed(names) and found is not None and self.explains(found):
-                    for out in best:  # what stood beside the effect may have made up for its lack
-                        if out != name:
-                            self._fit_varied(tuple(other for other in names if other != out))
+                self._vary_one(best, name, variant)
+        for few in batched(self._promised_variants(), ABREAST):
+            self.progress("variants of effects", 0.5)
+            fit_side_by_side(self, few)
         self._ask_plain()
         for names in [names for names in self.fits if not self._is_needed(names)]:
             del self.fits[names]
+
+    def _promised_variants(self) -> list[Set]:
+        """Return sets with variants that were not fitted and whose backbones are as likely as those of the best set.
+
+        What they vary may be far off, and a law of many parameters come near in their place.
+        """
+        best = self.best()
+        if self.is_refuted(best) or not self.explains(self.fits[best]) or best not in self.proposals:
+            return []
+        least = self.proposals[best].log_evidence - _AS_LIKELY
+        near = [
+            names for names, item in self.proposals.items() if item.log_evidence > least and len(names) <= len(best)
+        ]
+        new = [names for names in near if names not in self.fits and not {*names}.isdisjoint(self.variants)]
+        return [names for names in new if not (self._is_costly(names) or self._is_far(names))][:_MOST_PROMISED]
+
+    def _vary_one(self, varied: Set, name: str, variant: str) -> None:
+        """Fit a set with a variant in the place of one of its effects, where that is new and worth its cost."""
+        names = tuple(sorted({*(other for other in varied if other != name), variant}))
+        is_new = variant != name and len(names) == len(varied) and names not in self.fits
+        if not (is_new and is_akin(name, variant)) or (self._is_costly(names) and not self._is_costly(varied)):
+            return
+        if self._is_spent and (self._is_costly(names) or not self.explains(self.fits[varied])):
+            return  # of what explains the records, the few that are soon fitted are asked all the same
+        self.progress("variants of effects", 0.5)
+        found = self._fit_varied(names)
+        if self._is_needed(names) and found is not None and self.explains(found):
+            for out in varied:  # what stood beside the effect may have made up for its lack
+                if out != name:
+                    self._fit_varied(tuple(other for other in names if other != out))
 
     def _plain(self, names: Set) -> list[Set]:
         """Return the sets that hold what a variant in this one varies in its place."""

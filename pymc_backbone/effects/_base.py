@@ -19,7 +19,15 @@ HeldFunction = Callable[[float, float, float], float]
 Role = Literal["strength", "slip_force", "gap", "exponent", "power_coefficient", "shape", "ordinate", "plain"]
 ROLES: tuple[Role, ...] = get_args(Role)
 Mechanism = Literal[
-    "spring", "asymmetry", "clearance", "hysteresis", "drag", "displacement_damping", "damping_asymmetry", "inertia"
+    "spring",
+    "asymmetry",
+    "clearance",
+    "hysteresis",
+    "drag",
+    "displacement_damping",
+    "falling_damping",
+    "damping_asymmetry",
+    "inertia",
 ]
 MECHANISMS: Mapping[str, str] = MappingProxyType(
     {
@@ -29,6 +37,7 @@ MECHANISMS: Mapping[str, str] = MappingProxyType(
         "hysteresis": "friction-like hysteresis",
         "drag": "damping that rises with speed",
         "displacement_damping": "damping that rises with displacement",
+        "falling_damping": "damping that falls with displacement or speed",
         "damping_asymmetry": "a damper that differs between the two directions",
         "inertia": "inertia that changes with the displacement",
         "other": "another mechanism",

@@ -44,9 +44,10 @@ DIAGNOSIS_KEYS = {
     "missing_effects": "name and parameters (as under 'parameters') of each; empty unless found and the law named",
     "named_level": "law | mechanism | null: what is named where the verdict is found",
     "mechanisms": "what may be missing, in falling probability: mechanism (spring | asymmetry | clearance | "
-    "hysteresis | drag | displacement_damping | other), probability, share_of_gap (of the base's chi-square or, where "
-    "no law is exact, of the departure's power), laws (effect, probability), parameters (name: value, "
-    "standard_error); empty where adequate",
+    "hysteresis | drag | displacement_damping | falling_damping | damping_asymmetry | inertia | other, or either of "
+    "two: rising_damping | changing_stiffness | changing_frequency), probability, share_of_gap (of the base's "
+    "chi-square or, where no law is exact, of the departure's power), laws (effect, probability), parameters (name: "
+    "value, standard_error); empty where adequate",
     "remainder": "what the most probable set leaves where no law is exact, by observable: size where it is largest, "
     "unit, standard_errors of it, share_of_gap (root mean square over that of the base), amplitude_low, "
     "amplitude_high [m or rad], and the curve: amplitude, values, errors; empty where a law is exact",
