@@ -35,6 +35,7 @@ FORCES: dict[str, Callable[[Array, Array], Array]] = {
     "quadratic stiffness": lambda x, v: 0.25 * OMEGA**2 * x**2,
     "bilinear": lambda x, v: 0.3 * OMEGA**2 * x * (x > 0.0),
     "stop": lambda x, v: 0.8 * OMEGA**2 * np.maximum(x - 0.35, 0.0),
+    "late stop": lambda x, v: 0.8 * OMEGA**2 * np.maximum(x - 0.6, 0.0),
     "freeplay": lambda x, v: -0.9 * OMEGA**2 * np.clip(x, -0.05, 0.05),
     "quadratic damping": lambda x, v: 0.03 * v * np.abs(v),
     "van der Pol": lambda x, v: 0.05 * OMEGA * x**2 * v,
@@ -422,7 +423,9 @@ def test_second_impact_ends_the_record_with_a_warning() -> None:
 
 
 @pytest.mark.parametrize("cycles", [15, 120])
-@pytest.mark.parametrize("force", ["linear", "hardening", "quadratic stiffness", "bilinear", "quadratic damping"])
+@pytest.mark.parametrize(
+    "force", ["linear", "hardening", "quadratic stiffness", "bilinear", "quadratic damping", "stop", "late stop"]
+)
 def test_sensor_offset_is_not_physics(force: str, cycles: int, rng: np.random.Generator) -> None:
     time, (x, _, _) = simulated(force, 0.01, cycles)
     noise = 2e-3

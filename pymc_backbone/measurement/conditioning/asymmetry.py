@@ -18,7 +18,7 @@ _MINIMUM_POINTS = 8
 _RATIOS = (1.5, 7.0)
 """Mid-line over second harmonic, sign reversed: 3 for a quadratic stiffness, 4.5 for a bilinear one, 1.5 to 4.5 for a
 stop on one side, the less the later it is touched."""
-_GAPS = (0.12, 0.2, 0.28, 0.36, 0.44, 0.52, 0.6, 0.7, 0.8)
+GAPS = (0.12, 0.2, 0.28, 0.36, 0.44, 0.52, 0.6, 0.7, 0.8)
 """Of a stop on one side, over the first amplitude."""
 _RATIO, _RATIO_ERROR = 3.3, 1.0
 """The same where the stiffness is not known: 2.3 for x^4."""
@@ -144,7 +144,7 @@ def restore_mid_line(path: Track, harmonic: float) -> MidLine | None:
 def _shapes(first: float) -> list[tuple[MidLine, ...]]:
     """Return what a mid-line may be the sum of; ``first`` is the largest amplitude."""
     linear, square = MidLine(1.0, 0.0, 0.0), MidLine(0.0, 1.0, 0.0)
-    stops = [(MidLine(0.0, 0.0, 0.0, stops=((1.0, gap * first),)),) for gap in _GAPS]
+    stops = [(MidLine(0.0, 0.0, 0.0, stops=((1.0, gap * first),)),) for gap in GAPS]
     return [(square,), (linear,), (linear, square), *stops]
 
 

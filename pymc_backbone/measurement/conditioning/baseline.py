@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
 from ..._common.checks import FloatArray
-from .asymmetry import implied_shift
+from .asymmetry import GAPS, beyond_stop, implied_shift
 from .tracking import Track
 
 _SIGNIFICANT = 4.0
 _FLOOR = 1e-4
 _STOPPING = 2.0
+_SHAPE = 0.1
+"""Of the mid-line of the last cycles, how far laws of force that are none of these carry it elsewhere."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +60,9 @@ def find_baseline(
     -----
     The mid-line of a cycle differs from the equilibrium by c A^2 for a quadratic stiffness and by c A for a
     bilinear one, and not at all for dry friction, whose half cycles lie on opposite sides. So the mid-line is
-    extrapolated to zero amplitude with 1, A, A^2, averaged over which of them the record supports (Bayesian
-    information criterion). A record that hardly decays says little about that; but the force that shifts the
+    extrapolated to zero amplitude with 1, A, A^2 and what one or two stops add beyond their gaps (`beyond_stop`),
+    averaged over which of them the record supports (Bayesian information criterion); what laws of force make of it
+    that are none of these is an error in proportion to the mid-line of the last cycles. A record that hardly decays says little about that; but the force that shifts the
     mid-line also makes a second harmonic, and about a third of the shift, which is used as one more observation.
 
     A quiet tail after a decay that faded away shows the zero itself. A tail after a motion that stopped within a
@@ -100,14 +105,14 @@ def _extrapolated(
     shift, shift_error = (highest * item for item in implied_shift(*harmonic))
     shift_error += sigma
     misfits, counts, values, variances = [], [], [], []
-    for powers in ((), (2,), (1,), (1, 2)):
-        shape = np.column_stack([np.ones(relative.size), *(relative**power for power in powers)])
+    for columns, gaps in _shapes(relative):
+        shape = np.column_stack([np.ones(relative.size), *columns])
         # the last row: the mid-line at full amplitude as the second harmonic has it
-        rows = np.vstack([shape / sigma, np.append(0.0, np.ones(len(powers))) / shift_error])
+        rows = np.vstack([shape / sigma, np.append(0.0, np.ones(len(columns))) / shift_error])
         right = np.append(middle / sigma, shift / shift_error)
         solution = np.linalg.lstsq(rows, right, rcond=None)[0]
         misfits.append(float(np.sum((right - rows @ solution) ** 2)))
-        counts.append(shape.shape[1])
+        counts.append(shape.shape[1] + gaps)
         values.append(float(solution[0]))
         variances.append(float(np.linalg.pinv(rows.T @ rows)[0, 0]))
     misfit, count = np.array(misfits), np.array(counts)
@@ -119,8 +124,25 @@ def _extrapolated(
     weights = np.exp(-0.5 * (scores - scores.min()))
     weights /= weights.sum()
     mean = float(weights @ values)
-    variance = float(weights @ (np.array(variances) * own * overlap + (np.array(values) - mean) ** 2))
+    last = float(np.mean(middle[: max(middle.size // 8, 1)]))  # cycles are picked from the end
+    shape = (_SHAPE * (last - mean)) ** 2
+    variance = float(weights @ (np.array(variances) * own * overlap + (np.array(values) - mean) ** 2)) + shape
     return mean, float(np.hypot(np.sqrt(variance), _FLOOR * highest))
+
+
+def _shapes(relative: FloatArray) -> Iterator[tuple[list[FloatArray], int]]:
+    """Yield what may move the mid-line, each 1 at the largest amplitude, and how many gaps were chosen for it."""
+    powers = [relative, relative**2]
+    yield [], 0
+    for some in (powers[1:], powers[:1], powers):
+        yield some, 0
+    stops = {gap: beyond_stop(relative, gap) / beyond_stop(np.ones(1), gap) for gap in GAPS}
+    for stop in stops.values():
+        yield [stop], 1
+        yield [powers[0], stop], 1
+        yield [powers[1], stop], 1
+    for one, other in combinations(stops.values(), 2):
+        yield [one, other], 2
 
 
 def _cycle_means(path: Track) -> tuple[FloatArray, FloatArray, float]:
