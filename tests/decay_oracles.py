@@ -212,6 +212,13 @@ def _one_sided(x, v, d, p, side):
     return (p[0] * (x - p[1]) if side > 0.0 else 0.0) - at_rest
 
 
+def _damped_stop(x, v, d, p, side):
+    """With loss on the way in and less force on the way out, by the sign of the distance to the place of contact."""
+    mirror = np.sign(p[0])
+    pressed = abs(p[0]) * (mirror * x - p[1]) if mirror * side > 0.0 else 0.0
+    return mirror * (pressed + pressed * p[2] * mirror * v + abs(p[0]) * min(p[1], 0.0))
+
+
 def _hertz(x, v, d, p, side):
     mirror = np.sign(p[0])
     at_rest = abs(p[0]) * (-p[1]) ** 1.5 if p[1] < 0.0 else 0.0
@@ -283,6 +290,7 @@ ORACLES: dict[str, Callable[[], Spring]] = {
     "power_stiffness": lambda: Spring(lambda x, v, d, p, side: p[0] * side * _power(side * x, p), lambda p: (0.0,)),
     "offset_freeplay": lambda: Spring(_offset_freeplay, lambda p: (p[1] * (p[2] - 1.0), p[1] * (p[2] + 1.0))),
     "one_sided_stiffness": lambda: Spring(_one_sided, lambda p: (p[1],)),
+    "damped_stop": lambda: Spring(_damped_stop, lambda p: (np.sign(p[0]) * p[1],)),
     "hertz_contact": lambda: Spring(_hertz, lambda p: (np.sign(p[0]) * p[1],)),
     "magnetic_stiffness": lambda: Spring(_magnets),
     "absolute_displacement_damping": lambda: Spring(lambda x, v, d, p, side: p[0] * side * x * v, lambda p: (0.0,)),

@@ -193,7 +193,7 @@ def test_force_is_continuous_where_the_regime_changes(effect, rng):
 
 ASYMMETRIC = (
     *("quadratic_stiffness", "bilinear_stiffness", "bilinear_damping", "asymmetric_drag"),
-    *("offset_freeplay", "one_sided_stiffness", "hertz_contact", *TABULATED),
+    *("offset_freeplay", "one_sided_stiffness", "hertz_contact", "damped_stop", *TABULATED),
 )
 
 
@@ -295,7 +295,7 @@ UNITS_OF_ROLES = {
     "slip_force": {"N"},
     "gap": {"m"},
     "exponent": {"-"},
-    "shape": {"-", "m", "m/s", "s"},
+    "shape": {"-", "m", "m/s", "s", "s/m"},
 }
 
 
@@ -463,6 +463,10 @@ def test_mechanism_is_what_the_force_does(effect, rng):
         expected = "clearance"
     elif is_elastic:
         expected = "asymmetry" if not is_odd else "clearance" if rests else "spring"
+    elif (
+        effect.with_role("gap") and force(x, 0.0, 1.0).any() and np.array_equal(force(x, 0.0, 1.0), force(x, 0.0, -1.0))
+    ):
+        expected = "clearance"  # a contact with loss: elastic where it is at rest
     elif np.abs(force(x, 0.0, 1.0)).max() > 0.0:
         expected = "hysteresis"  # opposes the motion however slow it is
     else:
@@ -697,6 +701,9 @@ FORMULAS = {
     "power_stiffness": lambda x, v, p: p[0] / p[2] ** p[1] * abs(x) ** p[1] * np.sign(x),
     "offset_freeplay": lambda x, v, p: p[0] * (x - np.clip(x, p[1] * (p[2] - 1), p[1] * (p[2] + 1))),
     "one_sided_stiffness": lambda x, v, p: p[0] * (max(x, p[1]) - max(0.0, p[1])),
+    "damped_stop": lambda x, v, p: (
+        p[0] * (max(np.sign(p[0]) * x - p[1], 0.0) * (1.0 + p[2] * np.sign(p[0]) * v) - max(-p[1], 0.0))
+    ),
     "hertz_contact": lambda x, v, p: p[0] * (max(np.sign(p[0]) * x - p[1], 0.0) ** 1.5 - max(-p[1], 0.0) ** 1.5),
     "magnetic_stiffness": lambda x, v, p: (
         p[0] * ((1 - x / p[1]) ** -p[2] - (1 + x / p[1]) ** -p[2] - 2 * p[2] * x / p[1])

@@ -44,6 +44,7 @@ BUMP = INDEX["bilinear_damping"]
 EDGE_C, EDGE_X = (INDEX[name] for name in NEW["dead_band_damping"])
 MID_C, MID_X = (INDEX[name] for name in NEW["mid_stroke_damping"])
 LIMITED_C, LIMITED_V = (INDEX[name] for name in NEW["speed_limited_damping"])
+SOFT_K, SOFT_GAP, SOFT_LOSS = (INDEX[name] for name in NEW["damped_stop"])
 MOVES_ALONG = INDEX["nonlinear_inertia"]
 DAHL_K, DAHL_F = (INDEX[name] for name in NEW["dahl_friction"])
 HERTZ_K, HERTZ_GAP = (INDEX[name] for name in NEW["hertz_contact"])
@@ -142,6 +143,11 @@ def _new(force, y, direction, probe, p):
             force += p[HERTZ_K] * max(towards * x - p[HERTZ_GAP], 0.0) ** 1.5
         if p[HERTZ_GAP] < 0.0:
             force -= p[HERTZ_K] * (-p[HERTZ_GAP]) ** 1.5
+    if p[SOFT_K] != 0.0:
+        towards = math.copysign(1.0, p[SOFT_K])
+        if towards * probe > p[SOFT_GAP]:
+            force += p[SOFT_K] * (towards * x - p[SOFT_GAP]) * (1.0 + towards * p[SOFT_LOSS] * v)
+        force -= p[SOFT_K] * max(-p[SOFT_GAP], 0.0)
     if p[PLAY_K] != 0.0:
         stop = p[PLAY] * (p[PLAY_R] + side)
         if side * (probe - stop) > 0.0:
@@ -227,6 +233,8 @@ def next_kink(x, direction, margin, slider, p):
             best = _nearer(best, direction * (side * (1.0 + EDGE) * p[EDGE_X] - x), margin)
     if p[HERTZ_K] != 0.0:
         best = _nearer(best, direction * (math.copysign(1.0, p[HERTZ_K]) * p[HERTZ_GAP] - x), margin)
+    if p[SOFT_K] != 0.0:
+        best = _nearer(best, direction * (math.copysign(1.0, p[SOFT_K]) * p[SOFT_GAP] - x), margin)
     if p[PLAY_K] != 0.0:
         best = _nearer(best, direction * (p[PLAY] * (p[PLAY_R] + 1.0) - x), margin)
         best = _nearer(best, direction * (p[PLAY] * (p[PLAY_R] - 1.0) - x), margin)

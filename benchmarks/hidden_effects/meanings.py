@@ -28,6 +28,7 @@ WORDS: dict[str, str] = {
     "offset_freeplay": "clearance",
     "one_sided_stiffness": "clearance",
     "hertz_contact": "clearance",
+    "damped_stop": "clearance",
     "coulomb_friction": "hysteresis",
     "jenkins": "hysteresis",
     "iwan": "hysteresis",
@@ -69,6 +70,7 @@ _RIGHTLY: dict[str, set[str]] = {
     "magnetic_attraction": {"asymmetry", "spring"},
     # Net damping is small at low speed and rises to the viscous damper's at high speed.
     "limited_negative_damping": {"drag"},
+    "damped_stop": {"clearance", "asymmetry", "displacement_damping"},
     # A stop on one side whose damping acts while it touches, and grows with how far it is pressed.
     "impact_stop": {"clearance", "asymmetry", "displacement_damping"},
     # In the coordinate in which the inertia is constant the same motion has a spring that hardens or softens.

@@ -185,6 +185,16 @@ def _power_spring(strength: float, rng: np.random.Generator, k: float, big: floa
     return parameters, abs(share)
 
 
+def _damped_stop(strength: float, rng: np.random.Generator, k: float, big: float, omega: float) -> Drawn:
+    gap = float(rng.uniform(0.1, 0.9) if rng.random() < 0.6 else -rng.uniform(0.1, 0.6)) * big
+    reach = big - max(gap, 0.0)
+    stop = min(strength * k * big / reach, _STIFFEST * k)
+    side = 1.0 if rng.random() < 0.5 else -1.0
+    loss = float(rng.uniform(0.05, 0.4)) / (big * omega)
+    parameters = {"damped_stop_stiffness": side * stop, "damped_stop_gap": gap, "stop_loss": loss}
+    return parameters, stop * reach / (k * big)
+
+
 def _stribeck(strength: float, rng: np.random.Generator, k: float, big: float, omega: float) -> Drawn:
     excess, turn = float(rng.uniform(0.3, 1.5)), log_uniform(rng, 0.05, 0.4)
     unit = _work(np.sign(_SINE) * (1.0 + excess * np.exp(-np.abs(_SINE) / turn)), big)
@@ -204,6 +214,7 @@ _DRAWN: dict[str, Callable[[float, np.random.Generator, float, float, float], Dr
     "absolute_displacement_damping": _absolute,
     "asymmetric_drag": _two_way,
     "bilinear_damping": _bump,
+    "damped_stop": _damped_stop,
     "dead_band_damping": _dead_band,
     "dahl_friction": _dahl,
     "hertz_contact": _hertz,

@@ -108,6 +108,17 @@ def _impact_stop(p: Values, release: float) -> Term:
     return Term(lambda x, v, s, at: k * (x - gap) * (1.0 + c * v) if at > gap else 0.0, (gap,))
 
 
+def _damped_stop(p: Values, release: float) -> Term:
+    k, gap, loss = p["damped_stop_stiffness"], p["damped_stop_gap"], p["stop_loss"]
+    side = 1.0 if k > 0.0 else -1.0
+
+    def force(x: float, v: float, s: float, at: float) -> float:
+        pressed = k * (side * x - gap) * (1.0 + loss * side * v) if side * at > gap else 0.0
+        return pressed + k * min(gap, 0.0)
+
+    return Term(force, (side * gap,))
+
+
 def _hertz(p: Values, release: float) -> Term:
     k, gap = p["hertz_stiffness"], p["hertz_gap"]
     side = math.copysign(1.0, k)
@@ -284,6 +295,7 @@ TERMS: dict[str, Callable[[Values, float], Term]] = {
     "cubic_damping": _of_speed("cubic_damping", 3),
     "cubic_stiffness": _polynomial("cubic_stiffness", 3),
     "dahl_friction": _dahl,
+    "damped_stop": _damped_stop,
     "dead_band_damping": _dead_band,
     "deadband_damper": _deadband,
     "displacement_dependent_damping": _van_der_pol,

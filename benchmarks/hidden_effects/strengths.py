@@ -27,6 +27,7 @@ STIFFNESS_KINDS = frozenset(
         "quintic_stiffness",
         "magnetic_attraction",
         "impact_stop",
+        "damped_stop",
         "displacement_dependent_inertia",
         "nonlinear_inertia",
         "hertz_contact",

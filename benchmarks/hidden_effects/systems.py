@@ -53,6 +53,7 @@ NEW: dict[str, tuple[str, ...]] = {
     "dead_band_damping": ("dead_band_damping", "dead_band"),
     "mid_stroke_damping": ("mid_stroke_damping", "mid_stroke"),
     "speed_limited_damping": ("speed_limited_damping", "critical_speed"),
+    "damped_stop": ("damped_stop_stiffness", "damped_stop_gap", "stop_loss"),
 }
 """Effects that the package holds beside these, as variants or to be named, with its names of their parameters."""
 
@@ -76,6 +77,7 @@ LIBRARY_NAMES_OF_OUTSIDE: dict[str, str] = {
     "one_way_drag": "asymmetric_drag",
     "displacement_dependent_inertia": "nonlinear_inertia",
     "deadband_damper": "dead_band_damping",
+    "impact_stop": "damped_stop",
     "limited_negative_damping": "speed_limited_damping",
 }
 """Laws of `OUTSIDE` that an effect of the package describes by now: the same force, written in other parameters, or

@@ -62,8 +62,9 @@ def find_baseline(
     bilinear one, and not at all for dry friction, whose half cycles lie on opposite sides. So the mid-line is
     extrapolated to zero amplitude with 1, A, A^2 and what one or two stops add beyond their gaps (`beyond_stop`),
     averaged over which of them the record supports (Bayesian information criterion); what laws of force make of it
-    that are none of these is an error in proportion to the mid-line of the last cycles. A record that hardly decays says little about that; but the force that shifts the
-    mid-line also makes a second harmonic, and about a third of the shift, which is used as one more observation.
+    that are none of these is an error in proportion to the mid-line of the last cycles. A record that hardly decays
+    says little about that; but the force that shifts the mid-line also makes a second harmonic, and about a third of
+    the shift, which is used as one more observation.
 
     A quiet tail after a decay that faded away shows the zero itself. A tail after a motion that stopped within a
     few cycles (dry friction: amplitude falls by four times the friction's displacement per cycle, and the rest is
@@ -125,8 +126,8 @@ def _extrapolated(
     weights /= weights.sum()
     mean = float(weights @ values)
     last = float(np.mean(middle[: max(middle.size // 8, 1)]))  # cycles are picked from the end
-    shape = (_SHAPE * (last - mean)) ** 2
-    variance = float(weights @ (np.array(variances) * own * overlap + (np.array(values) - mean) ** 2)) + shape
+    otherwise = (_SHAPE * (last - mean)) ** 2
+    variance = float(weights @ (np.array(variances) * own * overlap + (np.array(values) - mean) ** 2)) + otherwise
     return mean, float(np.hypot(np.sqrt(variance), _FLOOR * highest))
 
 
