@@ -380,7 +380,7 @@ def test_the_mid_line_is_told_of_what_differs_between_the_sides_alone(name):
     layout = SimpleNamespace(oscillator=oscillator, amplitude=AMPLITUDE)
     found = SimpleNamespace(layout=layout, parameters=lambda r: vector)
     sided = LIBRARY[name].mechanism in ("asymmetry", "damping_asymmetry") or name in (
-        "offset_freeplay", "one_sided_stiffness", "hertz_contact", "asymmetric_drag",
+        "offset_freeplay", "one_sided_stiffness", "hertz_contact", "damped_stop", "asymmetric_drag",
     )  # fmt: skip
     assert words._is_odd(batch, found, name) == (not sided)
 
@@ -844,7 +844,20 @@ def test_words_of_each_verdict():
         ("unexplained", {}, "no set of known effects explains it"),
         ("unexplained", {"drift_probability": 0.9}, "a drift with time explains the records better"),
         ("adequate", {"adequate_by": AdequateBy.STATISTICS, "best": ()}, "Nothing is missing"),
-        ("adequate", {"adequate_by": AdequateBy.TOLERANCE, "below": ("iwan",)}, "Iwan is detectable, but changes"),
+        (
+            "adequate",
+            {"adequate_by": AdequateBy.TOLERANCE, "below": ("iwan",), "probabilities": {("iwan",): 0.95}},
+            "Iwan is detectable, but changes",
+        ),
+        (
+            "adequate",
+            {
+                "adequate_by": AdequateBy.TOLERANCE,
+                "below": ("iwan",),
+                "probabilities": {("iwan",): 0.5, ("iwan", "jenkins"): 0.04, ("jenkins",): 0.46},
+            },
+            "something is detectable, most probably Iwan (54 %), but changes the backbones by less",
+        ),
         (
             "adequate",
             {"adequate_by": AdequateBy.TOLERANCE, "drift_probability": 0.9},
@@ -1146,6 +1159,8 @@ def test_what_may_be_a_spring_and_a_clearance_at_once_is_told_as_either():
 
     assert told(("spring",)) == pytest.approx({"spring": 1.0, "clearance": 0.1})
     assert told(("spring", "clearance")) == pytest.approx({"changing_stiffness": 1.0})
+    # nor is it told twice, as a spring or a clearance and as a spring or an inertia
+    assert told(("spring", "clearance", "inertia")) == pytest.approx({"changing_stiffness": 1.0})
 
 
 def test_what_a_larger_set_leaves_far_less_with_is_not_told_to_be_absent():

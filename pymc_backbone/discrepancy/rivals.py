@@ -296,9 +296,9 @@ def drift_check(
         return Check(
             name,
             False,
-            f"a frequency and damping that drift with time ({_rates(drifting, settling)}) "
-            f"explain the records as well as an effect of amplitude does (probability {probability:.2f}); release from "
-            "other amplitudes to tell the two apart",
+            f"a frequency and damping that drift with time ({_rates(drifting, settling)}) may explain the records in "
+            f"the place of an effect of amplitude, with a probability of {per_cent(probability)}; release from other "
+            "amplitudes to tell the two apart",
         )
     if len(drifting.state.own) == 1:
         said = "a change with time explains this decay no better, but one decay passes each amplitude once only"

@@ -81,11 +81,15 @@ def missing_mechanisms(
         )
 
     found = {kind: told(kind, (kind,)) for kind in sorted(frozenset().union(*kinds_of.values()))}
+    told_of: set[str] = set()  # one spring is not told twice, once with each mechanism that it may be instead
     for name, pair in EITHER.items():
+        if not told_of.isdisjoint(pair):
+            continue
         is_open = all(kind in found and not found[kind].is_certain for kind in pair)
         is_joined = set(pair) <= joined and any(kind in found for kind in pair)
         if (is_open or is_joined) and (both := told(name, pair)).is_certain:
             found = {key: item for key, item in found.items() if key not in pair} | {name: both}
+            told_of.update(pair)
     kept = [item for item in found.values() if item.probability >= _TOLD]
     return tuple(sorted(kept, key=lambda item: -item.probability))
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from .._common.text import capitalised, in_words, per_cent
 from ..effects import MECHANISMS
-from .decision import DRIFT_POSSIBLE, Decision
+from .decision import DRIFT_POSSIBLE, NAMED, Decision
 from .evidence import MISSING
 from .search import Set
 from .study import Check, MissingMechanism
@@ -266,6 +266,11 @@ def _of_adequate(decision: Decision) -> str:
     if decision.adequate_by is AdequateBy.TOLERANCE:
         what = _below(decision) if decision.below else "a drift with time is"
         verb = "change" if len(decision.below) > 1 else "changes"
+        chance = sum(p for names, p in decision.probabilities.items() if {*decision.below} <= {*names})
+        if decision.below and chance < NAMED:
+            likeliest = " and ".join(map(in_words, decision.below))
+            what, verb = f"something is detectable, most probably {likeliest} ({_chance(chance)})", "changes"
+            return f"The model is adequate: {what}, but {verb} the backbones by less than the tolerance."
         return f"The model is adequate: {what} detectable, but {verb} the backbones by less than the tolerance."
     if decision.p_missing > MISSING:
         return f"Nothing is missing: model and records agree within measurement error (p = {decision.p_missing:.2g})."
