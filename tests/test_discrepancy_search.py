@@ -969,6 +969,21 @@ def test_specimens_alike_or_not(cubic, linear, rng):
     assert not check.passed and check.message.startswith("odd one needs an effect")
 
 
+def test_records_that_grow_again_are_told_where_no_set_leaves_noise(cubic):
+    """As where two modes beat; of a batch whose decays are followed by another release, the decays are free."""
+    names, count = ("cubic_stiffness",), len(cubic.batch.records)
+    growing = tuple(replace(record, grows_again=True) for record in cubic.batch.records)
+    batch = replace(cubic.batch, records=growing)
+    base, found = cubic.fits[()], cubic.fits[names]
+    check = data_checks.one_decay_check(batch, base)
+    assert not check.passed and check.message.startswith(f"{count} of {count} records grow again")
+    assert data_checks.one_decay_check(batch, found).passed
+    assert not data_checks.one_decay_check(batch, found, is_exact=False).passed
+    assert data_checks.one_decay_check(cubic.batch, base).passed
+    few = replace(batch, records=(growing[0], *cubic.batch.records[1:]))
+    assert data_checks.one_decay_check(few, base).passed == (count > 1)
+
+
 def test_one_of_specimens_that_scatter_widely_is_no_outlier(rng):
     """How often the worst of some is told to be off, by the batch's own scatter and what was expected of it."""
 

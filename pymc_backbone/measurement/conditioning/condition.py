@@ -116,6 +116,7 @@ class _Conditioning:
         self.frequency, self.rate, self.step = free.frequency, free.rate, free.step
         self.begin, self.notes = free.begin, free.notes
         self.cycles_after = 1.0  # kept after the end of motion; none where what follows is another motion
+        self.grows_again = False
 
     def run(self) -> ConditionedRecord:
         """Condition the record."""
@@ -186,6 +187,7 @@ class _Conditioning:
             measured=self._measured(before, is_cut, (first, last), path, spectrum, band_pass, wander),
             notes=tuple(self.notes),
             is_cut=is_cut,
+            grows_again=self.grows_again,
         )
 
     def _filtered(self, values: FloatArray, band_pass: BandPass) -> FloatArray:
@@ -236,11 +238,12 @@ class _Conditioning:
             remedy = against_beats(find_second_mode(values, self.rate, path), path.frequency)
             what = "before the amplitude grows again"
             path = check_cycles(path.until(end), self.name, what, remedy, MINIMUM_CYCLES + 1.0)
-            self.cycles_after = 0.0
+            self.cycles_after, self.grows_again = 0.0, True
         else:
             first = int(np.ceil(end * self.rate))
             again = later_motion(values[first:], self.rate, self.frequency, float(path.amplitude[0]), spectrum.total)
             if again is not None:
+                self.grows_again = True
                 self.notes.append(again.note(self.begin + first / self.rate, self.rate, self.record.unit))
         self.free.samples.check_gaps(path.frequency, self.begin + end, self.name)
         return spectrum, path, end

@@ -100,6 +100,8 @@ class ConditionedRecord:
         What was assumed and done, one sentence each; warnings begin with ``warning:``.
     is_cut : bool
         Whether something before the free motion was left out, and a quarter of a cycle or more of it with that.
+    grows_again : bool
+        Whether the amplitude grows again after what is used: another release, or modes that beat.
 
     See Also
     --------
@@ -132,3 +134,4 @@ class ConditionedRecord:
     mid_line_error: float = 0.0
     mid_line_shape_error: float = 0.0
     is_cut: bool = False
+    grows_again: bool = False
