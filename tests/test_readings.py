@@ -530,6 +530,13 @@ def test_of_a_spring_behind_a_bent_sensor_the_mechanism_is_named():
     assert largest == pytest.approx(3.0 * np.exp(-2.0 * np.pi * RATIO), rel=0.03)
 
 
+@pytest.mark.parametrize(("even", "first"), [(0.004, "Look at the sensor's calibration"), (0.06, "Sensors are seldom")])
+def test_what_bends_readings_by_much_is_seldom_a_sensor(even, first):
+    items = {f"s{r}": Disturbance(0.0, 1.0, 0.0, 1.0, even=even * (1.0 + 0.1 * r)) for r in range(3)}
+    (said,) = sentences([Disturbed(items, ())])
+    assert first in said and "inertia changes with the displacement" in said
+
+
 def test_of_a_damper_behind_a_bent_sensor_the_law_is_named():
     study = asked(measured(np.random.default_rng(1), odd=0.05, effects=("quadratic_damping",)))
     assert study.missing_effects == ("quadratic_damping",)

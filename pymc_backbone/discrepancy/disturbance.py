@@ -12,6 +12,7 @@ from ..measurement.reading.record import Record
 from .set_fits import Set
 
 _LASTING = 0.3  # decay of a line over a record, in the logarithm, up to which it lasts
+_SELDOM = 0.02  # of the reading, by which a calibrated sensor is seldom bent
 _SAME = 1.05  # ratio of the frequencies of one line in specimens that are alike
 _MAINS, _OF_MAINS, _MOST_HARMONICS = (50.0, 60.0), 0.003, 6  # Hz, how closely, and how many harmonics of these
 _ROUNDS = 30  # of the solution for the motion at a reading
@@ -120,11 +121,17 @@ def sentences(found: Sequence[Disturbed]) -> list[str]:
         names = list(found[0].by_specimen)
         even = np.array([[item.by_specimen[name].even for name in names] for item in found]).sum(axis=0)
         odd = np.array([[item.by_specimen[name].odd for name in names] for item in found]).sum(axis=0)
+        sizes = np.hypot(even, odd)
+        force = "the inertia changes with the displacement, or the damping differs between the two sides"
+        why = f"Look at the sensor's calibration; where that is straight, {force}, which reads the same"
+        if np.median(sizes) > _SELDOM:
+            why = (
+                f"Sensors are seldom off by so much: it may rather be that {force}, which reads the same; look at both"
+            )
         said.append(
             "warning: the sensor's reading is not in proportion to the motion: at the largest motion of each record it "
-            f"is {_range(np.hypot(even, odd).tolist())} off a straight line, which no effect of the library explains, "
-            "and the records were straightened. Look at the sensor's calibration; where that is straight, the inertia "
-            "changes with the displacement, or the damping differs between the two sides, which reads the same"
+            f"is {_range(sizes.tolist())} off a straight line, which no effect of the library explains, and the "
+            f"records were straightened. {why}"
         )
     lines = [one for item in found for one in item.by_specimen.values() if one.frequency]
     if lines:
