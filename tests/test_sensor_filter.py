@@ -11,7 +11,8 @@ from scipy.signal import butter, freqs, sosfilt
 
 import pymc_backbone as pb
 from pymc_backbone.discrepancy import data_checks, evidence, workflow
-from pymc_backbone.discrepancy.filter_search import _lowest, early_high_pass, sensor_filter
+from pymc_backbone.discrepancy.filter_search import early_high_pass, sensor_filter
+from pymc_backbone.discrepancy.high_passes import _lowest
 from pymc_backbone.discrepancy.normal_equations import State
 from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.discrepancy.sensor_filter import Chain, SensorFilter, with_past

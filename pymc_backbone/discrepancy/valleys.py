@@ -169,9 +169,9 @@ class _Walk:
         room = np.where(moved > 0.0, high - last.chart, last.chart - low)
         is_moving = (np.abs(moved) > 1e-3) & np.isfinite(room)
         shares = room[is_moving] / np.abs(moved[is_moving])
-        fall = last.state.own[:, 0] - own[:, 0]
-        softer = last.state.own[:, 0] > 0.0
-        shares = np.append(shares, 0.98 * last.state.own[softer, 0] / np.maximum(fall[softer], 1e-300))
+        stiff = last.state.own[:, 0] > 0.0
+        falls = 1.0 - own[stiff, 0] / last.state.own[stiff, 0]
+        shares = np.append(shares, 0.98 / np.maximum(falls, 1e-9))
         share = float(np.min(shares, initial=np.inf))
         return (at, False) if share >= 1.0 else (last.at + max(share, 0.0) * (at - last.at), True)
 
