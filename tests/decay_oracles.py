@@ -298,6 +298,7 @@ ORACLES: dict[str, Callable[[], Spring]] = {
     "dead_band_damping": lambda: Spring(_dead_band, lambda p: (-1.02 * p[1], -0.98 * p[1], 0.98 * p[1], 1.02 * p[1])),
     "mid_stroke_damping": lambda: Spring(lambda x, v, d, p: p[0] * v / np.exp(x**2 / p[1] ** 2)),
     "speed_limited_damping": lambda: Spring(lambda x, v, d, p: p[0] * v * p[1] ** 2 / (p[1] ** 2 + v**2)),
+    "geometric_stiffness": lambda: Spring(lambda x, v, d, p: p[0] * x * (1.0 - p[1] / np.hypot(x, p[1]))),
     "structural_damping": lambda: Spring(lambda x, v, d, p, side: p[0] * side * x * d, lambda p: (0.0,)),
     "tabulated_stiffness": lambda: Spring(tabulated_stiffness),
     "tabulated_damping": lambda: Spring(tabulated_damping),

@@ -393,6 +393,16 @@ def test_drifts_take_the_place_of_scatter_as_far_as_each_record_has_its_own(valu
     assert with_gain - without == pytest.approx(-5.0 * (1.0 - share), abs=0.35)
 
 
+def test_drifts_of_each_record_that_are_certain_leave_a_number():
+    """Rounding made the probability that none has its own less than nothing, and its logarithm no number."""
+    found = []
+    for seed in range(200):
+        own, covariance = np.zeros((4, 9)), np.ones((4, 9))
+        own[:, DRIFTS], covariance[:, DRIFTS] = 9.0 * np.random.default_rng(seed).normal(size=(4, 2)), 1e-6
+        found.append(drift_bonus(*_drifting(own, covariance, 5.0)))
+    assert np.isfinite(found).all()
+
+
 @pytest.mark.parametrize("is_blind", [True, False])
 def test_what_is_in_the_best_set_is_asked_where_backbones_lack_the_mid_line(is_blind, rng):
     """A stop on one side had been named with a clearance that did nothing: by its backbones it was far off."""

@@ -701,6 +701,7 @@ FORMULAS = {
     "power_stiffness": lambda x, v, p: p[0] / p[2] ** p[1] * abs(x) ** p[1] * np.sign(x),
     "offset_freeplay": lambda x, v, p: p[0] * (x - np.clip(x, p[1] * (p[2] - 1), p[1] * (p[2] + 1))),
     "one_sided_stiffness": lambda x, v, p: p[0] * (max(x, p[1]) - max(0.0, p[1])),
+    "geometric_stiffness": lambda x, v, p: p[0] * x - p[0] * x / np.sqrt(1.0 + (x / p[1]) ** 2),
     "damped_stop": lambda x, v, p: (
         p[0] * (max(np.sign(p[0]) * x - p[1], 0.0) * (1.0 + p[2] * np.sign(p[0]) * v) - max(-p[1], 0.0))
     ),

@@ -28,6 +28,7 @@ TRUTHS = {
     "absolute_displacement_damping": (0.04 * MASS * OMEGA / AMPLITUDE,),
     "power_displacement_damping": (0.04 * MASS * OMEGA, 0.6, AMPLITUDE),
     "damped_stop": (0.4 * STIFFNESS, 0.25 * AMPLITUDE, 0.2 / (AMPLITUDE * OMEGA)),
+    "geometric_stiffness": (0.4 * STIFFNESS, 0.5 * AMPLITUDE),
     "dead_band_damping": (0.05 * MASS * OMEGA, 0.45 * AMPLITUDE),
     "mid_stroke_damping": (0.04 * MASS * OMEGA, 0.3 * AMPLITUDE),
     "speed_limited_damping": (0.04 * MASS * OMEGA, 0.4 * AMPLITUDE * OMEGA),

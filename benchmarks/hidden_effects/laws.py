@@ -45,6 +45,7 @@ EDGE_C, EDGE_X = (INDEX[name] for name in NEW["dead_band_damping"])
 MID_C, MID_X = (INDEX[name] for name in NEW["mid_stroke_damping"])
 LIMITED_C, LIMITED_V = (INDEX[name] for name in NEW["speed_limited_damping"])
 SOFT_K, SOFT_GAP, SOFT_LOSS = (INDEX[name] for name in NEW["damped_stop"])
+CROSS_K, CROSS_L = (INDEX[name] for name in NEW["geometric_stiffness"])
 MOVES_ALONG = INDEX["nonlinear_inertia"]
 DAHL_K, DAHL_F = (INDEX[name] for name in NEW["dahl_friction"])
 HERTZ_K, HERTZ_GAP = (INDEX[name] for name in NEW["hertz_contact"])
@@ -175,6 +176,8 @@ def _new(force, y, direction, probe, p):
         force += p[MID_C] * v * math.exp(-((x / p[MID_X]) ** 2))
     if p[LIMITED_C] != 0.0:
         force += p[LIMITED_C] * v / (1.0 + (v / p[LIMITED_V]) ** 2)
+    if p[CROSS_K] != 0.0:
+        force += p[CROSS_K] * x * (1.0 - p[CROSS_L] / math.hypot(x, p[CROSS_L]))
     if p[POWER_K] != 0.0:
         force += p[POWER_K] * side * max(side * x / p[POWER_K_X], 0.0) ** p[POWER_K_N]
     return force

@@ -22,6 +22,7 @@ WORDS: dict[str, str] = {
     "pendulum_stiffness": "spring",
     "power_stiffness": "spring",
     "magnetic_stiffness": "spring",
+    "geometric_stiffness": "spring",
     "quadratic_stiffness": "asymmetry",
     "bilinear_stiffness": "asymmetry",
     "freeplay": "clearance",

@@ -195,6 +195,14 @@ def _damped_stop(strength: float, rng: np.random.Generator, k: float, big: float
     return parameters, stop * reach / (k * big)
 
 
+def _inclined(strength: float, rng: np.random.Generator, k: float, big: float, omega: float) -> Drawn:
+    length = log_uniform(rng, 0.2, 1.5)
+    share = strength if rng.random() < 0.5 else -min(strength, 0.12)
+    unit = 1.0 - length / math.hypot(1.0, length)
+    limited = float(np.clip(share / unit, -0.5, _STIFFEST))
+    return {"geometric_stiffness": limited * k, "inclined_length": length * big}, abs(limited) * unit
+
+
 def _stribeck(strength: float, rng: np.random.Generator, k: float, big: float, omega: float) -> Drawn:
     excess, turn = float(rng.uniform(0.3, 1.5)), log_uniform(rng, 0.05, 0.4)
     unit = _work(np.sign(_SINE) * (1.0 + excess * np.exp(-np.abs(_SINE) / turn)), big)
@@ -217,6 +225,7 @@ _DRAWN: dict[str, Callable[[float, np.random.Generator, float, float, float], Dr
     "damped_stop": _damped_stop,
     "dead_band_damping": _dead_band,
     "dahl_friction": _dahl,
+    "geometric_stiffness": _inclined,
     "hertz_contact": _hertz,
     "magnetic_stiffness": _magnets,
     "maxwell_element": _arm,

@@ -119,6 +119,11 @@ def _damped_stop(p: Values, release: float) -> Term:
     return Term(force, (side * gap,))
 
 
+def _inclined(p: Values, release: float) -> Term:
+    k, length = p["geometric_stiffness"], p["inclined_length"]
+    return Term(lambda x, v, s, at: k * x - k * x / math.sqrt(1.0 + (x / length) ** 2))
+
+
 def _hertz(p: Values, release: float) -> Term:
     k, gap = p["hertz_stiffness"], p["hertz_gap"]
     side = math.copysign(1.0, k)
@@ -301,6 +306,7 @@ TERMS: dict[str, Callable[[Values, float], Term]] = {
     "displacement_dependent_damping": _van_der_pol,
     "displacement_dependent_inertia": _inertia,
     "freeplay": _freeplay,
+    "geometric_stiffness": _inclined,
     "hertz_contact": _hertz,
     "impact_stop": _impact_stop,
     "iwan": _iwan,

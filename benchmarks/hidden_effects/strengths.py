@@ -28,6 +28,7 @@ STIFFNESS_KINDS = frozenset(
         "magnetic_attraction",
         "impact_stop",
         "damped_stop",
+        "geometric_stiffness",
         "displacement_dependent_inertia",
         "nonlinear_inertia",
         "hertz_contact",

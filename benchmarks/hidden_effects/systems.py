@@ -54,6 +54,7 @@ NEW: dict[str, tuple[str, ...]] = {
     "mid_stroke_damping": ("mid_stroke_damping", "mid_stroke"),
     "speed_limited_damping": ("speed_limited_damping", "critical_speed"),
     "damped_stop": ("damped_stop_stiffness", "damped_stop_gap", "stop_loss"),
+    "geometric_stiffness": ("geometric_stiffness", "inclined_length"),
 }
 """Effects that the package holds beside these, as variants or to be named, with its names of their parameters."""
 

@@ -40,7 +40,7 @@ def drift_bonus(drifting: Fit, alone: Fit) -> float:
             _log_normal(measured_drift, noise + 1.0),
         ]
         total = float(logsumexp(logs, b=prior))
-        is_none_own *= 1.0 - prior[-1] * float(np.exp(logs[-1] - total))
+        is_none_own *= max(1.0 - prior[-1] * float(np.exp(logs[-1] - total)), 0.0)  # rounding may make it less
         cost = 0.5 * float(value @ value) - 0.5 * float(np.log(variance).sum())
         bonus += min(total - logs[-1], cost)
     gained = drifting.scatter.log_evidence - alone.scatter.log_evidence

@@ -15,6 +15,7 @@ from .set_fits import Set
 from .side_by_side import ABREAST, fit_side_by_side
 
 _LIKELIEST = 4  # sets whose variants are replaced by what they vary
+_OVERDRAWN = 1.3  # of the budget, up to which variants are asked where that is spent
 _AS_LIKELY = 4.0  # logarithm of evidence of the backbones, within which others with variants are asked ...
 _MOST_PROMISED = 8  # ... and how many
 NEEDED = 5.0
@@ -41,6 +42,11 @@ class VariedSets(RevisitedSets):
         for names in [names for names in self.fits if not self._is_needed(names)]:
             del self.fits[names]
 
+    @property
+    def _is_overdrawn(self) -> bool:
+        """Return whether variants took so much beyond the budget that no more are asked."""
+        return self.descent.effort > _OVERDRAWN * self.budget
+
     def _promised_variants(self) -> list[Set]:
         """Return sets with variants that were not fitted and whose backbones are as likely as those of the best set.
 
@@ -62,7 +68,7 @@ class VariedSets(RevisitedSets):
         is_new = variant != name and len(names) == len(varied) and names not in self.fits
         if not (is_new and is_akin(name, variant)) or (self._is_costly(names) and not self._is_costly(varied)):
             return
-        if self._is_spent and (self._is_costly(names) or not self.explains(self.fits[varied])):
+        if self._is_spent and (self._is_costly(names) or not self.explains(self.fits[varied]) or self._is_overdrawn):
             return  # of what explains the records, the few that are soon fitted are asked all the same
         self.progress("variants of effects", 0.5)
         found = self._fit_varied(names)
@@ -86,7 +92,7 @@ class VariedSets(RevisitedSets):
         """
         for names in self.ranked()[:_LIKELIEST]:
             varied = self.fits[names]
-            if self._is_spent and not self.explains(varied):
+            if self._is_spent and (self._is_overdrawn or not self.explains(varied)):
                 continue
             for plain in self._plain(names) if not self.is_refuted(names) else ():
                 known, is_possible = self.fits.get(plain), {*plain} <= {*self.candidates, *self.variants}
