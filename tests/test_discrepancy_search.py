@@ -1470,17 +1470,19 @@ def test_rivals_of_the_best_set_begin_otherwise(cubic, monkeypatch):
 
 
 def test_variants_of_what_explains_are_asked_although_the_effort_is_spent(cubic, monkeypatch):
-    search = Search(
-        cubic.batch, Oscillator(MASS, ()), ("cubic_stiffness",), 1, budget=1.0, variants=("power_stiffness",)
-    )
+    search = Search(cubic.batch, Oscillator(MASS, ()), ("cubic_stiffness",), 1, variants=("power_stiffness",))
     for names in ((), ("cubic_stiffness",)):
         search.fit_set(names)
+    search.budget = 0.9 * search.descent.effort
     assert search._is_spent
     varied = []
     monkeypatch.setattr(Search, "_fit_varied", lambda _, names: varied.append(names))
     search._vary()
     assert varied == [("power_stiffness",)]
-    monkeypatch.setattr(Search, "explains", lambda *_: False)  # negative control
+    search.budget = 0.5 * search.descent.effort  # negative controls: what took half as much again ends
+    search._vary()
+    search.budget = 0.9 * search.descent.effort
+    monkeypatch.setattr(Search, "explains", lambda *_: False)
     search._vary()
     assert varied == [("power_stiffness",)]
 

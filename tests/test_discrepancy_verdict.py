@@ -94,7 +94,7 @@ def check_whole(study):
     assert not any("_" in text for text in (study.sentence, *study.reasons, *study.advice))
     assert (study.adequate_by is None) == (study.verdict != "adequate")
     assert (study.extended is None) == (study.after is None)
-    assert len(study.checks) == 5 and all(item.message for item in study.checks)
+    assert len(study.checks) == 6 and all(item.message for item in study.checks)
     assert study.before["value"].shape == study.backbones["value"].shape
     assert dataclasses.is_dataclass(study) and study.seconds > 0.0
 

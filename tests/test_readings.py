@@ -19,6 +19,7 @@ from pymc_backbone.discrepancy.edges import Edges, edges
 from pymc_backbone.discrepancy.promising import is_promising
 from pymc_backbone.discrepancy.readings import _is_hum, _is_one_line, disturbed, early_line
 from pymc_backbone.discrepancy.search import Search
+from pymc_backbone.simulation.decay import simulate_waveform
 
 from .discrepancy_cases import (
     AMPLITUDE,
@@ -511,6 +512,33 @@ def asked(records, candidates=CANDIDATES):
     return pb.find_missing_effect(
         pb.Oscillator(MASS), records, candidates=candidates, quick=True, held_out=0, random_seed=1
     )
+
+
+def test_a_bent_sensor_alone_is_asked_where_a_rare_law_or_two_leave_noise():
+    """A damper that differs between the directions and a spring of two sides make up for an even curve together."""
+    names = ("bilinear_damping", "quadratic_stiffness")
+    search = Search(
+        batch_of(measured(np.random.default_rng(1), even=0.005, effects=())), pb.Oscillator(MASS), names[1:], 2,
+        variants=names[:1],
+    )  # fmt: skip
+    for some in ((), *((name,) for name in names), names):
+        search.fit_set(some)
+    assert search.best() == names and evidence.leaves_noise(search.batch, search.fits[names])
+    found = disturbed(search)
+    assert found.beside == () and found.is_bent
+    curves = [item.even * AMPLITUDE / item.scale for item in found.by_specimen.values()]
+    assert curves == pytest.approx([0.005] * len(curves), rel=0.15)
+    # negative control: what bends the motion is the damper
+    rng, damper, records = np.random.default_rng(2), pb.Oscillator(MASS, names[:1]), []
+    values = dict(zip(damper.parameter_names, (STIFFNESS, DAMPING, 0.5 * DAMPING), strict=True))
+    for release in (AMPLITUDE, 0.8 * AMPLITUDE):
+        exact = simulate_waveform(damper, values, TIME - RELEASE_TIME, release).displacement
+        records.append(noisy(rng, f"from {release}", TIME, np.where(TIME < RELEASE_TIME, release, exact), 60.0))
+    search = Search(batch_of(records), pb.Oscillator(MASS), names[1:], 2, variants=names[:1])
+    for some in ((), *((name,) for name in names)):
+        search.fit_set(some)
+    assert search.best() == names[:1] and evidence.leaves_noise(search.batch, search.fits[names[:1]])
+    assert disturbed(search) is None
 
 
 def test_of_a_spring_behind_a_bent_sensor_the_mechanism_is_named():

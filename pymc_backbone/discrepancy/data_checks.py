@@ -84,7 +84,7 @@ def one_decay_check(batch: Batch, best: Fit, *, is_exact: bool = True) -> Check:
         False,
         f"{sum(growing)} of {len(growing)} records grow again after what was used of them, and no set leaves noise "
         "there: where two modes beat, what was used is a piece of the beat, and no law is in it; keep one mode with "
-        "--band, or choose one decay with --start and --stop",
+        "`band`, or choose one decay with `start` and `stop`",
     )
 
 

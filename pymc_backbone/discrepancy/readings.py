@@ -32,7 +32,6 @@ from .lines import lines_beside
 from .normal_equations import DRIFTS, State, derivatives
 from .search import Search, Set
 from .telling import Telling, most_telling
-from .varied_sets import is_akin
 
 _MOST = 0.1  # of the reading at the largest motion: what bends by more is no sensor
 _MOST_OF_A_LINE = 0.3  # of the motion: beside more, the other mode is no disturbance
@@ -76,7 +75,9 @@ def disturbed(search: Search) -> Disturbed | None:
     likeliest = [best] if is_exact else search.ranked()[:_ASKED]
     asked = [part for names in likeliest if names for part in combinations(names, len(names) - 1)]
     asked += likeliest
-    plain = [other for names in asked for other in _plainer(search, names)] if is_exact else []
+    is_rare = is_exact and (len(best) > 1 or not {*best}.isdisjoint(search.variants))
+    asked += [()] if is_rare else []  # a bent sensor and nothing else is likelier than several laws, or a rare one
+    plain = [other for names in asked for other in search.plainer(names)] if is_exact else []
     jobs, priced = [], []
     for names in dict.fromkeys((*asked, *plain)):
         start = search.fit_set(names)
@@ -91,7 +92,7 @@ def disturbed(search: Search) -> Disturbed | None:
             price = _COST * (4.0 * has_line + 2.0 * is_bent) * len(batch.specimens)
             more = search.fits[best].layout.free.size - start.layout.free.size
             # one sensor bends alike in all records, and a law less is worth its parameters
-            is_one = is_bent and not has_line and bool(names)
+            is_one = is_bent and not has_line and (bool(names) or is_rare)
             least = _COST * (2.0 - more) if is_one else price
             limit = search.fits[best].cost - least if is_exact else _NEAR * search.count
             whole = partial(_beside, batch, start, limit, has_line=has_line, is_bent=is_bent)
@@ -106,17 +107,6 @@ def disturbed(search: Search) -> Disturbed | None:
             items = dict(zip(batch.specimens, beside.items, strict=True))
             found.append((beside.cost + price, Disturbed(items, names)))
     return min(found, key=lambda item: item[0])[1] if found else None
-
-
-def _plainer(search: Search, names: Set) -> list[Set]:
-    """Return the sets with a plain law in the place of a variant: the sensor may be what the variant is for."""
-    return [
-        tuple(sorted({*names, plain} - {name}))
-        for name in names
-        if name in search.variants
-        for plain in search.candidates
-        if plain not in names and is_akin(plain, name)
-    ]
 
 
 def _is_one_sensor(beside: _Left) -> bool:

@@ -85,6 +85,16 @@ class VariedSets(RevisitedSets):
             for name in LIBRARY[variant].variant_of
         ]
 
+    def plainer(self, names: Set) -> list[Set]:
+        """Return the sets with a plain law in the place of a variant: something else may be what the variant is for."""
+        return [
+            tuple(sorted({*names, plain} - {name}))
+            for name in names
+            if name in self.variants
+            for plain in self.candidates
+            if plain not in names and is_akin(plain, name)
+        ]
+
     def _ask_plain(self) -> None:
         """Fit what variants of the likeliest sets vary once more, from there: its own fits may have lost their way.
 

@@ -69,7 +69,8 @@ def _of_mechanism(item: MissingMechanism, is_like: bool) -> str:
         which = f"which law these records do not tell: {told}{', some of them together' if is_joint else ''}"
     else:
         known = " or one like it, not exactly" if is_like else f" ({_chance(laws[0].probability)})"
-        which = f"its law is {in_words(laws[0].effect)}{known}"
+        is_told = is_like or laws[0].probability >= NAMED * item.probability
+        which = f"its law is {'' if is_told else 'perhaps '}{in_words(laws[0].effect)}{known}"
         beside = [f"{in_words(law.effect)} ({_chance(law.probability)})" for law in laws[1:] if law.probability > _REST]
         which += f", beside it perhaps {', '.join(beside)}" if beside else ""
     share = f"{_chance(item.probability)}, {100.0 * item.share_of_gap:.0f} % of the gap"

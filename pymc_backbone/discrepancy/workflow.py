@@ -50,6 +50,7 @@ from .verdict import NamedLevel, Verdict
 from .verify import MOST_HELD_OUT, Verification, verify
 
 _QUICK_BUDGET = 0.5
+_LEFT = 0.3  # of the gap, that force curves leave at most where they are said to explain the records
 
 
 def find_missing_effect(
@@ -179,7 +180,7 @@ def find_missing_effect(
     if curves is None:
         return study
     study = replace(study, force_curves=curves)
-    if not (curves.is_possible and curves.p_value >= UNEXPLAINED):
+    if not (curves.is_possible and curves.p_value >= UNEXPLAINED and not curves.share_left > _LEFT):
         return study
     is_drift_exact = outcome.drifting is not None and leaves_noise(question.batch, outcome.drifting)
     return replace(study, sentence=verdict_words.with_forces(study.sentence, is_drift_exact=is_drift_exact))
