@@ -232,8 +232,9 @@ class Effect:
         A parameter, and the mechanism that the effect has where that is below a value; a gap in amplitudes.
     variant_of : tuple of str
         Names of the effects of the library that this is a variant of: the search for a missing effect looks for it in
-        the place of each of them, where a set that holds that one comes near the records, and not by itself. Named as a
-        candidate, it is looked for as any other.
+        the place of each of them, where a set that holds that one comes near the records, or where its backbones are as
+        likely as those of the most probable set, and not by itself. Named as a candidate, it is looked for as any
+        other.
     only_if_named : bool
         Whether the effect is looked for only when it is named as a candidate: because the free decay of one mode does
         not tell it from the linear spring and the viscous damper that every oscillator has, or because it is a case of
