@@ -58,7 +58,7 @@ EFFECT = Effect(
             summary="speed at which the force is largest",
             role="shape",
             bounds=lambda mass, amplitude, angular_frequency: (
-                0.02 * amplitude * angular_frequency,
+                0.05 * amplitude * angular_frequency,
                 2.0 * amplitude * angular_frequency,
             ),
         ),

@@ -137,6 +137,9 @@ def _shapes(relative: FloatArray) -> Iterator[tuple[list[FloatArray], int]]:
     yield [], 0
     for some in (powers[1:], powers[:1], powers):
         yield some, 0
+    for higher in (3, 4):  # of a spring that bends and hardens
+        yield [powers[1], relative**higher], 0
+        yield [powers[1], relative**higher, relative ** (2 * higher - 2)], 0
     stops = {gap: beyond_stop(relative, gap) / beyond_stop(np.ones(1), gap) for gap in GAPS}
     for stop in stops.values():
         yield [stop], 1
