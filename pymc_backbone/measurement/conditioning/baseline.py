@@ -15,6 +15,8 @@ from .tracking import Track
 _SIGNIFICANT = 4.0
 _FLOOR = 1e-4
 _STOPPING = 2.0
+_FEWEST = 3
+"""Numbers that a mid-line is extrapolated with, however few cycles there are."""
 _SHAPE = 0.1
 """Of the mid-line of the last cycles, how far laws of force that are none of these carry it elsewhere."""
 
@@ -105,8 +107,10 @@ def _extrapolated(
     sigma = max(float(sigma), 1e-6 * highest)
     shift, shift_error = (highest * item for item in implied_shift(*harmonic))
     shift_error += sigma
-    misfits, counts, values, variances = [], [], [], []
-    for columns, gaps in _shapes(relative):
+    misfits, counts, rarities, values, variances = [], [], [], [], []
+    for columns, gaps, rarity in _shapes(relative):
+        if 1 + len(columns) + gaps > max(_FEWEST, relative.size / overlap - 1.0):
+            continue  # as many numbers as there are cycles
         shape = np.column_stack([np.ones(relative.size), *columns])
         # the last row: the mid-line at full amplitude as the second harmonic has it
         rows = np.vstack([shape / sigma, np.append(0.0, np.ones(len(columns))) / shift_error])
@@ -114,13 +118,14 @@ def _extrapolated(
         solution = np.linalg.lstsq(rows, right, rcond=None)[0]
         misfits.append(float(np.sum((right - rows @ solution) ** 2)))
         counts.append(shape.shape[1] + gaps)
+        rarities.append(rarity)
         values.append(float(solution[0]))
         variances.append(float(np.linalg.pinv(rows.T @ rows)[0, 0]))
     misfit, count = np.array(misfits), np.array(counts)
     # what no model explains is no white noise: the best one says how large it is
     scatter = np.maximum(np.min(misfit / np.maximum(relative.size + 1 - count, 1)), 1.0)
     # cycles that overlap are fewer observations than they seem: as evidence between the models, too
-    scores = misfit / (scatter * overlap) + count * np.log(max(relative.size / overlap, 2.0))
+    scores = misfit / (scatter * overlap) + count * np.log(max(relative.size / overlap, 2.0)) + 2.0 * np.log(rarities)
     own = np.maximum(misfit / np.maximum(relative.size + 1 - count, 1), 1.0)
     weights = np.exp(-0.5 * (scores - scores.min()))
     weights /= weights.sum()
@@ -131,22 +136,24 @@ def _extrapolated(
     return mean, float(np.hypot(np.sqrt(variance), _FLOOR * highest))
 
 
-def _shapes(relative: FloatArray) -> Iterator[tuple[list[FloatArray], int]]:
-    """Yield what may move the mid-line, each 1 at the largest amplitude, and how many gaps were chosen for it."""
-    powers = [relative, relative**2]
-    yield [], 0
-    for some in (powers[1:], powers[:1], powers):
-        yield some, 0
-    for higher in (3, 4):  # of a spring that bends and hardens
-        yield [powers[1], relative**higher], 0
-        yield [powers[1], relative**higher, relative ** (2 * higher - 2)], 0
-    stops = {gap: beyond_stop(relative, gap) / beyond_stop(np.ones(1), gap) for gap in GAPS}
-    for stop in stops.values():
-        yield [stop], 1
-        yield [powers[0], stop], 1
-        yield [powers[1], stop], 1
-    for one, other in combinations(stops.values(), 2):
-        yield [one, other], 2
+def _shapes(relative: FloatArray) -> Iterator[tuple[list[FloatArray], int, int]]:
+    """Yield what may move the mid-line, each 1 at the largest amplitude, its number of gaps, and of how many it is one.
+
+    Shapes that differ in their gaps or orders alone are one possibility beforehand, not as many.
+    """
+    linear, square = relative, relative**2
+    for columns in ([], [square], [linear], [linear, square]):
+        yield columns, 0, 1
+    for order in (3, 4):  # of a spring that bends and hardens
+        yield [square, relative**order], 0, 2
+        yield [square, relative**order, relative ** (2 * order - 2)], 0, 2
+    stops = [beyond_stop(relative, gap) / beyond_stop(np.ones(1), gap) for gap in GAPS]
+    for stop in stops:
+        for columns in ([stop], [linear, stop], [square, stop]):
+            yield columns, 1, len(stops)
+    pairs = list(combinations(stops, 2))
+    for pair in pairs:
+        yield [*pair], 2, len(pairs)
 
 
 def _cycle_means(path: Track) -> tuple[FloatArray, FloatArray, float]:
