@@ -16,8 +16,9 @@ from pymc_backbone.discrepancy import edges as edges_module
 from pymc_backbone.discrepancy import evidence
 from pymc_backbone.discrepancy.disturbance import Disturbance, Disturbed, line_modes, sentences
 from pymc_backbone.discrepancy.edges import Edges, edges
+from pymc_backbone.discrepancy.mode_lines import is_hum
 from pymc_backbone.discrepancy.promising import is_promising
-from pymc_backbone.discrepancy.readings import _is_hum, _is_one_line, disturbed, early_line
+from pymc_backbone.discrepancy.readings import _is_one_line, disturbed, early_line
 from pymc_backbone.discrepancy.search import Search
 from pymc_backbone.simulation.decay import simulate_waveform
 
@@ -268,8 +269,8 @@ def test_a_hum_that_meets_a_harmonic_of_one_record_is_taken_away_beside_another_
     assert "another mode leaves" in told and "what runs nearby leaves" in told
     # negative control: at one order of the frequency in all, it is no hum
     places = np.array([15.0, 15.01, 14.99])
-    assert _is_hum(places, places / np.array([5.0, 5.2, 4.9]))
-    assert not _is_hum(places, np.array([3.0, 3.001, 2.999]))
+    assert is_hum(places, places / np.array([5.0, 5.2, 4.9]))
+    assert not is_hum(places, np.array([3.0, 3.001, 2.999]))
 
 
 @pytest.mark.parametrize("effects", [("cubic_stiffness",), ("quadratic_damping",), ()])

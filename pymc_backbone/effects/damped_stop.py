@@ -11,15 +11,7 @@ import numpy as np
 
 from .._common.checks import FloatArray
 from ._base import Effect, Parameter, Signature
-
-
-@numba.njit
-def regime(x: float, v: float, direction: float, z: FloatArray, p: FloatArray) -> int:
-    """Return 1 in contact and 0 apart, 2 more where preloaded, 4 more on the negative side; on a kink, what comes."""
-    side = -1.0 if p[0] < 0.0 else 1.0
-    approach = side * x - p[1]
-    touches = approach > 0.0 or (approach == 0.0 and side * direction > 0.0)
-    return (1 if touches else 0) + (2 if p[1] < 0.0 else 0) + (4 if side < 0.0 else 0)
+from ._contact import regime
 
 
 @numba.njit
