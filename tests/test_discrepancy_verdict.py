@@ -20,8 +20,8 @@ from pymc_backbone.discrepancy import (
     candidate_table,
     decide,
     inexact,
+    left_beside,
     minded,
-    readings,
     rivals,
     shares,
     verdict_words,
@@ -557,7 +557,7 @@ def test_a_base_that_is_best_because_nothing_explains_is_no_chance():
 def test_a_beating_mode_is_reported(is_taken, rng, monkeypatch):
     """Taken away where it is a disturbance; where it is more than that, nothing is named."""
     if not is_taken:
-        monkeypatch.setattr(readings, "_MOST_OF_A_LINE", 0.05)
+        monkeypatch.setattr(left_beside, "_MOST_OF_A_LINE", 0.05)
     beating = decaying_sinusoid(0.08 * AMPLITUDE, 7.3)
     records = [dataclasses.replace(record, values=record.values + beating) for record in make_records(rng)]
     study = study_of(records)
