@@ -126,6 +126,26 @@ def test_a_spike_is_bridged_and_said(per_cycle: int, width: int, rng: np.random.
     assert np.max(np.abs(found.damping - reference.damping) / reference.damping_error) < 3.0
 
 
+@pytest.mark.parametrize("apart", [2, 3, 5, 7, 10])
+@pytest.mark.parametrize("per_cycle", [20, 60])
+def test_spikes_beside_each_other_are_bridged(apart: int, per_cycle: int, rng: np.random.Generator) -> None:
+    """At any phase, also where motion passes zero fastest, and of either sign."""
+    _, (x, _, _) = simulated("hardening", 0.01, 30, per_cycle)
+    clean = x + 1e-4 * rng.standard_normal(x.size)
+    for start in range(5 * per_cycle, 6 * per_cycle, max(per_cycle // 10, 1)):
+        for heights in ((0.2, 0.3), (-0.25, 0.15)):
+            at = start + np.array([0, apart])
+            spoiled = clean.copy()
+            spoiled[at] += heights
+            bridged, spikes = without_spikes(spoiled)
+            assert [(spike.first, spike.count) for spike in spikes] == [(i, 1) for i in at]
+            assert np.max(np.abs(bridged - x)) < 0.01 and np.array_equal(np.delete(bridged, at), np.delete(clean, at))
+    # negative control: more than five are no chance
+    spoiled = clean.copy()
+    spoiled[(7 + np.arange(6)) * per_cycle] += 0.3
+    assert without_spikes(spoiled)[1] == [] and without_spikes(spoiled)[0] is spoiled
+
+
 @pytest.mark.parametrize("noise", [0.0, 1e-5, 1e-2])
 @pytest.mark.parametrize("quantity", [0, 1, 2])
 @pytest.mark.parametrize("force", ["linear", "freeplay", "strongly hardening", "quadratic damping"])

@@ -18,7 +18,8 @@ from .search import Search
 
 _OFF = 6.0  # standard deviations of the noise, which one of 5e8 samples is off by
 _ITS_SIDES = 2.5  # and those beside such a sample, to be part of the same event
-_PER_CYCLE = 0.1  # events in a cycle: more of them are no chance
+_PER_CYCLE = 0.1  # events in a cycle: more of them are no chance,
+_FEW, _CYCLES = 4.0, 6.0  # but for a few, where there are so many cycles to each
 _SCALE = 1.2  # of the residuals, robust, up to which the set explains the other samples
 _NORMAL = 1.4826  # median absolute deviation to standard deviation, for a normal distribution
 _WIDEST = 5  # values of an event
@@ -100,7 +101,7 @@ def drop_outs(search: Search) -> DropOuts | None:
         left = evidence.residuals_of(term, best, r)
         scale = max(_NORMAL * float(np.median(np.abs(left))), 1e-300)
         wild, count = _wild(left / max(scale, 1.0))
-        if scale > _SCALE or count > _PER_CYCLE * term.cycles:
+        if scale > _SCALE or count > max(_PER_CYCLE * term.cycles, min(_FEW, term.cycles / _CYCLES)):
             return None
         if not count:
             continue
