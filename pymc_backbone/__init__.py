@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from . import paper, plots
     from ._common.checks import InputError
     from ._common.citation import citation
-    from .discrepancy.design import Affordable, Contender, Design, Plan, PlannedTest
-    from .discrepancy.plan import plan_tests
-    from .discrepancy.study import Study
+    from .discrepancy.planning.plan import plan_tests
+    from .discrepancy.results.design import Affordable, Contender, Design, Plan, PlannedTest
+    from .discrepancy.results.study import Study
     from .discrepancy.workflow import find_missing_effect
     from .effects import LIBRARY, Effect, Parameter, Signature, get_effect
     from .inference.data import set_backbones
@@ -97,9 +97,9 @@ _WHERE = {
     "inference.diagnostics": ("findings", "summarise"),
     "inference.fit_verdict": ("GoodnessOfFit",),
     "inference.goodness": ("goodness_of_fit",),
-    "discrepancy.design": ("Affordable", "Contender", "Design", "Plan", "PlannedTest"),
-    "discrepancy.plan": ("plan_tests",),
-    "discrepancy.study": ("Study",),
+    "discrepancy.results.design": ("Affordable", "Contender", "Design", "Plan", "PlannedTest"),
+    "discrepancy.planning.plan": ("plan_tests",),
+    "discrepancy.results.study": ("Study",),
     "discrepancy.workflow": ("find_missing_effect",),
     "effects": ("LIBRARY", "Effect", "Parameter", "Signature", "get_effect"),
     "inference.hierarchical": ("build_hierarchical_model", "unidentified_parameters"),

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from pymc_backbone.discrepancy.batch import Batch, batch_of_records
+from pymc_backbone.discrepancy.fitting.batch import Batch, batch_of_records
 from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.measurement.conditioning.conditioned import ConditionedRecord
 from pymc_backbone.measurement.cycles import extract_cycles

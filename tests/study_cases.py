@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from pymc_backbone.discrepancy.study import (
+from pymc_backbone.discrepancy.results.study import (
     Candidate,
     Check,
     Detectable,
@@ -22,7 +22,7 @@ from pymc_backbone.discrepancy.study import (
     ScatterOfEffects,
     Study,
 )
-from pymc_backbone.discrepancy.verdict import NamedLevel
+from pymc_backbone.discrepancy.results.verdict import NamedLevel
 from pymc_backbone.effects import LIBRARY
 from pymc_backbone.inference.diagnostics import findings, summarise
 from pymc_backbone.inference.model import build_model

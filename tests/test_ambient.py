@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from pymc_backbone.discrepancy import ambient
-from pymc_backbone.discrepancy.ambient import ambient_check
-from pymc_backbone.discrepancy.minded import mind_what_moves_on
-from pymc_backbone.discrepancy.verdict import Verdict
-from pymc_backbone.discrepancy.verdict_words import sentence
+from pymc_backbone.discrepancy.checks import ambient
+from pymc_backbone.discrepancy.checks.ambient import ambient_check
+from pymc_backbone.discrepancy.deciding.minded import mind_what_moves_on
+from pymc_backbone.discrepancy.results.verdict import Verdict
+from pymc_backbone.discrepancy.wording.verdict_words import sentence
 
 from .test_discrepancy_verdict import decision_of, mechanism_of
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from pymc_backbone.discrepancy import second_mode
-from pymc_backbone.discrepancy.close_modes import close_modes
+from pymc_backbone.discrepancy.checks import second_mode
+from pymc_backbone.discrepancy.checks.close_modes import close_modes
 
 FREQUENCY, OTHER, RATE = 40.0, 40.5, 1600.0
 TIME = np.arange(0.0, 4.0, 1.0 / RATE)

@@ -18,7 +18,7 @@ from scipy.stats import multivariate_normal
 
 import pymc_backbone as pb
 from pymc_backbone import InputError, Oscillator
-from pymc_backbone.discrepancy.question import check_vanishes, possible_effects
+from pymc_backbone.discrepancy.sets.question import check_vanishes, possible_effects
 from pymc_backbone.inference import sampling
 from pymc_backbone.inference.targets import targets_of
 from pymc_backbone.likelihood.curvature import second_derivatives

@@ -6,8 +6,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from pymc_backbone.discrepancy import as_good, evidence
-from pymc_backbone.discrepancy.evidence import DRIFT, Evidence
+from pymc_backbone.discrepancy.deciding import as_good
+from pymc_backbone.discrepancy.weighing import evidence
+from pymc_backbone.discrepancy.weighing.evidence import DRIFT, Evidence
 
 BATCH = SimpleNamespace(has_records=True)
 CUBIC, POWER, FREE = "cubic_stiffness", "power_stiffness", "freeplay"

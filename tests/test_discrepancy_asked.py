@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.interpolate import make_interp_spline
 
-from pymc_backbone.discrepancy import data_checks
-from pymc_backbone.discrepancy.curves import has_mid_line
-from pymc_backbone.discrepancy.search import Search
+from pymc_backbone.discrepancy.checks import data_checks
+from pymc_backbone.discrepancy.fitting.curves import has_mid_line
+from pymc_backbone.discrepancy.sets.search import Search
 from pymc_backbone.oscillator import Oscillator
 
 from .discrepancy_cases import DAMPING, MASS, RELEASE_TIME, STIFFNESS, TIME, batch_of, free_decay, make_records, noisy

@@ -7,9 +7,9 @@ import pytest
 from scipy.special import gammaln
 from scipy.stats import norm
 
-from pymc_backbone.discrepancy.bridge import CHAINS, STEPS, meet, walk
-from pymc_backbone.discrepancy.corrected_evidence import _rounds_and_walks
-from pymc_backbone.discrepancy.importance import LARGEST_K, MOST_ROUNDS, MOST_WALKS, WALK, integrate
+from pymc_backbone.discrepancy.weighing.bridge import CHAINS, STEPS, meet, walk
+from pymc_backbone.discrepancy.weighing.corrected_evidence import _rounds_and_walks
+from pymc_backbone.discrepancy.weighing.importance import LARGEST_K, MOST_ROUNDS, MOST_WALKS, WALK, integrate
 
 
 def test_two_samples_meet_at_the_closed_volume_with_an_honest_error():

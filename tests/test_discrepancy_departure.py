@@ -10,18 +10,19 @@ import numpy as np
 import pytest
 
 from pymc_backbone._common.checks import OBSERVABLES
-from pymc_backbone.discrepancy import departure as module
-from pymc_backbone.discrepancy import mechanisms, starts
-from pymc_backbone.discrepancy.batch import Batch, batch_of_backbones
-from pymc_backbone.discrepancy.data_term import LevelTerm
-from pymc_backbone.discrepancy.departing import DepartingSets
-from pymc_backbone.discrepancy.departure import NOISES, OWN_SHARE, SCALES, SIZES, Choice
-from pymc_backbone.discrepancy.inexact import _without_idle, _without_those_that_explain_nothing
-from pymc_backbone.discrepancy.joint_fit import fit
-from pymc_backbone.discrepancy.layout import make_layout
-from pymc_backbone.discrepancy.mechanisms import Weighed, _log_size
-from pymc_backbone.discrepancy.normal_equations import start_state
-from pymc_backbone.discrepancy.search import Search
+from pymc_backbone.discrepancy.deciding import mechanisms
+from pymc_backbone.discrepancy.deciding.inexact import _without_idle, _without_those_that_explain_nothing
+from pymc_backbone.discrepancy.deciding.mechanisms import Weighed, _log_size
+from pymc_backbone.discrepancy.fitting import starts
+from pymc_backbone.discrepancy.fitting.batch import Batch, batch_of_backbones
+from pymc_backbone.discrepancy.fitting.data_term import LevelTerm
+from pymc_backbone.discrepancy.fitting.joint_fit import fit
+from pymc_backbone.discrepancy.fitting.layout import make_layout
+from pymc_backbone.discrepancy.fitting.normal_equations import start_state
+from pymc_backbone.discrepancy.proposals import departure as module
+from pymc_backbone.discrepancy.proposals.departing import DepartingSets
+from pymc_backbone.discrepancy.proposals.departure import NOISES, OWN_SHARE, SCALES, SIZES, Choice
+from pymc_backbone.discrepancy.sets.search import Search
 from pymc_backbone.oscillator import Oscillator
 from pymc_backbone.simulation.backbones import simulate_population
 from pymc_backbone.simulation.decay import simulate_backbone

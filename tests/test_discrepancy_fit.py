@@ -11,14 +11,14 @@ import xarray as xr
 from scipy.signal import butter, lfilter
 from scipy.stats import chi2
 
-from pymc_backbone.discrepancy import joint_fit, normal_equations, starts, whitening
-from pymc_backbone.discrepancy.data_term import TurningTerm, level_term
-from pymc_backbone.discrepancy.joint_fit import fit, parameters_of
-from pymc_backbone.discrepancy.layout import make_layout
-from pymc_backbone.discrepancy.limits import recentred
-from pymc_backbone.discrepancy.normal_equations import NUISANCES, State, start_state
-from pymc_backbone.discrepancy.record_term import first_turning_point, release_of, waveform_term
-from pymc_backbone.discrepancy.scatter import SCATTER
+from pymc_backbone.discrepancy.fitting import joint_fit, normal_equations, starts, whitening
+from pymc_backbone.discrepancy.fitting.data_term import TurningTerm, level_term
+from pymc_backbone.discrepancy.fitting.joint_fit import fit, parameters_of
+from pymc_backbone.discrepancy.fitting.layout import make_layout
+from pymc_backbone.discrepancy.fitting.limits import recentred
+from pymc_backbone.discrepancy.fitting.normal_equations import NUISANCES, State, start_state
+from pymc_backbone.discrepancy.fitting.record_term import first_turning_point, release_of, waveform_term
+from pymc_backbone.discrepancy.fitting.scatter import SCATTER
 from pymc_backbone.effects import BASE_EFFECTS, LIBRARY, Effect, Parameter
 from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.measurement.cycles import extract_cycles

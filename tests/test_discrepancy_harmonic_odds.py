@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pymc_backbone.discrepancy.harmonic_odds import Harmonics
-from pymc_backbone.discrepancy.layout import make_layout
+from pymc_backbone.discrepancy.fitting.layout import make_layout
+from pymc_backbone.discrepancy.proposals.harmonic_odds import Harmonics
 from pymc_backbone.oscillator import Oscillator
 from pymc_backbone.simulation.decay import simulate_waveform
 

@@ -11,15 +11,15 @@ from scipy.integrate import dblquad
 from scipy.optimize import least_squares
 from scipy.special import logsumexp
 
-from pymc_backbone.discrepancy import corrected_evidence, evidence
-from pymc_backbone.discrepancy.conditional import Conditional
-from pymc_backbone.discrepancy.corrected_evidence import Corrected, Correction, corrections
-from pymc_backbone.discrepancy.evidence import Evidence, laplace, noise_scale
-from pymc_backbone.discrepancy.importance import LARGEST_K, integrate
-from pymc_backbone.discrepancy.joint_fit import Fit, fit
-from pymc_backbone.discrepancy.layout import make_layout
-from pymc_backbone.discrepancy.normal_equations import NUISANCES, start_state
-from pymc_backbone.discrepancy.search import Search
+from pymc_backbone.discrepancy.fitting.joint_fit import Fit, fit
+from pymc_backbone.discrepancy.fitting.layout import make_layout
+from pymc_backbone.discrepancy.fitting.normal_equations import NUISANCES, start_state
+from pymc_backbone.discrepancy.sets.search import Search
+from pymc_backbone.discrepancy.weighing import corrected_evidence, evidence
+from pymc_backbone.discrepancy.weighing.conditional import Conditional
+from pymc_backbone.discrepancy.weighing.corrected_evidence import Corrected, Correction, corrections
+from pymc_backbone.discrepancy.weighing.evidence import Evidence, laplace, noise_scale
+from pymc_backbone.discrepancy.weighing.importance import LARGEST_K, integrate
 from pymc_backbone.oscillator import Oscillator
 
 from .discrepancy_cases import AMPLITUDE, DAMPING, MASS, OMEGA, STIFFNESS, batch_of, make_records

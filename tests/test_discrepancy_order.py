@@ -10,14 +10,14 @@ import pytest
 from scipy.stats import multivariate_normal
 
 import pymc_backbone as pb
-from pymc_backbone.discrepancy import search as search_module
-from pymc_backbone.discrepancy import undisturbed
-from pymc_backbone.discrepancy.drift_kinds import drift_bonus
-from pymc_backbone.discrepancy.layout import make_layout
-from pymc_backbone.discrepancy.normal_equations import DRIFTS
-from pymc_backbone.discrepancy.propose import Proposal
-from pymc_backbone.discrepancy.scatter import SCATTER, WIDE_SCATTER
-from pymc_backbone.discrepancy.search import Search
+from pymc_backbone.discrepancy.disturbances import undisturbed
+from pymc_backbone.discrepancy.drift.drift_kinds import drift_bonus
+from pymc_backbone.discrepancy.fitting.layout import make_layout
+from pymc_backbone.discrepancy.fitting.normal_equations import DRIFTS
+from pymc_backbone.discrepancy.fitting.scatter import SCATTER, WIDE_SCATTER
+from pymc_backbone.discrepancy.proposals.propose import Proposal
+from pymc_backbone.discrepancy.sets import search as search_module
+from pymc_backbone.discrepancy.sets.search import Search
 from pymc_backbone.oscillator import Oscillator
 from pymc_backbone.paper.cases import CASES
 

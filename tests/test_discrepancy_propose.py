@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 from pymc_backbone._common.checks import OBSERVABLES
-from pymc_backbone.discrepancy import looks
-from pymc_backbone.discrepancy.batch import Batch, batch_of_backbones
-from pymc_backbone.discrepancy.curves import fit_on_levels, spread_over
-from pymc_backbone.discrepancy.evidence import VARIANT, log_prior
-from pymc_backbone.discrepancy.layout import make_layout
-from pymc_backbone.discrepancy.looks import STIFFNESS, atoms_of, level_data
-from pymc_backbone.discrepancy.propose import Proposal, _Proposer, propose
-from pymc_backbone.discrepancy.question import looked_for
-from pymc_backbone.discrepancy.refine_kernels import observe
-from pymc_backbone.discrepancy.small_systems import solve_in_place
+from pymc_backbone.discrepancy.fitting.batch import Batch, batch_of_backbones
+from pymc_backbone.discrepancy.fitting.curves import fit_on_levels, spread_over
+from pymc_backbone.discrepancy.fitting.layout import make_layout
+from pymc_backbone.discrepancy.proposals import looks
+from pymc_backbone.discrepancy.proposals.looks import STIFFNESS, atoms_of, level_data
+from pymc_backbone.discrepancy.proposals.propose import Proposal, _Proposer, propose
+from pymc_backbone.discrepancy.proposals.refine_kernels import observe
+from pymc_backbone.discrepancy.proposals.small_systems import solve_in_place
+from pymc_backbone.discrepancy.sets.question import looked_for
+from pymc_backbone.discrepancy.weighing.evidence import VARIANT, log_prior
 from pymc_backbone.effects import BASE_EFFECTS, LIBRARY
 from pymc_backbone.oscillator import Oscillator
 from pymc_backbone.simulation import kernels
@@ -156,7 +156,7 @@ def test_a_set_whose_look_lost_an_effect_begins_where_what_it_holds_explains_mor
     lost.eta[-2], lost.cost = 0.0, 10.0 * proposer._cost(("one_sided_stiffness",))
     proposer.points[truth] = [lost]
     proposer.asked.clear()
-    monkeypatch.setattr("pymc_backbone.discrepancy.propose._LEADERS", 1)
+    monkeypatch.setattr("pymc_backbone.discrepancy.proposals.propose._LEADERS", 1)
     leader = min(proposer.sets, key=lambda names: proposer._cost(names) + proposer._penalty(names))
     assert leader == ("one_sided_stiffness", "quadratic_damping")
     proposer._ask_relatives()  # the stop by itself, from the leader

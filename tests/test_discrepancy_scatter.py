@@ -10,13 +10,13 @@ from scipy.integrate import quad
 from scipy.optimize import least_squares
 
 from pymc_backbone._common.checks import OBSERVABLES
-from pymc_backbone.discrepancy import joint_fit, normal_equations
-from pymc_backbone.discrepancy.batch import Batch, batch_of_backbones
-from pymc_backbone.discrepancy.estimates import estimates_of
-from pymc_backbone.discrepancy.joint_fit import Fit, fit
-from pymc_backbone.discrepancy.layout import make_layout
-from pymc_backbone.discrepancy.normal_equations import start_state
-from pymc_backbone.discrepancy.scatter import NARROWEST, SCATTER, WIDEST, infer_scatter
+from pymc_backbone.discrepancy.fitting import joint_fit, normal_equations
+from pymc_backbone.discrepancy.fitting.batch import Batch, batch_of_backbones
+from pymc_backbone.discrepancy.fitting.estimates import estimates_of
+from pymc_backbone.discrepancy.fitting.joint_fit import Fit, fit
+from pymc_backbone.discrepancy.fitting.layout import make_layout
+from pymc_backbone.discrepancy.fitting.normal_equations import start_state
+from pymc_backbone.discrepancy.fitting.scatter import NARROWEST, SCATTER, WIDEST, infer_scatter
 from pymc_backbone.oscillator import Oscillator
 from pymc_backbone.simulation.backbones import simulate_population
 

@@ -14,9 +14,18 @@ from scipy.stats import f, kstest, multivariate_normal
 
 from pymc_backbone._common.checks import InputError
 from pymc_backbone._common.text import per_cent
-from pymc_backbone.discrepancy import data_checks, drift_fits, drift_kinds, evidence, rivals, starts, verify
-from pymc_backbone.discrepancy.compensation import compensation
-from pymc_backbone.discrepancy.curves import (
+from pymc_backbone.discrepancy.checks import data_checks, rivals, verify
+from pymc_backbone.discrepancy.checks.second_mode import second_mode_check
+from pymc_backbone.discrepancy.deciding.compensation import compensation
+from pymc_backbone.discrepancy.deciding.decide import decide, doubted, is_none_other
+from pymc_backbone.discrepancy.deciding.decision import NAMED
+from pymc_backbone.discrepancy.deciding.tolerance import is_drift_small
+from pymc_backbone.discrepancy.disturbances.lines import line_beside, line_near
+from pymc_backbone.discrepancy.disturbances.undisturbed import Undisturbed, with_drifts
+from pymc_backbone.discrepancy.drift import drift_fits, drift_kinds
+from pymc_backbone.discrepancy.drift.drift_proposals import beside_drifts, single_beside_drifts
+from pymc_backbone.discrepancy.fitting import starts
+from pymc_backbone.discrepancy.fitting.curves import (
     about_zero,
     curve,
     is_told_apart,
@@ -26,22 +35,16 @@ from pymc_backbone.discrepancy.curves import (
     prediction_errors,
     simulate,
 )
-from pymc_backbone.discrepancy.decide import decide, doubted, is_none_other
-from pymc_backbone.discrepancy.decision import NAMED
-from pymc_backbone.discrepancy.drift_course import DRIFT, changes_of, course_of, covered
-from pymc_backbone.discrepancy.drift_proposals import beside_drifts, single_beside_drifts
-from pymc_backbone.discrepancy.joint_fit import fit
-from pymc_backbone.discrepancy.layout import make_layout
-from pymc_backbone.discrepancy.lines import line_beside, line_near
-from pymc_backbone.discrepancy.locate import mean_gap, where_different
-from pymc_backbone.discrepancy.normal_equations import DRIFTS, RELEASE_INSTANT, State, information, start_state
-from pymc_backbone.discrepancy.question import Question, check_one_batch
-from pymc_backbone.discrepancy.scatter import SCATTER
-from pymc_backbone.discrepancy.search import Search
-from pymc_backbone.discrepancy.second_mode import second_mode_check
-from pymc_backbone.discrepancy.study import HeldOut
-from pymc_backbone.discrepancy.tolerance import is_drift_small
-from pymc_backbone.discrepancy.undisturbed import Undisturbed, with_drifts
+from pymc_backbone.discrepancy.fitting.drift_course import DRIFT, changes_of, course_of, covered
+from pymc_backbone.discrepancy.fitting.joint_fit import fit
+from pymc_backbone.discrepancy.fitting.layout import make_layout
+from pymc_backbone.discrepancy.fitting.normal_equations import DRIFTS, RELEASE_INSTANT, State, information, start_state
+from pymc_backbone.discrepancy.fitting.scatter import SCATTER
+from pymc_backbone.discrepancy.results.locate import mean_gap, where_different
+from pymc_backbone.discrepancy.results.study import HeldOut
+from pymc_backbone.discrepancy.sets.question import Question, check_one_batch
+from pymc_backbone.discrepancy.sets.search import Search
+from pymc_backbone.discrepancy.weighing import evidence
 from pymc_backbone.effects import LIBRARY
 from pymc_backbone.oscillator import Oscillator
 from pymc_backbone.simulation.decay import simulate_waveform
@@ -342,7 +345,7 @@ def redrawn(batch, rng, effects=()):
 
 
 def search_layout(oscillator):
-    from pymc_backbone.discrepancy.layout import make_layout
+    from pymc_backbone.discrepancy.fitting.layout import make_layout
 
     return make_layout(oscillator, AMPLITUDE, OMEGA)
 
@@ -1045,7 +1048,7 @@ def test_a_base_begins_from_further_starts_only_until_two_agree(cubic, monkeypat
 
 def test_search_over_backbones_alone():
     batch = batch_of(make_records(np.random.default_rng(32), ("cubic_stiffness",)))
-    from pymc_backbone.discrepancy.batch import batch_of_backbones
+    from pymc_backbone.discrepancy.fitting.batch import batch_of_backbones
 
     search = search_of(batch_of_backbones(MASS, batch.backbones))
     assert not search.batch.has_records and search.best() == ("cubic_stiffness",)

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from pymc_backbone.discrepancy import starts, valleys
-from pymc_backbone.discrepancy.estimates import estimates_of
-from pymc_backbone.discrepancy.extend import _reaching, _told_by, estimates_from_fit
-from pymc_backbone.discrepancy.fitted_sets import BUDGET
-from pymc_backbone.discrepancy.joint_fit import fit
-from pymc_backbone.discrepancy.layout import make_layout
-from pymc_backbone.discrepancy.normal_equations import State, start_state
-from pymc_backbone.discrepancy.search import Search
-from pymc_backbone.discrepancy.study import UNMIXED, Estimate
+from pymc_backbone.discrepancy.fitting import starts, valleys
+from pymc_backbone.discrepancy.fitting.estimates import estimates_of
+from pymc_backbone.discrepancy.fitting.joint_fit import fit
+from pymc_backbone.discrepancy.fitting.layout import make_layout
+from pymc_backbone.discrepancy.fitting.normal_equations import State, start_state
+from pymc_backbone.discrepancy.results.extend import _reaching, _told_by, estimates_from_fit
+from pymc_backbone.discrepancy.results.study import UNMIXED, Estimate
+from pymc_backbone.discrepancy.sets.fitted_sets import BUDGET
+from pymc_backbone.discrepancy.sets.search import Search
 from pymc_backbone.effects import LIBRARY
 from pymc_backbone.oscillator import Oscillator
 from pymc_backbone.reporting.report_model import _interval

@@ -16,27 +16,20 @@ from scipy.integrate import solve_ivp
 
 import pymc_backbone as pb
 from pymc_backbone._common.text import capitalised, in_words
-from pymc_backbone.discrepancy import (
-    candidate_table,
-    decide,
-    inexact,
-    left_beside,
-    minded,
-    rivals,
-    shares,
-    verdict_words,
-    words,
-)
-from pymc_backbone.discrepancy.batch import batch_of_backbones
-from pymc_backbone.discrepancy.curves import level_chi_square
-from pymc_backbone.discrepancy.decision import Decision, as_one
-from pymc_backbone.discrepancy.drift_course import DRIFT
-from pymc_backbone.discrepancy.evidence import Evidence, LackOfFit
-from pymc_backbone.discrepancy.normal_equations import DRIFTS, State
-from pymc_backbone.discrepancy.question import TOLERANCE
-from pymc_backbone.discrepancy.search import Search
-from pymc_backbone.discrepancy.study import Candidate, LawProbability, MissingMechanism, ScatterOfEffects
-from pymc_backbone.discrepancy.verdict import AdequateBy, NamedLevel, Status, Verdict
+from pymc_backbone.discrepancy.checks import rivals
+from pymc_backbone.discrepancy.deciding import decide, inexact, minded, shares
+from pymc_backbone.discrepancy.deciding.decision import Decision, as_one
+from pymc_backbone.discrepancy.disturbances import left_beside
+from pymc_backbone.discrepancy.fitting.batch import batch_of_backbones
+from pymc_backbone.discrepancy.fitting.curves import level_chi_square
+from pymc_backbone.discrepancy.fitting.drift_course import DRIFT
+from pymc_backbone.discrepancy.fitting.normal_equations import DRIFTS, State
+from pymc_backbone.discrepancy.results.study import Candidate, LawProbability, MissingMechanism, ScatterOfEffects
+from pymc_backbone.discrepancy.results.verdict import AdequateBy, NamedLevel, Status, Verdict
+from pymc_backbone.discrepancy.sets.question import TOLERANCE
+from pymc_backbone.discrepancy.sets.search import Search
+from pymc_backbone.discrepancy.weighing.evidence import Evidence, LackOfFit
+from pymc_backbone.discrepancy.wording import candidate_table, verdict_words, words
 from pymc_backbone.effects import BASE_EFFECTS, LIBRARY
 from pymc_backbone.reporting.words import candidate_name, verdict_means
 from pymc_backbone.simulation.backbones import simulate_population

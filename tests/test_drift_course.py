@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 
-from pymc_backbone.discrepancy.drift_course import DRIFT, course_of, motion_of, passage_of
+from pymc_backbone.discrepancy.fitting.drift_course import DRIFT, course_of, motion_of, passage_of
 
 CYCLES, PER_CYCLE, OMEGA, ZETA = 90, 64, 2.0 * np.pi, 0.004
 TIME = np.linspace(0.0, CYCLES, CYCLES * PER_CYCLE + 1)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import pymc_backbone as pb
-from pymc_backbone.discrepancy import evidence
-from pymc_backbone.discrepancy.drop_outs import _come_at_a_phase, drop_outs
-from pymc_backbone.discrepancy.search import Search
+from pymc_backbone.discrepancy.disturbances.drop_outs import _come_at_a_phase, drop_outs
+from pymc_backbone.discrepancy.sets.search import Search
+from pymc_backbone.discrepancy.weighing import evidence
 
 from .discrepancy_cases import AMPLITUDE, FREQUENCY, MASS, TIME, batch_of, make_records, truth_of
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import pymc_backbone as pb
-from pymc_backbone.discrepancy import earlier_release as module
-from pymc_backbone.discrepancy import evidence
-from pymc_backbone.discrepancy.earlier_release import Earlier, earlier
-from pymc_backbone.discrepancy.search import Search
+from pymc_backbone.discrepancy.disturbances import earlier_release as module
+from pymc_backbone.discrepancy.disturbances.earlier_release import Earlier, earlier
+from pymc_backbone.discrepancy.sets.search import Search
+from pymc_backbone.discrepancy.weighing import evidence
 
 from .discrepancy_cases import AMPLITUDE, DAMPING, FREQUENCY, MASS, STIFFNESS, TIME, batch_of, noisy
 

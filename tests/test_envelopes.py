@@ -11,7 +11,7 @@ import pytest
 
 import pymc_backbone as pb
 from pymc_backbone._common.checks import InputError
-from pymc_backbone.discrepancy.question import is_spring
+from pymc_backbone.discrepancy.sets.question import is_spring
 from pymc_backbone.effects import LIBRARY
 from pymc_backbone.measurement.cycle_data import Cycles
 from pymc_backbone.measurement.envelope import envelope_cycles

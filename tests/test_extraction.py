@@ -89,7 +89,7 @@ def test_levels_are_those_of_every_road(records, tmp_path, monkeypatch):
         seen["levels"] = backbones["level"].values
         raise Enough
 
-    monkeypatch.setattr("pymc_backbone.discrepancy.question.batch_of_records", batch_of_records)
+    monkeypatch.setattr("pymc_backbone.discrepancy.sets.question.batch_of_records", batch_of_records)
     from pymc_backbone.measurement.reading.records import read_records
 
     with pytest.raises(Enough):

@@ -12,21 +12,22 @@ from scipy.stats import norm
 from threadpoolctl import threadpool_limits
 
 from pymc_backbone import InputError, find_missing_effect
-from pymc_backbone.discrepancy import curve_laws, families, force_curve, workflow
-from pymc_backbone.discrepancy.curve_bands import bands_of, simultaneous
-from pymc_backbone.discrepancy.curve_fit import CurveFit, Known, fit_curves
-from pymc_backbone.discrepancy.curve_laws import with_laws
-from pymc_backbone.discrepancy.curve_words import Judgement, sentence
-from pymc_backbone.discrepancy.decision import Decision
-from pymc_backbone.discrepancy.families import FAMILIES, Shape, _curve, judged, places, proposals
-from pymc_backbone.discrepancy.force_curve import fit_remainder, force_curves
-from pymc_backbone.discrepancy.joint_fit import fit
-from pymc_backbone.discrepancy.layout import make_layout
-from pymc_backbone.discrepancy.normal_equations import start_state
-from pymc_backbone.discrepancy.rivals import drift_fit
-from pymc_backbone.discrepancy.study import MissingMechanism
-from pymc_backbone.discrepancy.tabulated import DAMPING, NODES, STIFFNESS, tabulate
-from pymc_backbone.discrepancy.verdict import NamedLevel, Verdict
+from pymc_backbone.discrepancy import workflow
+from pymc_backbone.discrepancy.checks.rivals import drift_fit
+from pymc_backbone.discrepancy.deciding.decision import Decision
+from pymc_backbone.discrepancy.fitting.joint_fit import fit
+from pymc_backbone.discrepancy.fitting.layout import make_layout
+from pymc_backbone.discrepancy.fitting.normal_equations import start_state
+from pymc_backbone.discrepancy.force_curves import curve_laws, families, force_curve
+from pymc_backbone.discrepancy.force_curves.curve_bands import bands_of, simultaneous
+from pymc_backbone.discrepancy.force_curves.curve_fit import CurveFit, Known, fit_curves
+from pymc_backbone.discrepancy.force_curves.curve_laws import with_laws
+from pymc_backbone.discrepancy.force_curves.curve_words import Judgement, sentence
+from pymc_backbone.discrepancy.force_curves.families import FAMILIES, Shape, _curve, judged, places, proposals
+from pymc_backbone.discrepancy.force_curves.force_curve import fit_remainder, force_curves
+from pymc_backbone.discrepancy.force_curves.tabulated import DAMPING, NODES, STIFFNESS, tabulate
+from pymc_backbone.discrepancy.results.study import MissingMechanism
+from pymc_backbone.discrepancy.results.verdict import NamedLevel, Verdict
 from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.oscillator import Oscillator
 from pymc_backbone.reporting.curve_plots import plot_force
@@ -424,7 +425,7 @@ def test_a_root_is_one_whichever_spline_stands_for_it(outside, monkeypatch, shar
 
 
 def test_families_have_names_that_words_know():
-    from pymc_backbone.discrepancy.curve_words import WORDS
+    from pymc_backbone.discrepancy.force_curves.curve_words import WORDS
 
     assert {family.name for each in FAMILIES.values() for family in each} | {"none", "nothing"} == set(WORDS)
 

@@ -17,7 +17,7 @@ import sbc  # noqa: E402
 from meanings import Meaning, meaning_of  # noqa: E402
 from systems import PARAMETERS  # noqa: E402
 
-from pymc_backbone.discrepancy.evidence import PRIOR_OF_SIZE, VARIANT  # noqa: E402
+from pymc_backbone.discrepancy.weighing.evidence import PRIOR_OF_SIZE, VARIANT  # noqa: E402
 from pymc_backbone.effects import LIBRARY  # noqa: E402
 
 SETS = [frozenset(), *(frozenset((a,)) for a in "abcd"), frozenset("ab"), frozenset("cd"), frozenset("abc")]

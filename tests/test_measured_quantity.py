@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from scipy.linalg import toeplitz
 
-from pymc_backbone.discrepancy import evidence
-from pymc_backbone.discrepancy.joint_fit import fit
-from pymc_backbone.discrepancy.layout import make_layout
-from pymc_backbone.discrepancy.normal_equations import start_state
-from pymc_backbone.discrepancy.passed import passed_values
+from pymc_backbone.discrepancy.fitting.joint_fit import fit
+from pymc_backbone.discrepancy.fitting.layout import make_layout
+from pymc_backbone.discrepancy.fitting.normal_equations import start_state
+from pymc_backbone.discrepancy.fitting.passed import passed_values
+from pymc_backbone.discrepancy.weighing import evidence
 from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.measurement.conditioning.filters import design_band_pass
 from pymc_backbone.measurement.conditioning.noise import white_level

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import pymc_backbone as pb
-from pymc_backbone.discrepancy import evidence
-from pymc_backbone.discrepancy.motion_noise import motion_noise
-from pymc_backbone.discrepancy.search import Search
+from pymc_backbone.discrepancy.disturbances.motion_noise import motion_noise
+from pymc_backbone.discrepancy.sets.search import Search
+from pymc_backbone.discrepancy.weighing import evidence
 
 from .discrepancy_cases import AMPLITUDE, FREQUENCY, MASS, TIME, batch_of, make_records, noisy, truth_of
 

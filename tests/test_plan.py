@@ -13,13 +13,13 @@ from scipy.stats import norm
 
 import pymc_backbone as pb
 from pymc_backbone.cli.main import main
-from pymc_backbone.discrepancy import plan as planning
-from pymc_backbone.discrepancy.decision import NAMED
-from pymc_backbone.discrepancy.design import Affordable, Contender, Design, Plan, PlannedTest
-from pymc_backbone.discrepancy.imagined import imagine, miss, vector_of
-from pymc_backbone.discrepancy.layout import make_layout
-from pymc_backbone.discrepancy.plan import plan_tests
-from pymc_backbone.discrepancy.plan_words import sentences
+from pymc_backbone.discrepancy.deciding.decision import NAMED
+from pymc_backbone.discrepancy.fitting.layout import make_layout
+from pymc_backbone.discrepancy.planning import plan as planning
+from pymc_backbone.discrepancy.planning.imagined import imagine, miss, vector_of
+from pymc_backbone.discrepancy.planning.plan import plan_tests
+from pymc_backbone.discrepancy.results.design import Affordable, Contender, Design, Plan, PlannedTest
+from pymc_backbone.discrepancy.wording.plan_words import sentences
 from pymc_backbone.reporting.study_files import write_study
 
 from .discrepancy_cases import AMPLITUDE, DAMPING, MASS, OMEGA, STIFFNESS, force_of, free_decay

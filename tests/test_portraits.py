@@ -9,11 +9,11 @@ import pytest
 
 import pymc_backbone as pb
 from pymc_backbone._common.checks import InputError
-from pymc_backbone.discrepancy.layout import make_layout
-from pymc_backbone.discrepancy.portraits import Portraits, _simulated, beyond_spring
-from pymc_backbone.discrepancy.portraits import portraits as pictures
-from pymc_backbone.discrepancy.search import Search
-from pymc_backbone.discrepancy.sensor_filter import SensorFilter
+from pymc_backbone.discrepancy.disturbances.sensor_filter import SensorFilter
+from pymc_backbone.discrepancy.fitting.layout import make_layout
+from pymc_backbone.discrepancy.results.portraits import Portraits, _simulated, beyond_spring
+from pymc_backbone.discrepancy.results.portraits import portraits as pictures
+from pymc_backbone.discrepancy.sets.search import Search
 from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.measurement.cycles import extract_cycles
 from pymc_backbone.measurement.harmonics import harmonic_decay, peaks_of

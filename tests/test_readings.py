@@ -12,14 +12,14 @@ from scipy.integrate import solve_ivp
 from scipy.signal import butter, sosfilt
 
 import pymc_backbone as pb
-from pymc_backbone.discrepancy import edges as edges_module
-from pymc_backbone.discrepancy import evidence
-from pymc_backbone.discrepancy.disturbance import Disturbance, Disturbed, line_modes, sentences
-from pymc_backbone.discrepancy.edges import Edges, edges
-from pymc_backbone.discrepancy.mode_lines import is_hum
-from pymc_backbone.discrepancy.promising import is_promising
-from pymc_backbone.discrepancy.readings import _is_one_line, disturbed, early_line
-from pymc_backbone.discrepancy.search import Search
+from pymc_backbone.discrepancy.disturbances import edges as edges_module
+from pymc_backbone.discrepancy.disturbances.disturbance import Disturbance, Disturbed, line_modes, sentences
+from pymc_backbone.discrepancy.disturbances.edges import Edges, edges
+from pymc_backbone.discrepancy.disturbances.mode_lines import is_hum
+from pymc_backbone.discrepancy.disturbances.readings import _is_one_line, disturbed, early_line
+from pymc_backbone.discrepancy.sets.promising import is_promising
+from pymc_backbone.discrepancy.sets.search import Search
+from pymc_backbone.discrepancy.weighing import evidence
 from pymc_backbone.simulation.decay import simulate_waveform
 
 from .discrepancy_cases import (

@@ -9,9 +9,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import pymc_backbone as pb
-from pymc_backbone.discrepancy import evidence
-from pymc_backbone.discrepancy.relaxed_release import is_relaxed_at_release
-from pymc_backbone.discrepancy.search import Search
+from pymc_backbone.discrepancy.sets.relaxed_release import is_relaxed_at_release
+from pymc_backbone.discrepancy.sets.search import Search
+from pymc_backbone.discrepancy.weighing import evidence
 from pymc_backbone.measurement.reading.record import Record
 from pymc_backbone.simulation.decay import Simulator
 

@@ -14,9 +14,9 @@ from matplotlib import pyplot
 
 from pymc_backbone._common.checks import InputError
 from pymc_backbone._common.text import in_words
-from pymc_backbone.discrepancy.locate import mean_gap
-from pymc_backbone.discrepancy.study import Candidate
-from pymc_backbone.discrepancy.verdict import NamedLevel, Status, Verdict
+from pymc_backbone.discrepancy.results.locate import mean_gap
+from pymc_backbone.discrepancy.results.study import Candidate
+from pymc_backbone.discrepancy.results.verdict import NamedLevel, Status, Verdict
 from pymc_backbone.effects import LIBRARY
 from pymc_backbone.reporting.candidate_plots import plot_candidates
 from pymc_backbone.reporting.html import MOST_RECORDS, noted, number, prose, table, unit

@@ -8,8 +8,8 @@ import itertools
 import numpy as np
 import pytest
 
-from pymc_backbone.discrepancy.study import Candidate, Check, HeldOut, Remainder
-from pymc_backbone.discrepancy.verdict import Status, Verdict
+from pymc_backbone.discrepancy.results.study import Candidate, Check, HeldOut, Remainder
+from pymc_backbone.discrepancy.results.verdict import Status, Verdict
 from pymc_backbone.effects import LIBRARY
 from pymc_backbone.reporting.candidate_plots import plot_parameters
 from pymc_backbone.reporting.gap_plots import plot_before_after, plot_held_out

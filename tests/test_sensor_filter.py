@@ -10,13 +10,15 @@ import pytest
 from scipy.signal import butter, freqs, sosfilt
 
 import pymc_backbone as pb
-from pymc_backbone.discrepancy import data_checks, evidence, workflow
-from pymc_backbone.discrepancy.filter_search import early_high_pass, sensor_filter
-from pymc_backbone.discrepancy.high_passes import _lowest
-from pymc_backbone.discrepancy.normal_equations import State
-from pymc_backbone.discrepancy.search import Search
-from pymc_backbone.discrepancy.sensor_filter import Chain, SensorFilter, with_past
-from pymc_backbone.discrepancy.telling import most_telling
+from pymc_backbone.discrepancy import workflow
+from pymc_backbone.discrepancy.checks import data_checks
+from pymc_backbone.discrepancy.disturbances.filter_search import early_high_pass, sensor_filter
+from pymc_backbone.discrepancy.disturbances.high_passes import _lowest
+from pymc_backbone.discrepancy.disturbances.sensor_filter import Chain, SensorFilter, with_past
+from pymc_backbone.discrepancy.fitting.normal_equations import State
+from pymc_backbone.discrepancy.fitting.telling import most_telling
+from pymc_backbone.discrepancy.sets.search import Search
+from pymc_backbone.discrepancy.weighing import evidence
 
 from .discrepancy_cases import (
     AMPLITUDE,

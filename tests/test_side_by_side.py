@@ -7,8 +7,8 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from pymc_backbone._common import threads
-from pymc_backbone.discrepancy.search import Search
-from pymc_backbone.discrepancy.side_by_side import fit_side_by_side
+from pymc_backbone.discrepancy.sets.search import Search
+from pymc_backbone.discrepancy.sets.side_by_side import fit_side_by_side
 from pymc_backbone.oscillator import Oscillator
 
 from .discrepancy_cases import MASS, batch_of, make_records

@@ -17,7 +17,7 @@ from pymc_backbone._common import forked, threads
 from pymc_backbone._common.forked import in_two_processes
 from pymc_backbone._common.late_imports import imported_beside
 from pymc_backbone._common.threads import in_threads
-from pymc_backbone.discrepancy.propose import propose
+from pymc_backbone.discrepancy.proposals.propose import propose
 from pymc_backbone.oscillator import Oscillator
 
 from .test_discrepancy_scatter import MASS, backbones, factors_of, fitted

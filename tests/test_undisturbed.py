@@ -8,11 +8,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pymc_backbone.discrepancy import changed
-from pymc_backbone.discrepancy import undisturbed as module
-from pymc_backbone.discrepancy.edges import Edges
-from pymc_backbone.discrepancy.evidence import Drifting
-from pymc_backbone.discrepancy.sensor_filter import SensorFilter
+from pymc_backbone.discrepancy.disturbances import changed
+from pymc_backbone.discrepancy.disturbances import undisturbed as module
+from pymc_backbone.discrepancy.disturbances.edges import Edges
+from pymc_backbone.discrepancy.disturbances.sensor_filter import SensorFilter
+from pymc_backbone.discrepancy.weighing.evidence import Drifting
 
 
 @dataclass

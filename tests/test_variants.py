@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pymc_backbone import Oscillator, Record, find_missing_effect
-from pymc_backbone.discrepancy.question import looked_for
+from pymc_backbone.discrepancy.sets.question import looked_for
 from pymc_backbone.effects import BASE_EFFECTS, LIBRARY
 
 from .decay_oracles import Decay

@@ -9,15 +9,15 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import pymc_backbone as pb
-from pymc_backbone.discrepancy import evidence
-from pymc_backbone.discrepancy.batch import Batch
-from pymc_backbone.discrepancy.drifting_zero import SENTENCE, drifting_zero
-from pymc_backbone.discrepancy.joint_fit import Fit, fit
-from pymc_backbone.discrepancy.layout import make_layout
-from pymc_backbone.discrepancy.normal_equations import start_state
-from pymc_backbone.discrepancy.question import ask
-from pymc_backbone.discrepancy.search import Search
-from pymc_backbone.discrepancy.whitening import whitener, with_slow_noise
+from pymc_backbone.discrepancy.disturbances.drifting_zero import SENTENCE, drifting_zero
+from pymc_backbone.discrepancy.fitting.batch import Batch
+from pymc_backbone.discrepancy.fitting.joint_fit import Fit, fit
+from pymc_backbone.discrepancy.fitting.layout import make_layout
+from pymc_backbone.discrepancy.fitting.normal_equations import start_state
+from pymc_backbone.discrepancy.fitting.whitening import whitener, with_slow_noise
+from pymc_backbone.discrepancy.sets.question import ask
+from pymc_backbone.discrepancy.sets.search import Search
+from pymc_backbone.discrepancy.weighing import evidence
 from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.measurement.conditioning.one_sensor import mid_lines_differ, records_of_one_sensor
 from pymc_backbone.measurement.conditioning.wander import MidLine, Wander, of_one_sensor

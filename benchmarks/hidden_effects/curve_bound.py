@@ -26,9 +26,9 @@ from threadpoolctl import threadpool_limits
 from true_curves import TrueCurves
 
 from pymc_backbone import InputError, Oscillator
-from pymc_backbone.discrepancy.batch import Batch
-from pymc_backbone.discrepancy.normal_equations import NUISANCES, State, System, linearise
-from pymc_backbone.discrepancy.tabulated import DAMPING, NODES, STIFFNESS, Tabulated, tabulate
+from pymc_backbone.discrepancy.fitting.batch import Batch
+from pymc_backbone.discrepancy.fitting.normal_equations import NUISANCES, State, System, linearise
+from pymc_backbone.discrepancy.force_curves.tabulated import DAMPING, NODES, STIFFNESS, Tabulated, tabulate
 
 _STEP = 1e-4  # relative, of differences
 _DRAWS = 2000

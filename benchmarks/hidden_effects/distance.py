@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 
 from pymc_backbone import InputError, Oscillator, Record, condition, extract_cycles
-from pymc_backbone.discrepancy.batch import Batch, batch_of_records
-from pymc_backbone.discrepancy.question import possible_effects
-from pymc_backbone.discrepancy.search import Search
-from pymc_backbone.discrepancy.starts import embedded
+from pymc_backbone.discrepancy.fitting.batch import Batch, batch_of_records
+from pymc_backbone.discrepancy.fitting.starts import embedded
+from pymc_backbone.discrepancy.sets.question import possible_effects
+from pymc_backbone.discrepancy.sets.search import Search
 from pymc_backbone.measurement.extraction import levels_for
 from pymc_backbone.measurement.levels import backbones_at_levels
 

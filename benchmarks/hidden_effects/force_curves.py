@@ -25,12 +25,12 @@ from threadpoolctl import threadpool_limits
 from true_curves import TrueCurves
 
 from pymc_backbone import InputError, Oscillator
-from pymc_backbone.discrepancy.curve_bands import bands_of
-from pymc_backbone.discrepancy.curve_laws import with_laws
-from pymc_backbone.discrepancy.curve_records import Band
-from pymc_backbone.discrepancy.evidence import UNEXPLAINED, lack_of_fit
-from pymc_backbone.discrepancy.families import judged
-from pymc_backbone.discrepancy.force_curve import fit_remainder, held_out_curves
+from pymc_backbone.discrepancy.force_curves.curve_bands import bands_of
+from pymc_backbone.discrepancy.force_curves.curve_laws import with_laws
+from pymc_backbone.discrepancy.force_curves.families import judged
+from pymc_backbone.discrepancy.force_curves.force_curve import fit_remainder, held_out_curves
+from pymc_backbone.discrepancy.results.curve_records import Band
+from pymc_backbone.discrepancy.weighing.evidence import UNEXPLAINED, lack_of_fit
 
 EXPECTED = {
     "magnetic_attraction": ("conservative", "pole on one side"),

@@ -17,10 +17,10 @@ from plans import collected, records_of
 from threadpoolctl import threadpool_limits
 
 from pymc_backbone import InputError, Oscillator
-from pymc_backbone.discrepancy import rivals
-from pymc_backbone.discrepancy.decide import decide
-from pymc_backbone.discrepancy.decision import Decision
-from pymc_backbone.discrepancy.question import ask
+from pymc_backbone.discrepancy.checks import rivals
+from pymc_backbone.discrepancy.deciding.decide import decide
+from pymc_backbone.discrepancy.deciding.decision import Decision
+from pymc_backbone.discrepancy.sets.question import ask
 from pymc_backbone.discrepancy.workflow import _searched
 from pymc_backbone.measurement.options import Measuring
 

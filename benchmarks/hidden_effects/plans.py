@@ -30,7 +30,7 @@ from outcomes import wilson_interval
 from systems import pack
 
 from pymc_backbone import Design, InputError, Oscillator, Record, find_missing_effect, plan_tests
-from pymc_backbone.discrepancy.study import Study
+from pymc_backbone.discrepancy.results.study import Study
 
 AMBIGUOUS_TIERS = ("close_pairs", "few_data", "noisy_and_coarse")
 LONGEST = 12000  # samples

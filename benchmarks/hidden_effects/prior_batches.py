@@ -29,9 +29,9 @@ from strengths import draw_parameters, draw_strength, log_uniform
 from systems import LIBRARY_NAMES_OF_OUTSIDE, OUTSIDE
 from tiers import Plan
 
-from pymc_backbone.discrepancy.evidence import PRIOR_NONE, PRIOR_OF_SIZE, VARIANT
-from pymc_backbone.discrepancy.question import looked_for
-from pymc_backbone.discrepancy.scatter import NARROWEST
+from pymc_backbone.discrepancy.fitting.scatter import NARROWEST
+from pymc_backbone.discrepancy.sets.question import looked_for
+from pymc_backbone.discrepancy.weighing.evidence import PRIOR_NONE, PRIOR_OF_SIZE, VARIANT
 from pymc_backbone.effects import LIBRARY, Parameter
 
 TIER = "prior"

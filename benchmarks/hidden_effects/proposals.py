@@ -28,8 +28,8 @@ _NOT_NAMED = ("outside_library", "drift", "second_mode")
 def one(seed: int, index: int, tier: str) -> dict[str, object]:
     """Return place, chi-square and seconds of one batch."""
     from pymc_backbone import InputError, Oscillator, read_records
-    from pymc_backbone.discrepancy.propose import propose
-    from pymc_backbone.discrepancy.question import batch_of, possible_effects
+    from pymc_backbone.discrepancy.proposals.propose import propose
+    from pymc_backbone.discrepancy.sets.question import batch_of, possible_effects
     from pymc_backbone.measurement.options import Measuring
 
     made = make_batch(seed, index, tier)

@@ -27,13 +27,13 @@ import numpy as np
 from tiers import QUANTITY_TIERS
 
 from pymc_backbone import InputError, Oscillator, read_records
-from pymc_backbone.discrepancy import evidence
-from pymc_backbone.discrepancy.batch import Batch, batch_of_records
-from pymc_backbone.discrepancy.joint_fit import Fit, fit
-from pymc_backbone.discrepancy.layout import Layout
-from pymc_backbone.discrepancy.normal_equations import State, start_state
-from pymc_backbone.discrepancy.question import possible_effects
-from pymc_backbone.discrepancy.search import Search
+from pymc_backbone.discrepancy.fitting.batch import Batch, batch_of_records
+from pymc_backbone.discrepancy.fitting.joint_fit import Fit, fit
+from pymc_backbone.discrepancy.fitting.layout import Layout
+from pymc_backbone.discrepancy.fitting.normal_equations import State, start_state
+from pymc_backbone.discrepancy.sets.question import possible_effects
+from pymc_backbone.discrepancy.sets.search import Search
+from pymc_backbone.discrepancy.weighing import evidence
 from pymc_backbone.discrepancy.workflow import find_missing_effect
 from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.measurement.cycles import extract_cycles

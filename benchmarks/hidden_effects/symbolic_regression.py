@@ -32,9 +32,9 @@ from systems import pack
 from threadpoolctl import threadpool_limits
 
 from pymc_backbone import Oscillator
-from pymc_backbone.discrepancy.curve_bands import bands_of
-from pymc_backbone.discrepancy.families import FAMILIES
-from pymc_backbone.discrepancy.force_curve import fit_remainder
+from pymc_backbone.discrepancy.force_curves.curve_bands import bands_of
+from pymc_backbone.discrepancy.force_curves.families import FAMILIES
+from pymc_backbone.discrepancy.force_curves.force_curve import fit_remainder
 
 Force = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Force [N] of displacement and velocity, each (n,), up to a line in both."""

@@ -30,8 +30,8 @@ START = "interpreter, options, end"
 IMPORTS = "imports"
 STAGES: dict[str, tuple[str, ...]] = {
     "reading": ("workflows.diagnose:_read",),
-    "conditioning, cycles, levels": ("discrepancy.question:batch_of",),
-    "proposals": ("discrepancy.fitted_sets:propose",),
+    "conditioning, cycles, levels": ("discrepancy.sets.question:batch_of",),
+    "proposals": ("discrepancy.sets.fitted_sets:propose",),
     "waveform fits": ("discrepancy.workflow:_searched",),
     "deciding, rivals": ("discrepancy.workflow:_decided",),
     "held out": ("discrepancy.workflow:verify",),

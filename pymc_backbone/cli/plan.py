@@ -69,7 +69,7 @@ def add_plan(commands: Any) -> None:
 def _run(given: argparse.Namespace) -> None:
     hush_libraries(given.quiet)
     with shown_progress(given) as (progress, say):
-        from ..discrepancy.design import Affordable
+        from ..discrepancy.results.design import Affordable
         from ..workflows import plan as run_plan
 
         affordable = Affordable(

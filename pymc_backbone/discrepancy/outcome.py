@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from . import data_checks, rivals
-from .batch import Batch
-from .curves import has_mid_line, level_chi_square
-from .decision import AGREE, Decision
-from .joint_fit import Fit
-from .question import Question
-from .search import Search
-from .study import Check
-from .tolerance import is_drift_small
-from .verdict import Verdict
-from .verify import Verification
+from .checks import data_checks, rivals
+from .checks.verify import Verification
+from .deciding.decision import AGREE, Decision
+from .deciding.tolerance import is_drift_small
+from .fitting.batch import Batch
+from .fitting.curves import has_mid_line, level_chi_square
+from .fitting.joint_fit import Fit
+from .results.study import Check
+from .results.verdict import Verdict
+from .sets.question import Question
+from .sets.search import Search
 
 
 @dataclass(frozen=True, eq=False)

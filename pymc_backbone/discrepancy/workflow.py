@@ -21,33 +21,34 @@ from ..measurement.options import Measuring
 from ..measurement.reading.record import Record
 from ..oscillator import Oscillator
 from ..simulation.run import define, is_compiled
-from . import plan_words, rivals, verdict_words, words
-from .ambient import ambient_check
-from .candidate_table import candidates_of
-from .curve_records import ForceCurves
-from .curves import simulate
-from .decide import decide, is_none_other
-from .decision import Decision
-from .descent import is_heavy
-from .design import Contender, Plan, contender, present_design
-from .drift_fits import drift_alone
-from .evidence import UNEXPLAINED, Drifting, leaves_noise
-from .extend import Inference, infer
-from .fitted_sets import BUDGET, FittedSets, Progress
-from .force_curve import force_curves
-from .inexact import certain_sets
-from .locate import where_different
-from .minded import mind_bent_sensor, mind_second_mode, mind_what_moves_on
+from .checks import rivals
+from .checks.ambient import ambient_check
+from .checks.second_mode import second_mode_check
+from .checks.verify import MOST_HELD_OUT, Verification, verify
+from .deciding.decide import decide, is_none_other
+from .deciding.decision import Decision
+from .deciding.inexact import certain_sets
+from .deciding.minded import mind_bent_sensor, mind_second_mode, mind_what_moves_on
+from .disturbances.undisturbed import Undisturbed, in_the_way, undisturbed, with_drifts
+from .drift.drift_fits import drift_alone
+from .fitting.curves import simulate
+from .fitting.descent import is_heavy
+from .force_curves.force_curve import force_curves
 from .outcome import Outcome, checks_of
-from .plan import plan_tests
-from .portraits import portraits
-from .question import Question, ask, is_of_records
-from .search import Search
-from .second_mode import second_mode_check
-from .study import Check, EvidenceBasis, Study
-from .undisturbed import Undisturbed, in_the_way, undisturbed, with_drifts
-from .verdict import NamedLevel, Verdict
-from .verify import MOST_HELD_OUT, Verification, verify
+from .planning.plan import plan_tests
+from .results.curve_records import ForceCurves
+from .results.design import Contender, Plan, contender, present_design
+from .results.extend import Inference, infer
+from .results.locate import where_different
+from .results.portraits import portraits
+from .results.study import Check, EvidenceBasis, Study
+from .results.verdict import NamedLevel, Verdict
+from .sets.fitted_sets import BUDGET, FittedSets, Progress
+from .sets.question import Question, ask, is_of_records
+from .sets.search import Search
+from .weighing.evidence import UNEXPLAINED, Drifting, leaves_noise
+from .wording import plan_words, verdict_words, words
+from .wording.candidate_table import candidates_of
 
 _QUICK_BUDGET = 0.5
 _LEFT = 0.3  # of the gap, that force curves leave at most where they are said to explain the records

@@ -14,8 +14,8 @@ from matplotlib.ticker import MaxNLocator, NullFormatter
 
 from .._common.checks import FloatArray
 from .._common.text import in_words
-from ..discrepancy.study import Study
-from ..discrepancy.verdict import Status
+from ..discrepancy.results.study import Study
+from ..discrepancy.results.verdict import Status
 from .style import (
     COLUMN,
     MEASURED,

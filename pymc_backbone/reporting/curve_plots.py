@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from .._common.checks import FloatArray
-from ..discrepancy.curve_records import Band, ForceCurves
+from ..discrepancy.results.curve_records import Band, ForceCurves
 from .style import COLUMN, MEASURED, QUIET, SIMULATED, engineering, layout, legend_below, parameter_axis
 
 _HEIGHT = 4.6

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 from .._common.text import printable
-from ..discrepancy.curve_records import ForceCurves
+from ..discrepancy.results.curve_records import ForceCurves
 from ..effects import LIBRARY
 from .model_script import comment
 from .output_folder import BACKBONES, CURVE_SCRIPT

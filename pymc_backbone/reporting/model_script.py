@@ -19,7 +19,7 @@ import xarray as xr
 from .._common.backbone_dataset import typical_frequency
 from .._common.checks import OBSERVABLES
 from .._common.text import printable
-from ..discrepancy.study import Study
+from ..discrepancy.results.study import Study
 from ..effects import LIBRARY
 from ..inference.options import LIKELIHOODS, STEPS
 from ..oscillator import Oscillator

@@ -8,7 +8,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocato
 from scipy.interpolate import PchipInterpolator
 
 from .._common.checks import FloatArray, InputError
-from ..discrepancy.portraits import Portraits, beyond_spring
+from ..discrepancy.results.portraits import Portraits, beyond_spring
 from ..measurement.harmonics import ORDERS, HarmonicDecay
 from ..measurement.time_frequency import TimeFrequency
 from .style import COLUMN, MEASURED, QUIET, SIMULATED, TRUE, drawable, engineering, layout, legend_below, parameter_axis

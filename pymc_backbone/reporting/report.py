@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from .._common.text import in_words
-from ..discrepancy.study import Study
-from ..discrepancy.verdict import NamedLevel, Status, Verdict
+from ..discrepancy.results.study import Study
+from ..discrepancy.results.verdict import NamedLevel, Status, Verdict
 from .html import Raw, bullets, details, escape, image, noted, number, page, paragraph, prose, section, table, tiles
 from .report_curves import force_curves
 from .report_gap import amplitudes, curves, held_out_gap, interval, where

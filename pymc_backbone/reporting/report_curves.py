@@ -8,9 +8,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from .._common.text import in_words
-from ..discrepancy.curve_records import Proposal
-from ..discrepancy.curve_words import SHOWN, family_in_words
-from ..discrepancy.study import Study
+from ..discrepancy.force_curves.curve_words import SHOWN, family_in_words
+from ..discrepancy.results.curve_records import Proposal
+from ..discrepancy.results.study import Study
 from .html import Raw, image, number, paragraph, prose, section, table
 from .words import percent
 

@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from .._common.text import capitalised, in_words, span
-from ..discrepancy.study import Candidate, Detectable, Estimate, Study
-from ..discrepancy.verdict import Verdict
+from ..discrepancy.results.study import Candidate, Detectable, Estimate, Study
+from ..discrepancy.results.verdict import Verdict
 from ..effects import LIBRARY
 from ..oscillator import Oscillator
 from .html import Raw, bullets, details, escape, image, number, paragraph, prose, section, table, tiles, unit

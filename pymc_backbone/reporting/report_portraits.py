@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from matplotlib.figure import Figure
 
-from ..discrepancy.study import Study
+from ..discrepancy.results.study import Study
 from .html import image, paragraph, section
 
 _FROM_MID_LINE = (

@@ -24,9 +24,9 @@ from typing import Any
 
 import numpy as np
 
-from ..discrepancy.curve_records import ForceCurves
-from ..discrepancy.design import Contender, Plan
-from ..discrepancy.study import Estimate, HeldOut, Study
+from ..discrepancy.results.curve_records import ForceCurves
+from ..discrepancy.results.design import Contender, Plan
+from ..discrepancy.results.study import Estimate, HeldOut, Study
 from .curve_script import curve_script
 from .model_script import model_script
 from .output_folder import CURVE_SCRIPT, REPORT, SCRIPT, package_version, prepare_output, write_results

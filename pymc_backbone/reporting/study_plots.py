@@ -7,7 +7,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from ..discrepancy.study import Study
+from ..discrepancy.results.study import Study
 from .backbone_plots import plot_records
 from .candidate_plots import plot_candidates, plot_detectable, plot_parameters
 from .curve_plots import plot_force

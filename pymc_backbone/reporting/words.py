@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .._common.text import capitalised, in_words
-from ..discrepancy.decision import as_one
-from ..discrepancy.evidence import MISSING
-from ..discrepancy.verdict import AdequateBy, NamedLevel, Status, Verdict
+from ..discrepancy.deciding.decision import as_one
+from ..discrepancy.results.verdict import AdequateBy, NamedLevel, Status, Verdict
+from ..discrepancy.weighing.evidence import MISSING
 from ..effects import LIBRARY, MECHANISMS
 
 if TYPE_CHECKING:
-    from ..discrepancy.study import Candidate, Estimate, Study
+    from ..discrepancy.results.study import Candidate, Estimate, Study
 
 VERDICT_WORDS: dict[str, str] = {
     Verdict.ADEQUATE: "\N{CHECK MARK} Adequate",

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from .._common.checks import FloatArray
-from ..discrepancy.verdict import Verdict
+from ..discrepancy.results.verdict import Verdict
 from ..reporting.style import FEW, MEASURED, QUIET, SIMULATED, drawable, layout, parameter_axis
 from .outliers import Quantity, far
 from .structure import Structure

@@ -10,7 +10,7 @@ import numpy as np
 
 from .._common.checks import FloatArray
 from .._common.text import in_words
-from ..discrepancy.verdict import Verdict
+from ..discrepancy.results.verdict import Verdict
 from ..reporting.words import set_name
 from .structure import Structure
 

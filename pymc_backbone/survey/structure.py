@@ -23,7 +23,7 @@ from .._common.atomic_files import replacing
 from .._common.checks import InputError
 from .._common.options import pick
 from ..discrepancy.options import Searching
-from ..discrepancy.verdict import LEAST_SHARE, MECHANISM_NAMED, NamedLevel
+from ..discrepancy.results.verdict import LEAST_SHARE, MECHANISM_NAMED, NamedLevel
 from ..inference.options import Sampling
 from ..measurement.options import Measuring
 from ..measurement.reading.options import Reading

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-from ..discrepancy.verdict import Verdict
+from ..discrepancy.results.verdict import Verdict
 from ..reporting.terminal import aligned, short
 from .outliers import majority, share_with_more, stand_out, words
 from .structure import Structure

@@ -27,7 +27,7 @@ from .measure import Progress, Say, measure, say_warnings
 if TYPE_CHECKING:
     import xarray as xr
 
-    from ..discrepancy.study import Candidate, Estimate, Study
+    from ..discrepancy.results.study import Candidate, Estimate, Study
     from ..measurement.reading.record import Record
 
     Data = str | os.PathLike[str] | Sequence[Record] | xr.Dataset
@@ -277,7 +277,7 @@ def _mechanism_lines(study: Study) -> list[str]:
 
 def _best_of(study: Study) -> Candidate | None:
     """Return the set that the verdict is said of."""
-    from ..discrepancy.verdict import Status
+    from ..discrepancy.results.verdict import Status
 
     return next((item for item in study.candidates if item.status == Status.BEST), None)
 

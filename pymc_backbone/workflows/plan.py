@@ -10,8 +10,8 @@ from typing import Any
 
 from .._common.atomic_files import replacing
 from .._common.checks import InputError
-from ..discrepancy.design import Affordable, Contender, Design, contenders_from
-from ..discrepancy.verdict import NamedLevel
+from ..discrepancy.results.design import Affordable, Contender, Design, contenders_from
+from ..discrepancy.results.verdict import NamedLevel
 from ..effects import LIBRARY
 from ..reporting.output_folder import read_result
 from ..reporting.terminal import aligned
@@ -71,8 +71,8 @@ def plan(
         raise InputError(f"{target} exists already; choose another file, or allow it to be overwritten.")
     result = read_result(folder)
     present, contenders = _of(result, Path(folder))
-    from ..discrepancy.plan import plan_tests
-    from ..discrepancy.plan_words import describe, name_of, percent, sentences
+    from ..discrepancy.planning.plan import plan_tests
+    from ..discrepancy.wording.plan_words import describe, name_of, percent, sentences
     from ..oscillator import Oscillator
     from ..reporting.output_folder import plain
     from ..reporting.study_files import plan_entries

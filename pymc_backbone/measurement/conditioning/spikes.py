@@ -145,7 +145,7 @@ def _explained(
     rival = min(
         _left(off, np.column_stack([_signature(rows, at, shape), _signature(rows, at + 1, shape)]))
         for shape in (_KINK, _BEND)
-        for at in rows
+        for at in range(begin, end + 1)
     )
     # a run of them stands out at four places more than it has samples; what rings would be two or three
     for count in range(1, min(gap, rows.size - 2 * _REACH) + 1):

@@ -1,0 +1,1 @@
+"""What else explains the gap, and whether what was named holds."""

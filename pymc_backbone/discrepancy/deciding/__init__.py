@@ -1,0 +1,1 @@
+"""From sets and their probabilities to mechanisms, laws and a verdict."""

@@ -1,0 +1,362 @@
+"""The verdict: what the probabilities, the fit's own residuals, the tolerance and the rivals allow to say."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+
+from ..fitting.curves import level_chi_square
+from ..fitting.estimates import estimates_of
+from ..fitting.joint_fit import Fit
+from ..proposals.harmonic_odds import odds_behind_bands
+from ..results.verdict import AdequateBy, NamedLevel, Verdict
+from ..sets.search import Search, Set
+from ..weighing import evidence
+from ..weighing.corrected_evidence import Corrected, corrections
+from ..weighing.evidence import DRIFT, UNEXPLAINED, Drifting, Evidence, is_unexplained
+from .as_good import odds_of_as_good
+from .compensation import compensation
+from .decision import AGREE, DRIFT_POSSIBLE, NAMED, Decision, as_one, listed
+from .inexact import departing, is_told_apart
+from .shares import missing_mechanisms
+from .tolerance import is_drift_small, prune
+
+_IMITATES = (0.0, 0.03, 0.06, 0.15)  # how probable it is that a set of so many effects imitates what the library lacks
+_HARDLY = 200.0  # gap in standard deviations of the noise beyond which that is rarer, in proportion
+_ASKED = 0.01  # probability of a set from which it is asked whether its effects compensate each other
+_COMPENSATED = 2.0  # times as much as is left, beyond which an imitation is more probable, with the square
+_STANDS_IN = 0.2  # how probable it is that the weakest of several effects stands in for what the library lacks
+_SMALL = 12.0  # gap that it closes, in standard deviations of the noise, beyond which that is rarer
+_LARGE = 0.01  # share of the motion that this gap is, beyond which that is rarer, too
+_ONE_FORCE = frozenset(("spring", "asymmetry"))  # the odd and the even part of one
+_WEIGHT_OF_NOISE = 0.1  # how much rarer residuals like noise are where the library lacks what is missing
+
+
+def decide(search: Search, drifting: Mapping[Set, Drifting], tolerance: Mapping[str, float]) -> Decision:
+    """Return the verdict on a finished search.
+
+    ``drifting`` holds the base and other sets with a drift in time. Where that is more probable than the set without
+    it, it becomes the fit of the set.
+    """
+    _complete(search)
+    base = drifting[()].fit if () in drifting else None
+    decision = _mind_backbones(search, _judged(search, _weighed(search, drifting), tolerance, base))
+    drifts = decision.model in decision.drifts and decision.model in search.fits
+    if drifts and is_drift_small(search.fits[decision.model], tolerance):
+        decision = replace(decision, has_small_drift=True)
+    if decision.verdict is Verdict.AMBIGUOUS and decision.best not in decision.listed and not decision.unfinished:
+        decision = replace(decision, listed=(decision.best, *decision.listed))
+    if decision.verdict is Verdict.ADEQUATE or decision.mechanisms or decision.is_approximate:
+        return decision
+    if not np.isnan(decision.against):  # what does not hold at every amplitude names no mechanism either
+        return decision
+    return _by_mechanism(search, decision)
+
+
+def _judged(search: Search, weighed: Decision, tolerance: Mapping[str, float], drifting: Fit | None) -> Decision:
+    """Return the verdict: each question in turn, until one is answered."""
+    if weighed.best == () and not is_unexplained(weighed.lack, tolerance):
+        # what no noise would leave is forgiven by the tolerance alone
+        by = AdequateBy.TOLERANCE if is_unexplained(weighed.lack, {}) else AdequateBy.STATISTICS
+        return replace(weighed, verdict=Verdict.ADEQUATE, adequate_by=by)
+    if weighed.p_missing > evidence.MISSING:
+        return replace(
+            weighed, best=(), probability=weighed.probabilities[()], verdict=Verdict.ADEQUATE,
+            adequate_by=AdequateBy.STATISTICS,
+        )  # fmt: skip
+    named = _pruned(search, weighed, tolerance) if any(tolerance.values()) else weighed
+    if named.verdict is Verdict.ADEQUATE:
+        if drifting is None or named.drift_probability <= 0.5:
+            return named
+        return _with_drift(search, named, drifting, tolerance)
+    if named.drift_probability > NAMED and drifting is not None and evidence.leaves_noise(search.batch, drifting):
+        return replace(named, verdict=Verdict.UNEXPLAINED, below=())
+    if named.lack.p_value < UNEXPLAINED:
+        return departing(search, named)
+    if named.drift_probability > NAMED:
+        return replace(named, verdict=Verdict.UNEXPLAINED, below=())
+    if named.probability >= NAMED and named.drift_probability < DRIFT_POSSIBLE:
+        return replace(named, verdict=Verdict.FOUND, named_level=NamedLevel.LAW)
+    if named.simulated is not None:
+        # the set without what is below the tolerance is no explanation: what remains is told with it
+        named = replace(weighed, below=named.below)
+    is_one = named.best == named.above  # sets that differ by what is below the tolerance are one
+    chances = as_one(
+        named.below if is_one else (), {names: named.evidences[names].probability for names in named.ranked}
+    )
+    # what the sets do not hold of the probability is the drift's
+    return replace(named, listed=listed(chances, 1.0 - sum(chances.values())))
+
+
+def _with_drift(search: Search, decision: Decision, drifting: Fit, tolerance: Mapping[str, float]) -> Decision:
+    """Return the decision for the base with the drift that explains the records: no effect beside it is the best.
+
+    It is adequate where what drifts is below the tolerance, as effects are that are not named.
+    """
+    search.fits[()] = drifting
+    chances = {**decision.probabilities, (): decision.probabilities[()] + decision.drift_probability}
+    evidences = {**decision.evidences, (): decision.evidences[DRIFT]}
+    is_small = is_drift_small(drifting, tolerance)
+    verdict, by = (Verdict.ADEQUATE, decision.adequate_by) if is_small else (Verdict.UNEXPLAINED, None)
+    return replace(
+        decision, verdict=verdict, adequate_by=by, below=(), best=(), simulated=None, probability=chances[()],
+        probabilities=chances, evidences=evidences,
+        ranked=((), *(names for names in decision.ranked if names)), drifts=(*decision.drifts, ()),
+        lack=evidence.lack_of_fit(search.batch, drifting),
+    )  # fmt: skip
+
+
+def _weighed(search: Search, drifting: Mapping[Set, Drifting]) -> Decision:
+    """Return the probabilities of all sets and of a drift with time, the verdict still open.
+
+    A set is as probable as it is with and without a drift in time beside it; the base with a drift is a rival of its
+    own. Every probability is multiplied by that of the library holding the answer. The p-value of the residuals bounds
+    it: ``-e p ln p`` is the least Bayes factor for noise against whatever else may have left them [1]_.
+
+    References
+    ----------
+    .. [1] Sellke T., Bayarri M. J., Berger J. O. (2001) Calibration of p values for testing precise null hypotheses.
+       The American Statistician 55(1), 62-71. doi:10.1198/000313001300339950
+    """
+    p_missing = evidence.p_nothing_missing(search.fits, search.batch)
+    fits, bonus = dict(search.fits), {}
+    for names, item in drifting.items():
+        fits[(*names, *DRIFT)], bonus[(*names, *DRIFT)] = item.fit, item.bonus
+    odds = odds_behind_bands(search.batch, fits)
+    arguments = (fits, search.batch, len(search.candidates), bonus, search.variants, odds)
+    evidences = evidence.probabilities(*arguments)
+    if raised := odds_of_as_good(search.batch, fits, evidences, search.variants):
+        odds = {names: odds.get(names, 0.0) + raised.get(names, 0.0) for names in {**odds, **raised}}
+        arguments = (*arguments[:-1], odds)
+        evidences = evidence.probabilities(*arguments)
+    corrected = _corrected(search, fits, evidences, p_missing)
+    if corrected.sets:
+        leading = max(evidences, key=lambda names: evidences[names].log_posterior)
+        evidences = evidence.probabilities(*arguments, corrected.shifts(leading))
+    likelier = [
+        names
+        for names in drifting
+        if names and evidences[(*names, *DRIFT)].log_posterior > evidences[names].log_posterior
+    ]
+    for names in drifting:
+        if names:
+            evidences[names] = _either(evidences[names], evidences[(*names, *DRIFT)])
+    ranked = tuple(sorted(search.fits, key=lambda names: -evidences[names].log_posterior))
+    best = ranked[0]
+    # where the most probable set holds one more effect and no drift, a drift beside the smaller set imitates that
+    drifts = tuple(names for names in likelier if best in likelier or not set(names) < set(best))
+    # a drift without which a set leaves noise just as well makes up for nothing
+    needed = {names for names in drifts if not evidence.leaves_noise(search.batch, search.fits[names])}
+    search.fits.update({names: drifting[names].fit for names in drifts})
+    evidences = doubted(search, evidences)
+    lack = evidence.lack_of_fit(search.batch, search.fits[best])
+    left, drift_probability = lack, 0.0
+    if () in drifting:
+        rival = evidences[DRIFT]
+        drift_probability = rival.probability
+        if rival.log_posterior > evidences[best].log_posterior:
+            left = evidence.lack_of_fit(search.batch, drifting[()].fit)  # what explains the records best may be no set
+    explained = library_holds(left.p_value)
+    none_other = {
+        names: is_none_other(
+            search, names, names in needed,
+            compensation(search, names) if len(names) > 1 and evidences[names].probability > _ASKED else 1.0,
+        )
+        for names in search.fits
+    }  # fmt: skip
+    probabilities = {names: explained * none_other[names] * evidences[names].probability for names in search.fits}
+    return Decision(
+        verdict=Verdict.AMBIGUOUS,
+        best=best,
+        probability=probabilities[best],
+        p_missing=p_missing,
+        lack=lack,
+        probabilities=probabilities,
+        evidences=evidences,
+        ranked=ranked,
+        drift_probability=explained * drift_probability,
+        drifts=drifts,
+        corrected=corrected,
+        none_other=none_other,
+    )
+
+
+def _corrected(search: Search, fits: Mapping[Set, Fit], known: Mapping[Set, Evidence], p_missing: float) -> Corrected:
+    """Return by how much Laplace's method is off, where the verdict rests on evidence at all."""
+    if p_missing > evidence.MISSING:
+        return Corrected(reason="evidence is Laplace's: the test of nothing being missing decides")
+    best = min(fits.values(), key=lambda item: item.cost)
+    if evidence.lack_of_fit(search.batch, best).p_value < UNEXPLAINED:
+        return Corrected(reason="evidence is Laplace's: no set leaves noise, and the backbones decide")
+    return corrections(fits, known, search.batch, search.budget)
+
+
+def _either(first: Evidence, second: Evidence) -> Evidence:
+    """Return the evidence of one or the other."""
+    return Evidence(
+        max(first.log_evidence, second.log_evidence),
+        float(np.logaddexp(first.log_posterior, second.log_posterior)),
+        first.probability + second.probability,
+    )
+
+
+def least_bayes_factor(p_value: float) -> float:
+    """Return the least Bayes factor for the null hypothesis that a p-value allows: ``-e p ln p``, 1 from 1/e on."""
+    p = min(max(p_value, 1e-300), float(np.exp(-1.0)))
+    return float(-np.exp(1.0) * p * np.log(p))
+
+
+def library_holds(p_value: float) -> float:
+    """Return the probability that the library holds what is missing, by the p-value of the best set's residuals."""
+    none = evidence.PRIOR_NONE * _WEIGHT_OF_NOISE / least_bayes_factor(p_value)
+    return (1.0 - evidence.PRIOR_NONE) / (1.0 - evidence.PRIOR_NONE + none)
+
+
+def _pruned(search: Search, weighed: Decision, tolerance: Mapping[str, float]) -> Decision:
+    """Return the decision on the effects above the tolerance; ``adequate`` where there are none."""
+    if search.is_refuted(weighed.best):
+        return weighed  # out of phase: what its effects change is not known by it
+    kept, below = prune(search, weighed.best, tolerance)
+    if not kept and not is_unexplained(weighed.lack, tolerance):
+        below = () if weighed.drift_probability > 0.5 else weighed.best
+        return replace(weighed, verdict=Verdict.ADEQUATE, adequate_by=AdequateBy.TOLERANCE, below=below)
+    if not below or kept not in search.fits:
+        return replace(weighed, below=below)
+    # what is below the tolerance is said, not named: sets that differ by such effects only are one
+    together = [names for names in search.fits if set(kept) <= set(names) <= {*kept, *below}]
+    probability = float(sum(weighed.probabilities[names] for names in together))
+    leaves_noise = evidence.leaves_noise(search.batch, search.fits[kept])
+    simulated = None if leaves_noise else weighed.best
+    return replace(weighed, best=kept, probability=probability, below=below, simulated=simulated)
+
+
+def _by_mechanism(search: Search, decision: Decision) -> Decision:
+    """Return the decision with the mechanisms of its sets, where these are exact; named where sets agree on no more.
+
+    Which law of a mechanism it is may be open and the mechanism certain: then that is what is named, and the sets that
+    remain possible are told beside it.
+    """
+    best = decision.model
+    # what an exact set leaves is noise, whatever was thought of its size
+    is_exact = decision.lack.p_value >= UNEXPLAINED
+    noise = search.fits[best].cost if is_exact else search.count
+    gaps = {names: float(np.sqrt(max(found.cost - noise, 0.0))) for names, found in search.fits.items()}
+    elsewhere = max(1.0 - sum(decision.probabilities.values()) - decision.drift_probability, 0.0)
+    mechanisms = missing_mechanisms(
+        search, decision.probabilities, best, gaps, estimates_of(search.fits[best]), elsewhere
+    )
+    known = replace(decision, mechanisms=mechanisms)
+    is_like_another = _is_one_curve, _is_inexact_alone, _is_of_free_shape_and_drifts
+    if decision.named_level is NamedLevel.LAW and any(asked(search, decision) for asked in is_like_another):
+        return without_laws(known)
+    is_open = decision.verdict is Verdict.AMBIGUOUS and is_exact and not decision.unfinished
+    is_against = best in decision.drifts and _backbones_disagree(search, best)
+    is_doubtful = is_against or decision.drift_probability >= DRIFT_POSSIBLE
+    if not is_open or is_doubtful or not is_told_apart(mechanisms):
+        return known
+    return replace(known, verdict=Verdict.FOUND, named_level=NamedLevel.MECHANISM)
+
+
+def _is_one_curve(search: Search, decision: Decision) -> bool:
+    """Return whether laws of one mechanism take each other's doing back: two curves whose sum is any smooth third one.
+
+    Then it is the sum that the records tell, and whether it is of these two laws they do not.
+    """
+    kinds = [search.mechanism_of(name) for name in decision.model]
+    return len(set(kinds)) < len(kinds) and compensation(search, decision.model) > _COMPENSATED
+
+
+def _is_inexact_alone(search: Search, decision: Decision) -> bool:
+    """Return whether what is named is likelier with something of its own mechanism that is below the tolerance.
+
+    Then it is a law like that one. A spring that differs a little between the two sides is none of a symmetric law.
+    """
+    kinds = {search.mechanism_of(name) for name in decision.best}
+    kinds |= _ONE_FORCE if kinds & _ONE_FORCE else set()
+    alone = decision.probabilities.get(decision.best, 0.0)
+    return alone < 0.5 * decision.probability and any(search.mechanism_of(name) in kinds for name in decision.below)
+
+
+def _is_of_free_shape_and_drifts(search: Search, decision: Decision) -> bool:
+    """Return whether a variant is named that needs a drift too small to matter: then a law like it needs none."""
+    return decision.has_small_drift and not set(search.variants).isdisjoint(decision.best)
+
+
+def without_laws(decision: Decision) -> Decision:
+    """Return a decision that named laws with their mechanisms instead, where these are told apart."""
+    if is_told_apart(decision.mechanisms):
+        return replace(decision, named_level=NamedLevel.MECHANISM)
+    return replace(decision, verdict=Verdict.AMBIGUOUS, named_level=None, listed=(decision.best,))
+
+
+def is_none_other(search: Search, names: Set, has_drift: bool = False, compensated: float = 1.0) -> float:
+    """Return the probability that a set which leaves noise is not the imitation of something the library lacks.
+
+    The more effects a set has, the less probable it is beforehand, and the more it can imitate; but what explains a gap
+    of thousands of standard deviations to the noise is hardly ever an imitation. A drift beside it counts as one more.
+    Effects that are ``compensated`` by each other (`compensation`) imitate more often.
+    """
+    size = min(len(names) + has_drift, len(_IMITATES) - 1)
+    gap = float(np.sqrt(max(search.fits[()].cost - search.fits[names].cost, 0.0)))
+    imitates = _IMITATES[size] * min(1.0, _HARDLY / max(gap, 1.0))
+    imitates = min(imitates * max(compensated / _COMPENSATED, 1.0) ** 2, 1.0)
+    prior = evidence.PRIOR_OF_SIZE[size]
+    return prior / (prior + evidence.PRIOR_NONE * imitates)
+
+
+def doubted(search: Search, evidences: Mapping[Set, Evidence]) -> dict[Set, Evidence]:
+    """Return the evidences where the weakest of several effects may stand in for something small of another kind.
+
+    Beside what dominates, every structure holds things that no library describes, and of some twenty effects one often
+    makes up for a small one down to the noise. So much of the probability of a set goes to the set without its weakest
+    effect, by the gap that this one closes in standard deviations of the noise, and as a share of the motion.
+    """
+    known = dict(evidences)
+    motion = evidence.size_of_motion(search.batch)
+    for names, found in sorted(search.fits.items(), key=lambda item: -len(item[0])):
+        parents = [parent for parent in combinations(names, max(len(names) - 1, 0)) if parent in search.fits]
+        if len(names) < 2 or not parents:
+            continue
+        parent = min(parents, key=lambda item: search.fits[item].cost)
+        gap = float(np.sqrt(max(search.fits[parent].cost - found.cost, 0.0)))
+        stands_in = _STANDS_IN * min(1.0, _SMALL / max(gap, 1.0)) ** 1.5 * min(1.0, _LARGE * motion / max(gap, 1.0))
+        moved = known[names].probability * stands_in / (1.0 + stands_in)
+        for item, change in ((names, -moved), (parent, moved)):
+            known[item] = replace(known[item], probability=known[item].probability + change)
+    return known
+
+
+def _mind_backbones(search: Search, decision: Decision) -> Decision:
+    """Return no name where a set explains the samples by a drift beside it, and leaves the backbones far off.
+
+    An explanation of the samples has to hold at every amplitude; with a drift in time beside it, it may hold nowhere.
+    Without one, backbones that disagree may be at fault: their errors are small and their mid-line may be lost.
+    """
+    is_name = decision.named_level is NamedLevel.LAW
+    # where nothing else remains, what is too improbable for a name is told as the explanation all the same
+    is_only = decision.verdict is Verdict.AMBIGUOUS and not decision.is_approximate and len(decision.listed) < 2
+    if not (is_name or is_only) or decision.ranked[0] not in decision.drifts:
+        return decision
+    if not _backbones_disagree(search, decision.ranked[0]):
+        return decision
+    left = level_chi_square(search.batch, search.fits[decision.ranked[0]])
+    return replace(decision, verdict=Verdict.AMBIGUOUS, named_level=None, listed=(decision.best,), against=left)
+
+
+def _backbones_disagree(search: Search, names: Set) -> bool:
+    """Return whether a set leaves the backbones far off; behind a filter they are not those of the motion."""
+    batch = search.batch
+    return not batch.is_behind_filter and level_chi_square(batch, search.fits[names]) >= AGREE
+
+
+def _complete(search: Search) -> None:
+    """Fit every subset of the most probable set: the tolerance and the table ask what each of its effects changes."""
+    best: Set | None = None
+    while best != search.best():
+        best = search.best()
+        for size in range(0 if search.is_refuted(best) else len(best)):
+            for rest in combinations(best, size):
+                search.fit_set(rest)

@@ -1,0 +1,1 @@
+"""What sensors, filters, hands and other modes add to records, asked after a first search."""

@@ -1,0 +1,135 @@
+"""What a set leaves beside disturbances of the readings: set and coefficients are one linear problem, solved anew."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ..._common.checks import FloatArray
+from ..fitting.batch import Batch
+from ..fitting.data_term import WaveformTerm
+from ..fitting.joint_fit import Fit, fit
+from ..fitting.normal_equations import DRIFTS, State, derivatives
+from ..weighing import evidence
+from .disturbance import Disturbance, line_modes
+from .mode_lines import are_beside, step_of, with_lines
+
+_MOST = 0.1  # of the reading at the largest motion: what bends by more is no sensor
+_MOST_OF_A_LINE = 0.3  # of the motion: beside more, the other mode is no disturbance
+_LOOKS = 3  # times that the coefficients are found again, the set fitted to what they leave
+
+
+class LeftBeside(NamedTuple):
+    """What a set leaves beside disturbances, these, and whether it is noise."""
+
+    cost: float
+    items: list[Disturbance]
+    is_noise: bool
+
+
+def left_beside(batch: Batch, start: Fit, limit: float, *, has_line: bool, is_bent: bool) -> LeftBeside | None:
+    """Return what a set leaves beside a disturbance, and that; None where it is not less than the limit."""
+    items = [
+        Disturbance(
+            float(term.time[0]), float(term.time[-1]), float(record.time[0]),
+            float(np.abs(term.values - term.values.mean()).max()),
+        )
+        for term, record in zip(batch.waveform, batch.records, strict=True)
+    ]  # fmt: skip
+    without, found = batch, start
+    nuisances = tuple(np.flatnonzero(start.active[: start.state.own.shape[1]]).tolist())  # of a drift, where it has one
+    for _ in range(_LOOKS):
+        if has_line:
+            items = with_lines(batch, without, found, items)
+            if not any(item.frequency for item in items):
+                return None
+        looked = _linear(without, found, items, is_bent=is_bent)
+        if looked is None or not looked.cost < limit:
+            return None
+        items = looked.items
+        if max(item.bent for item in items) > _MOST or max(item.line for item in items) > _MOST_OF_A_LINE:
+            return None
+        terms = tuple(_without(term, item) for term, item in zip(batch.waveform, items, strict=True))
+        without = replace(batch, waveform=terms)
+        solved = fit(found.layout, terms, looked.state, iterations=10, nuisances=nuisances)
+        if solved is None:
+            return None
+        found = solved
+    if has_line and not are_beside(batch, found, items):
+        return None
+    if not found.cost < limit:
+        return None
+    # another mode begins with the motion, before the record that is compared; what runs nearby was there before
+    begun = [
+        -np.inf if item.lasts else min(item.release, float(own[3]))
+        for item, own in zip(items, found.state.own, strict=True)
+    ]
+    items = [replace(item, release=release) for item, release in zip(items, begun, strict=True)]
+    return LeftBeside(found.cost, items, evidence.lack_of_fit(without, found).p_value >= evidence.UNEXPLAINED)
+
+
+def _without(term: WaveformTerm, item: Disturbance) -> WaveformTerm:
+    """Return a term whose values hold no disturbance."""
+    return replace(term, values=item.motion(term.time, term.values, step=step_of(term)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Look:
+    """What a linear look promises: the cost, the disturbances, and where the set goes."""
+
+    cost: float
+    items: list[Disturbance]
+    state: State
+
+
+def _linear(without: Batch, found: Fit, items: list[Disturbance], *, is_bent: bool) -> _Look | None:
+    """Return where set and coefficients go in one step together; None where the set cannot be simulated."""
+    layout, state, active = found.layout, found.state, found.active
+    q, count = layout.free.size, len(items)
+    scatter = layout.scatter if q and active[-1] and count > 1 else 0.0
+    kept = np.flatnonzero(active)
+    prior = (kept >= DRIFTS[0]).astype(np.float64)
+    width = kept.size + 4
+    matrix, right, squares = np.zeros((q + count * width,) * 2), np.zeros(q + count * width), 0.0
+    for r, term in enumerate(without.waveform):
+        known = derivatives(layout, term, state.eta, state.own[r], scatter, active)
+        if known is None:
+            return None
+        columns = np.hstack([known.shared, known.own[:, kept], _modes(term, items[r], is_bent=is_bent)])
+        at = np.concatenate([np.arange(q), q + r * width + np.arange(width)])
+        matrix[np.ix_(at, at)] += columns.T @ columns
+        right[at] += columns.T @ known.residuals
+        own = at[q : q + kept.size]
+        matrix[own, own] += prior
+        right[own] -= prior * state.own[r, kept]
+        squares += float(known.residuals @ known.residuals) + float(prior @ state.own[r, kept] ** 2)
+    unit = np.sqrt(np.where(np.diag(matrix) > 0.0, np.diag(matrix), 1.0))
+    step = np.linalg.lstsq(matrix / np.outer(unit, unit), right / unit, rcond=1e-12)[0] / unit
+    if not np.isfinite(step).all():
+        return None
+    own, each = state.own.copy(), step[q:].reshape(count, width)
+    has_line = any(item.frequency for item in items)
+    own[:, kept] += each[:, : kept.size]
+    own[:, 1] = np.maximum(own[:, 1], 0.0)
+    each[:, kept.size :][:, [not is_bent, not is_bent, not has_line, not has_line]] = 0.0
+    changed = [
+        replace(item, even=item.even + even, odd=item.odd + odd, cosine=item.cosine + cosine, sine=item.sine + sine)
+        for item, (even, odd, cosine, sine) in zip(items, each[:, kept.size :].tolist(), strict=True)
+    ]
+    return _Look(squares - float(step @ right), changed, State(layout.within(state.eta + step[:q]), own))
+
+
+def _modes(term: WaveformTerm, item: Disturbance, *, is_bent: bool) -> FloatArray:
+    """Return what a unit of each coefficient adds to the standardised values (m, 4); zeros for what is not there."""
+    around = term.values - term.values.mean()
+    columns = np.zeros((around.size, 4))
+    if is_bent:
+        columns[:, 0], columns[:, 1] = around**2 / item.scale, around**3 / item.scale**2
+    if item.frequency:
+        columns[:, 2:] = line_modes(term.time, item, step_of(term))
+    return term.whiten(term.compared(columns))
+
+
+__all__ = ["LeftBeside", "left_beside"]

@@ -1,0 +1,1 @@
+"""What changes with time instead of amplitude: a rival of every set."""

@@ -1,0 +1,242 @@
+"""The normal equations of all specimens at a point of a joint fit, the specimens' own values eliminated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..._common.checks import FloatArray
+from ..._common.threads import in_threads
+from .data_term import DataTerm
+from .layout import Layout
+
+NUISANCES = 7  # stiffness, damping, release amplitude, release instant, offset, drift of frequency, of damping
+RELEASE_INSTANT, ZERO = 3, 4
+DRIFTS = (5, 6)
+_TWO_DECADES = np.log(1e2) / np.sqrt(2.0 * np.pi)  # width of a Gaussian as dense at its middle as log-uniform ones are
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """A point of the joint fit.
+
+    Attributes
+    ----------
+    eta : (q,) array
+        Shared coordinates of the effects.
+    own : (r, 7 + q) array
+        Per specimen: stiffness, damping, release amplitude, release instant, offset, drifts, delta.
+    """
+
+    eta: FloatArray
+    own: FloatArray
+
+
+def start_state(layout: Layout, eta: FloatArray, own: FloatArray) -> State:
+    """Return a start with these shared coordinates and own nuisances (r, 5 or 7)."""
+    full = np.zeros((own.shape[0], NUISANCES + layout.free.size))
+    count = min(own.shape[1], NUISANCES)
+    full[:, :count] = own[:, :count]
+    return State(np.asarray(eta, dtype=np.float64), full)
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """Normal equations at a point: cost, gradients and information, shared and per specimen."""
+
+    chi_square: FloatArray
+    penalty: float
+    shared_gradient: FloatArray
+    shared: FloatArray
+    mixed: FloatArray
+    own: FloatArray
+    own_gradient: FloatArray
+
+    @property
+    def cost(self) -> float:
+        """Return the sum of squares at the point."""
+        return float(self.chi_square.sum() + self.penalty)
+
+
+def linearise(layout: Layout, terms: Sequence[DataTerm], state: State, scatter: float, active: Any) -> System | None:
+    """Return the normal equations at a point, or None where it cannot be simulated."""
+    q, count = layout.free.size, len(terms)
+    size = NUISANCES + q
+    shared, shared_gradient = np.zeros((q, q)), np.zeros(q)
+    mixed, own = np.zeros((count, q, size)), np.zeros((count, size, size))
+    own_gradient, chi_square = np.zeros((count, size)), np.zeros(count)
+    priors = np.flatnonzero(active & (np.arange(size) >= DRIFTS[0]))  # those with a standard normal prior
+    jobs = [partial(_gram, layout, term, state.eta, state.own[r], scatter, active) for r, term in enumerate(terms)]
+    for r, gram in enumerate(in_threads(jobs)):
+        if gram is None:
+            return None
+        chi_square[r] = gram[-1, -1]
+        shared += gram[:q, :q]
+        shared_gradient += gram[:q, -1]
+        mixed[r] = gram[:q, q:-1]
+        own[r] = gram[q:-1, q:-1]
+        own_gradient[r] = gram[q:-1, -1]
+        own[r, priors, priors] += 1.0
+        own_gradient[r, priors] -= state.own[r, priors]
+    penalty = float((state.own[:, priors] ** 2).sum())
+    return System(chi_square, penalty, shared_gradient, shared, mixed, own, own_gradient)
+
+
+class Derivatives(NamedTuple):
+    """Residuals (n,) of one specimen, and derivatives of what is simulated with respect to what is fitted.
+
+    Attributes
+    ----------
+    residuals : (n,) array
+        Standardised, measured minus simulated.
+    shared : (n, q) array
+        With respect to the shared coordinates.
+    own : (n, 7 + q) array
+        With respect to the specimen's own values; zero where these are not fitted.
+    together : (n, 8 + 2 q) array
+        Shared, own, residuals: what the three are columns of.
+    """
+
+    residuals: FloatArray
+    shared: FloatArray
+    own: FloatArray
+    together: FloatArray
+
+
+def parameters_at(layout: Layout, eta: FloatArray, values: FloatArray, scatter: float) -> tuple[FloatArray, FloatArray]:
+    """Return the parameter vector (p,) of a specimen with these own values, and the effects' derivatives (q, q)."""
+    effects, slopes = layout.physical(eta, values[NUISANCES:], scatter)
+    vector = layout.template.copy()
+    vector[:2] = values[:2]
+    vector[layout.free] = effects
+    return vector, slopes
+
+
+def derivatives(
+    layout: Layout, term: DataTerm, eta: FloatArray, values: FloatArray, scatter: float, active: Any
+) -> Derivatives | None:
+    """Return residuals and derivatives of one specimen at a point; None where it cannot be simulated."""
+    vector, slopes = parameters_at(layout, eta, values, scatter)
+    compared = term.compare(layout.simulator, vector, values[2:NUISANCES])
+    if compared is None:
+        return None
+    residuals, jacobian = compared
+    to_effects = jacobian[:, layout.free] @ slopes
+    q = layout.free.size
+    together = np.empty((residuals.size, q + values.size + 1))
+    shared, own = together[:, :q], together[:, q:-1]
+    np.multiply(to_effects, 1.0 + scatter * values[NUISANCES:], out=shared)
+    own[:, :2] = jacobian[:, :2]
+    own[:, 2:NUISANCES] = jacobian[:, vector.size :]
+    np.multiply(to_effects, eta * scatter, out=own[:, NUISANCES:])
+    for column in np.flatnonzero(~active):
+        own[:, column] = 0.0
+    together[:, -1] = residuals
+    return Derivatives(residuals, shared, own, together)
+
+
+@np.errstate(over="ignore", invalid="ignore")  # far from any motion derivatives overflow: counted as a failure
+def _gram(
+    layout: Layout, term: DataTerm, eta: FloatArray, values: FloatArray, scatter: float, active: Any
+) -> FloatArray | None:
+    """Return the products of derivatives and residuals of one specimen: shared, own, residual; None where it fails."""
+    found = derivatives(layout, term, eta, values, scatter, active)
+    if found is None:
+        return None
+    gram: FloatArray = found.together.T @ found.together
+    return gram if np.isfinite(gram).all() else None
+
+
+def eliminate(system: System, active: Any, damping: float, held: Any) -> Any:
+    """Return what remains for the shared values once each specimen's own are eliminated."""
+    shared = system.shared + damping * np.diag(np.diag(system.shared))
+    gradient = system.shared_gradient.copy()
+    free = active & ~held
+    every = np.arange(free.shape[0])
+    # specimens with the same free values in one call: their systems are small, and calls cost more than they do
+    groups = [every] if (free == free[:1]).all() else [every[r : r + 1] for r in every]
+    solved = []
+    for rows in groups:
+        index = np.flatnonzero(free[rows[0]])
+        try:
+            found = _eliminated(system, rows, index, damping)
+        except np.linalg.LinAlgError:
+            return None
+        for scale, mixed, reduced, log_determinant in zip(*found, strict=True):
+            shared -= mixed @ reduced[:, :-1]
+            gradient -= mixed @ reduced[:, -1]
+            solved.append((index, scale, reduced, log_determinant))
+    return shared, gradient, solved
+
+
+def _eliminated(system: System, rows: Any, index: Any, damping: float) -> tuple[FloatArray, ...]:
+    """Return scales (s, n), scaled mixed blocks (s, q, n), solutions (s, n, q + 1), log-determinants (s,)."""
+    block = system.own[rows][:, index[:, None], index]
+    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(block, axis1=1, axis2=2), 1e-300))
+    block = block * (scale[:, :, None] * scale[:, None, :]) + (damping + 1e-12) * np.eye(index.size)
+    mixed = system.mixed[rows][:, :, index] * scale[:, None]
+    right = np.concatenate([mixed, (system.own_gradient[rows][:, index] * scale)[:, None]], axis=1).transpose(0, 2, 1)
+    factor = np.linalg.cholesky(block)
+    roots = np.diagonal(factor, axis1=1, axis2=2)
+    log_determinants = 2.0 * np.log(roots).sum(axis=1) - 2.0 * np.log(scale).sum(axis=1)
+    return scale, mixed, np.linalg.solve(block, right), log_determinants
+
+
+def information(layout: Layout, system: System, state: State, active: Any, noise: float) -> tuple[float, FloatArray]:
+    """Return the logarithm of the determinant of the information, and the covariance (q, q) of the shared values.
+
+    ``noise`` is the variance of the residuals in units of the one assumed. The shared values are scaled with the width
+    of their priors; the covariance holds their default priors.
+    """
+    q, size = layout.free.size, state.own.shape[1]
+    prior = np.diag((active & (np.arange(size) >= DRIFTS[0])).astype(np.float64))
+    scaled_system = replace(
+        system, shared=system.shared / noise, mixed=system.mixed / noise, own=(system.own - prior) / noise + prior
+    )
+    eliminated = eliminate(scaled_system, active, 0.0, np.zeros(state.own.shape, dtype=bool))
+    if eliminated is None:
+        return np.inf, np.full((q, q), np.nan)
+    shared, _, solved = eliminated
+    own = float(sum(item[3] for item in solved))
+    if q == 0:
+        return own, np.empty((0, 0))
+    widths = np.where(layout.is_strength, layout.width, shape_width(layout, state.eta))
+    try:
+        covariance = np.outer(widths, widths) * np.linalg.inv(np.eye(q) + symmetric(shared) * np.outer(widths, widths))
+    except np.linalg.LinAlgError:
+        return np.inf, np.full((q, q), np.nan)
+    spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    chosen = prior_width(layout, state.eta, spread)
+    eigenvalues = np.linalg.eigvalsh(symmetric(shared) * np.outer(chosen, chosen))
+    return own + float(np.log1p(np.maximum(eigenvalues, 0.0)).sum()), covariance
+
+
+def prior_width(layout: Layout, eta: FloatArray, spread: FloatArray) -> FloatArray:
+    """Return the standard deviation of the prior of each shared coordinate.
+
+    The size of an effect is not known beforehand, not even its order of magnitude: the prior of a strength is as wide
+    as three times what is found, or what could just be seen.
+    """
+    own = np.minimum(3.0 * np.maximum(np.abs(eta), 3.0 * spread), 10.0 * layout.width)
+    return np.where(layout.is_strength, own, shape_width(layout, eta))
+
+
+def shape_width(layout: Layout, eta: FloatArray) -> FloatArray:
+    """Return the standard deviation of the prior of each shared coordinate, taken for a shape.
+
+    That of its default bounds; but where it is looked for beyond these, a value far outside of them (of the Bouc-Wen
+    law, which slips at a hundredth of the amplitude then) is known by its order of magnitude only: log-uniform over
+    two decades. With the width of the bounds there it would come at no cost, and beside every other law be favoured.
+    """
+    span = np.sqrt(12.0) * layout.width
+    is_open = layout.high - layout.low > 1.01 * span
+    return np.where(is_open, layout.width + _TWO_DECADES * np.maximum(np.abs(eta) - span, 0.0), layout.width)
+
+
+def symmetric(matrix: FloatArray) -> FloatArray:
+    """Return the symmetric part of a matrix, without what rounding adds."""
+    return 0.5 * (matrix + matrix.T)

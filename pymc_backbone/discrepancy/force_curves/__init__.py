@@ -1,0 +1,1 @@
+"""What the named part leaves, as a force over displacement or velocity."""

@@ -1,0 +1,1 @@
+"""Which test would tell sets apart that these records do not."""

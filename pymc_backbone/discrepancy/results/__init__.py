@@ -1,0 +1,1 @@
+"""What a diagnosis hands on, as frozen records."""

@@ -1,0 +1,1 @@
+"""The search: which sets are fitted to the samples, in what order, and when it ends."""

@@ -1,0 +1,185 @@
+"""Sets with variants of their effects: each is kept where it leaves less than what it varies does in its place."""
+
+from __future__ import annotations
+
+from itertools import batched, combinations
+
+import numpy as np
+
+from ...effects import LIBRARY
+from ..fitting import starts
+from ..fitting.joint_fit import Fit
+from ..proposals.propose import propose
+from ..proposals.set_fits import Set
+from .revisited_sets import RevisitedSets
+from .side_by_side import ABREAST, fit_side_by_side
+
+_LIKELIEST = 4  # sets whose variants are replaced by what they vary
+_OVERDRAWN = 1.3  # of the budget, up to which variants are asked where that is spent
+_AS_LIKELY = 4.0  # logarithm of evidence of the backbones, within which others with variants are asked ...
+_MOST_PROMISED = 8  # ... and how many
+NEEDED = 5.0
+"""Chi-square by which a less simple set of the same mechanisms must leave less."""
+
+
+class VariedSets(RevisitedSets):
+    """Fitted sets, and those that hold variants of their effects."""
+
+    def _vary(self) -> None:
+        """Fit the best set with variants in the place of its effects, and keep no variant that explains no more.
+
+        What explains no more than the effect that it varies is said by that one. In the place of a variant stand the
+        others of what it varies: a stop on one side for a play that lies off the middle.
+        """
+        best = self.best()
+        for name in best if not self.is_refuted(best) else ():
+            for variant in self.variants:
+                self._vary_one(best, name, variant)
+        for few in batched(self._promised_variants(), ABREAST):
+            self.progress("variants of effects", 0.5)
+            fit_side_by_side(self, few)
+        self._ask_plain()
+        for names in [names for names in self.fits if not self._is_needed(names)]:
+            del self.fits[names]
+
+    @property
+    def _is_overdrawn(self) -> bool:
+        """Return whether variants took so much beyond the budget that no more are asked."""
+        return self.descent.effort > _OVERDRAWN * self.budget
+
+    def _promised_variants(self) -> list[Set]:
+        """Return sets with variants that were not fitted and whose backbones are as likely as those of the best set.
+
+        What they vary may be far off, and a law of many parameters come near in their place.
+        """
+        best = self.best()
+        if self.is_refuted(best) or not self.explains(self.fits[best]) or best not in self.proposals:
+            return []
+        least = self.proposals[best].log_evidence - _AS_LIKELY
+        near = [
+            names for names, item in self.proposals.items() if item.log_evidence > least and len(names) <= len(best)
+        ]
+        new = [names for names in near if names not in self.fits and not {*names}.isdisjoint(self.variants)]
+        return [names for names in new if not (self._is_costly(names) or self._is_far(names))][:_MOST_PROMISED]
+
+    def _vary_one(self, varied: Set, name: str, variant: str) -> None:
+        """Fit a set with a variant in the place of one of its effects, where that is new and worth its cost."""
+        names = tuple(sorted({*(other for other in varied if other != name), variant}))
+        is_new = variant != name and len(names) == len(varied) and names not in self.fits
+        if not (is_new and is_akin(name, variant)) or (self._is_costly(names) and not self._is_costly(varied)):
+            return
+        if self._is_spent and (self._is_costly(names) or not self.explains(self.fits[varied]) or self._is_overdrawn):
+            return  # of what explains the records, the few that are soon fitted are asked all the same
+        self.progress("variants of effects", 0.5)
+        found = self._fit_varied(names)
+        if self._is_needed(names) and found is not None and self.explains(found):
+            for out in varied:  # what stood beside the effect may have made up for its lack
+                if out != name:
+                    self._fit_varied(tuple(other for other in names if other != out))
+
+    def _plain(self, names: Set) -> list[Set]:
+        """Return the sets that hold what a variant in this one varies in its place."""
+        return [
+            tuple(sorted({*(other for other in names if other != variant), name}))
+            for variant in {*names}.intersection(self.variants)
+            for name in LIBRARY[variant].variant_of
+        ]
+
+    def plainer(self, names: Set) -> list[Set]:
+        """Return the sets with a plain law in the place of a variant: something else may be what the variant is for."""
+        return [
+            tuple(sorted({*names, plain} - {name}))
+            for name in names
+            if name in self.variants
+            for plain in self.candidates
+            if plain not in names and is_akin(plain, name)
+        ]
+
+    def _ask_plain(self) -> None:
+        """Fit what variants of the likeliest sets vary once more, from there: its own fits may have lost their way.
+
+        Where the effort is spent, of what explains the records alone: else backbones decide, and no law is named.
+        """
+        for names in self.ranked()[:_LIKELIEST]:
+            varied = self.fits[names]
+            if self._is_spent and (self._is_overdrawn or not self.explains(varied)):
+                continue
+            for plain in self._plain(names) if not self.is_refuted(names) else ():
+                known, is_possible = self.fits.get(plain), {*plain} <= {*self.candidates, *self.variants}
+                if not is_possible or (known is not None and known.cost < varied.cost + NEEDED):
+                    continue
+                self.progress("what variants vary", 0.5)
+                layout = self.layout(plain)
+                if len(plain) < len(names):
+                    state = self._smaller(layout, varied)
+                else:
+                    state = starts.in_place_of(layout, varied, self.batch.angular_frequency)
+                found = self.descent.from_near(layout, [state])
+                if found is not None and (known is None or found.cost < known.cost):
+                    self.fits[plain] = found
+
+    def _ask_kindred(self) -> None:
+        """Fit what has another law of the same mechanism in the place of one of the best set, where that was not asked.
+
+        A law is named among those of its mechanism, however little effort is left and whatever start its backbones
+        ended at: beside the best it begins near.
+        """
+        best: Set | None = None
+        while best != self.best():
+            best = self.best()
+            if not best or self.is_refuted(best) or not self.explains(self.fits[best]):
+                return
+            for out in best:
+                kindred = [name for name in self.candidates if self.mechanism_of(name) == self.mechanism_of(out)]
+                for names in [tuple(sorted({*best, name} - {out})) for name in kindred if name not in best]:
+                    if not (names in self.fits or self._is_far(names) or self._is_hopeless(names)):
+                        self.progress("other laws of the same mechanisms", 0.5)
+                        for found in self._beside(names, self.fits[best].cost):
+                            self.fits[names] = found
+
+    def _is_needed(self, names: Set) -> bool:
+        """Return whether a fitted set leaves less than it does with what a variant in it varies in its place.
+
+        What is of another mechanism and no simpler does not say the same: its evidence decides.
+        """
+        known = [
+            self.fits[plain].cost for plain in self._plain(names) if plain in self.fits and self._says(plain, names)
+        ]
+        return names not in self.fits or not min(known, default=np.inf) < self.fits[names].cost + NEEDED
+
+    def _says(self, plain: Set, names: Set) -> bool:
+        """Return whether a set says what another says that explains no more: it is simpler, or of its mechanisms."""
+        kinds = [sorted(self.mechanism_of(name) for name in some) for some in (plain, names)]
+        return kinds[0] == kinds[1] or self.layout(plain).free.size < self.layout(names).free.size
+
+    def _fit_varied(self, names: Set) -> Fit | None:
+        """Return the fit of a set with a variant, begun from its look in the backbones; None where that is far off."""
+        if names not in self.fits and (not self.has_proposals or self._proposal(names) is None):
+            looks = propose(self.batch, self.base, names, len(names), self.own)
+            self.varied[names] = next(item for item in looks if set(item.names) == set(names))
+        return None if self._is_far(names) else self.fit_set(names)
+
+    def _ask_parts(self) -> None:
+        """Fit what is in the best set and was never fitted, from where that ended, whatever its backbones say.
+
+        Those of a motion whose mid-line is lost, or behind a filter, may put it far off: a stop on one side had been
+        named with a clearance that did nothing.
+        """
+        best: Set | None = None
+        while best != self.best():
+            best = self.best()
+            is_blind = self.batch.lacks_mid_line or self.batch.is_behind_filter
+            if not is_blind or len(best) < 2 or self.is_refuted(best) or not self.explains(self.fits[best]):
+                return
+            for part in combinations(best, len(best) - 1):
+                self.progress("what is in the best set", 0.5)
+                self._fit_within(part, best)
+
+
+def is_akin(name: str, variant: str) -> bool:
+    """Return whether a variant is one of an effect, or of what that effect is a variant of."""
+    of_effect = LIBRARY[name].variant_of if name in LIBRARY else ()
+    return not {name, *of_effect}.isdisjoint(LIBRARY[variant].variant_of)
+
+
+__all__ = ["NEEDED", "VariedSets", "is_akin"]

@@ -1,0 +1,1 @@
+"""Verdicts, candidates and plans in sentences and tables."""
