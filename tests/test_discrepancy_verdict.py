@@ -700,7 +700,16 @@ def test_words_of_each_verdict():
     for verdict, options, said in (
         ("found", {}, "Cubic stiffness is missing from the model, with a probability of 97 %"),
         ("found", {"best": ("coulomb_friction", "iwan")}, "Coulomb friction + Iwan are missing from the model"),
-        ("found", {"drifts": (("cubic_stiffness",),)}, "97 %, while frequency or damping also change with time."),
+        (
+            "found",
+            {"drifts": (("cubic_stiffness",),), "probabilities": {("cubic_stiffness",): 0.97, ("iwan",): 0.03}},
+            "97 %, while frequency or damping also change with time.",
+        ),
+        (
+            "found",
+            {"drifts": (("cubic_stiffness",),), "probabilities": {("cubic_stiffness",): 0.8, ("iwan",): 0.2}},
+            "while frequency or damping may also change with time (80 %; else a further effect does the same).",
+        ),
         ("found", {"below": ("iwan", "quadratic_damping")}, "(Iwan and quadratic damping are detectable too, below"),
         ("ambiguous", {"listed": (("cubic_stiffness",), ("freeplay",))}, "tell apart: cubic stiffness; freeplay."),
         (

@@ -39,6 +39,19 @@ def test_hum_is_taken_out_of_a_record_with_many_samples(rng):
     assert np.std(smooth) == pytest.approx(1e-3 / np.sqrt(20.0), rel=0.1)
 
 
+@pytest.mark.parametrize("frequency", [34.0, 37.0, 62.0, 71.0])
+def test_hum_close_to_the_motion_in_a_short_record_is_taken_out(frequency, rng):
+    """The line of the motion, and what its decay spreads, are not what lies beside that of the mains."""
+    rate = 1500.0
+    time = np.arange(1800) / rate
+    motion = np.exp(-1.5 * time) * np.cos(2.0 * np.pi * frequency * time)
+    line, noise = 0.008 * np.cos(2.0 * np.pi * 50.0 * time + 0.4), 5e-3 * rng.standard_normal(time.size)
+    left, found = without_hum(motion + line + noise, rate, frequency)
+    assert found.frequencies == pytest.approx([50.0], abs=0.1) and found.share == pytest.approx(0.008, rel=0.2)
+    assert np.std(left - motion - noise) < 3.0 * 5e-3 * np.sqrt(4.0 / (0.25 * time.size))
+    assert without_hum(motion + noise, rate, frequency)[1] is None
+
+
 def test_a_record_says_that_hum_was_taken_out(rng):
     values = 1e-3 * (DECAY + hum(50.0)) + 1e-6 * rng.standard_normal(TIME.size)
     conditioned = pb.condition(pb.Record("beam", TIME, values, "displacement", "m"))

@@ -90,7 +90,7 @@ def _of_mechanisms(decision: Decision) -> str:
     is_like = decision.is_approximate or not decision.listed  # of a bent sensor no law is told, however exact it is
     said = " ".join(_of_mechanism(item, is_like) for item in decision.mechanisms if item.is_certain)
     if not is_like and decision.model in decision.drifts and not decision.has_small_drift:
-        said += " Frequency or damping also change with time."
+        said += f" {capitalised(_changes_with_time(decision))}."
     others = [
         item
         for item in decision.mechanisms
@@ -108,6 +108,15 @@ def _of_mechanisms(decision: Decision) -> str:
     open_still = [item for item in others if item not in small]
     kinds = ", ".join(f"{MECHANISMS[item.mechanism]} ({_chance(item.probability)})" for item in open_still)
     return f"{said} What may be missing, too: {kinds}." if kinds else said
+
+
+def _changes_with_time(decision: Decision) -> str:
+    """Return that frequency or damping change with time: with the probability where sets without that remain."""
+    drifting = sum(decision.probabilities.get(names, 0.0) for names in decision.drifts)
+    share = drifting / max(sum(decision.probabilities.values()), 1e-300)
+    if share >= MECHANISM_NAMED:
+        return "frequency or damping also change with time"
+    return f"frequency or damping may also change with time ({_chance(share)}; else a further effect does the same)"
 
 
 def _none_of_these(decision: Decision) -> str:
@@ -167,7 +176,7 @@ def sentence(decision: Decision) -> str:
         held = "" if decision.simulated is None else ", and in the model"
         below = f" ({_below(decision)} detectable too, below the tolerance{held})" if decision.below else ""
         drifts = decision.model in decision.drifts and not decision.has_small_drift  # which its check tells
-        beside = ", while frequency or damping also change with time" if drifts else ""
+        beside = f", while {_changes_with_time(decision)}" if drifts else ""
         what = capitalised(named(decision.best))
         return f"{what} {verb} missing from the model, with a probability of {_of_best(decision)}{beside}{below}."
     if decision.verdict is Verdict.AMBIGUOUS:

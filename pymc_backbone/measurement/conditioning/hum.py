@@ -21,7 +21,8 @@ _ENOUGH = 2400.0  # samples per second [Hz] that show all of these
 _APART = 5.0  # bins between a line and a harmonic of the motion
 _SWEPT = 0.01  # of the frequency of a harmonic, by which the motion may be off it
 _HARMONICS = 6
-_NEAR, _FAR = 4, 30  # bins beside a line that tell how high nothing is
+_NEAR, _FAR = 4, 30  # bins beside a line that tell how high nothing is,
+_SPREAD, _FEWEST = 8.0, 20  # but for so many beside lines of the motion, where that leaves so many
 _LINE = 60.0  # power of a line over the median beside it
 _ABOVE = 4.0  # and over the highest of these
 _FINER = 3  # frequencies that are looked at in each bin
@@ -116,8 +117,14 @@ def _line(
         return None
     near = np.arange(int((place - reach) / step), min(int((place + reach) / step) + 2, power.size))
     at = int(near[np.argmax(power[near])])
-    bins = np.rint(width / step * np.arange(_NEAR, _FAR + 1)).astype(int)
-    beside = power[np.clip(np.concatenate([at - bins, at + bins]), 0, power.size - 1)]
+    away = width * np.arange(_NEAR, _FAR + 1)
+    places = at * step + np.concatenate([-away, away])
+    # the motion's own lines, and what a decay spreads beside them, are not what lies beside this one
+    own = frequency * np.clip(np.rint(places / frequency), 1, _HARMONICS)
+    places = places[np.abs(places - own) > _SPREAD * width + _SWEPT * own]
+    if places.size < _FEWEST:
+        return None
+    beside = power[np.clip(np.rint(places / step).astype(int), 0, power.size - 1)]
     if power[at] < _LINE * float(np.median(beside)) or power[at] < _ABOVE * float(beside.max()):
         return None
     solved = minimize_scalar(
