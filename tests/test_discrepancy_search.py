@@ -649,10 +649,11 @@ def test_backbones_are_asked_beside_drifts_where_a_drift_explains_half(cubic, mo
     assert bool(asked) == is_asked
 
 
-def test_a_stop_on_one_side_is_asked_where_a_play_off_the_middle_is_the_best():
-    """Its other side is not reached: both are variants of the same play and say the same of the records."""
+@pytest.mark.parametrize(("strength", "gap"), [(0.2, 0.4), (1.8, 0.55)])
+def test_a_stop_on_one_side_is_asked_where_a_play_off_the_middle_is_the_best(strength, gap):
+    """Its other side is not reached: both are variants of the same play and say the same; the simpler one is kept."""
     rng, model = np.random.default_rng(7), Oscillator(MASS, ["one_sided_stiffness"])
-    truth = truth_of(()) | {"stop_stiffness": 0.2 * STIFFNESS, "stop_gap": 0.4 * AMPLITUDE}
+    truth = truth_of(()) | {"stop_stiffness": strength * STIFFNESS, "stop_gap": gap * AMPLITUDE}
     vector, records = [truth[name] for name in model.parameter_names], []
     for release in (AMPLITUDE, 0.8 * AMPLITUDE):
         exact = simulate_waveform(model, vector, TIME - RELEASE_TIME, release).displacement
@@ -663,9 +664,11 @@ def test_a_stop_on_one_side_is_asked_where_a_play_off_the_middle_is_the_best():
     for names in ((), ("freeplay",), ("offset_freeplay",)):
         search.fit_set(names)
     assert search.best() == ("offset_freeplay",) and search.explains(search.fits[search.best()])
+    play = search.fits[("offset_freeplay",)]
     search._vary()
-    assert search.fits[("one_sided_stiffness",)].cost < search.fits[("offset_freeplay",)].cost + 1.0
-    assert ("offset_freeplay",) in search.fits  # neither is a variant of the other
+    assert search.fits[("one_sided_stiffness",)].cost < play.cost + 1.0
+    assert LIBRARY["offset_freeplay"].reduces_to == ("one_sided_stiffness",)
+    assert ("offset_freeplay",) not in search.fits and search.best() == ("one_sided_stiffness",)
 
 
 def test_a_drift_that_explains_the_records_by_itself_ends_the_search_early():

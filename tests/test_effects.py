@@ -397,6 +397,33 @@ def test_a_variant_is_given_as_names():
         mine(number("one"), variant_of="coulomb_friction")
 
 
+@pytest.mark.parametrize("simpler", ["coulomb_friction", "one_sided_stifness"])
+def test_a_variant_reduces_to_other_variants(simpler):
+    library = dict(LIBRARY)
+    library["mine"] = mine(number("one"), variant_of=("freeplay",), reduces_to=("hertz_contact",))
+    effects_package._check_variants(library)
+    library["mine"] = mine(number("one"), variant_of=("freeplay",), reduces_to=(simpler,))
+    with pytest.raises(InputError, match=rf"`reduces_to` must name other variants, for a variant, got '{simpler}'"):
+        effects_package._check_variants(library)
+    library["mine"] = mine(number("one"), reduces_to=("hertz_contact",))
+    with pytest.raises(InputError, match="`reduces_to` must name other variants"):
+        effects_package._check_variants(library)
+    with pytest.raises(InputError, match="`reduces_to` .*must be a tuple of names, got 'hertz_contact'"):
+        mine(number("one"), reduces_to="hertz_contact")
+
+
+def test_what_a_variant_reduces_to_has_its_force():
+    """A stop that loses nothing, and a play whose other side is out of reach."""
+    stop = LIBRARY["one_sided_stiffness"].force.py_func
+    lossy, play = LIBRARY["damped_stop"].force.py_func, LIBRARY["offset_freeplay"].force.py_func
+    assert {name for name, effect in LIBRARY.items() if effect.reduces_to} == {"damped_stop", "offset_freeplay"}
+    for x in np.linspace(-1.0, 1.0, 21):
+        expected = stop(x, 0.3, 1.0, np.empty(0), np.array([2.0, 0.4]))
+        assert lossy(x, 0.3, 1.0, np.empty(0), np.array([2.0, 0.4, 0.0])) == pytest.approx(expected, abs=1e-12)
+        # its sides at 0.4 and -1.2
+        assert play(x, 0.3, 1.0, np.empty(0), np.array([2.0, 0.8, -0.5])) == pytest.approx(expected, abs=1e-12)
+
+
 def test_a_variant_does_what_its_first_original_does():
     for effect in LIBRARY.values():
         if effect.variant_of:

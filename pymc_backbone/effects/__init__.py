@@ -51,6 +51,11 @@ def _check_variants(library: Mapping[str, Effect]) -> None:
                     f"effects/{effect.name}.py: `variant_of` must name other effects of the library that the search "
                     f"looks for by themselves, got {name!r}."
                 )
+        for name in effect.reduces_to:
+            if name not in library or not library[name].variant_of or not effect.variant_of:
+                raise InputError(
+                    f"effects/{effect.name}.py: `reduces_to` must name other variants, for a variant, got {name!r}."
+                )
 
 
 LIBRARY: Mapping[str, Effect] = _load_library()

@@ -235,6 +235,9 @@ class Effect:
         the place of each of them, where a set that holds that one comes near the records, or where its backbones are as
         likely as those of the most probable set, and not by itself. Named as a candidate, it is looked for as any
         other.
+    reduces_to : tuple of str
+        Names of variants with fewer parameters that this one is at an end of its range, as a play is a stop on one side
+        where its other side is never reached: where it explains no more than these, they are named.
     only_if_named : bool
         Whether the effect is looked for only when it is named as a candidate: because the free decay of one mode does
         not tell it from the linear spring and the viscous damper that every oscillator has, or because it is a case of
@@ -268,6 +271,7 @@ class Effect:
     mechanism: Mechanism | None = None
     mechanism_below: tuple[str, float, Mechanism] | None = None
     variant_of: tuple[str, ...] = ()
+    reduces_to: tuple[str, ...] = ()
     only_if_named: bool = False
 
     def __post_init__(self) -> None:
@@ -295,8 +299,9 @@ class Effect:
         for name in (*(name for name, _ in self.redundant), *(name for pair in self.opposed for name in pair)):
             if name not in names:
                 raise InputError(f"effect {self.name!r} has no parameter {name!r} to call redundant or opposed.")
-        if not isinstance(self.variant_of, tuple):
-            raise InputError(f"`variant_of` of effect {self.name!r} must be a tuple of names, got {self.variant_of!r}.")
+        for label in ("variant_of", "reduces_to"):
+            if not isinstance(names := getattr(self, label), tuple):
+                raise InputError(f"`{label}` of effect {self.name!r} must be a tuple of names, got {names!r}.")
         if self.variant_of and self.only_if_named:
             raise InputError(
                 f"effect {self.name!r} is a variant of {' and '.join(self.variant_of)}, in whose place the search "

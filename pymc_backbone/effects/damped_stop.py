@@ -83,6 +83,7 @@ EFFECT = Effect(
     ),
     mechanism="clearance",
     variant_of=("bilinear_stiffness", "freeplay"),
+    reduces_to=("one_sided_stiffness",),
     signature=Signature(
         frequency="Rises once the amplitude has closed the gap; constant below. Falls with the amplitude where a "
         "preloaded contact opens.",

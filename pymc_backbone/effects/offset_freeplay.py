@@ -82,6 +82,7 @@ EFFECT = Effect(
     ),
     mechanism="clearance",
     variant_of=("freeplay",),
+    reduces_to=("one_sided_stiffness",),
     signature=Signature(
         frequency="Rises once the amplitude has reached the nearer stop, and again at the farther one.",
         damping="Falls where the frequency rises; constant below the gap.",

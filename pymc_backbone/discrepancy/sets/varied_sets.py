@@ -78,11 +78,11 @@ class VariedSets(RevisitedSets):
                     self._fit_varied(tuple(other for other in names if other != out))
 
     def _plain(self, names: Set) -> list[Set]:
-        """Return the sets that hold what a variant in this one varies in its place."""
+        """Return the sets that hold what a variant in this one varies, or reduces to, in its place."""
         return [
             tuple(sorted({*(other for other in names if other != variant), name}))
             for variant in {*names}.intersection(self.variants)
-            for name in LIBRARY[variant].variant_of
+            for name in (*LIBRARY[variant].variant_of, *LIBRARY[variant].reduces_to)
         ]
 
     def plainer(self, names: Set) -> list[Set]:
@@ -153,8 +153,13 @@ class VariedSets(RevisitedSets):
         return kinds[0] == kinds[1] or self.layout(plain).free.size < self.layout(names).free.size
 
     def _fit_varied(self, names: Set) -> Fit | None:
-        """Return the fit of a set with a variant, begun from its look in the backbones; None where that is far off."""
-        if names not in self.fits and (not self.has_proposals or self._proposal(names) is None):
+        """Return the fit of a set with a variant, begun from its look in the backbones; None where that is far off.
+
+        What was looked at among many and not simulated may have lost its way beside the likeliest of them: it is looked
+        at once more alone.
+        """
+        known = self._proposal(names) if self.has_proposals else None
+        if names not in self.fits and (known is None or not known.is_exact):
             looks = propose(self.batch, self.base, names, len(names), self.own)
             self.varied[names] = next(item for item in looks if set(item.names) == set(names))
         return None if self._is_far(names) else self.fit_set(names)
