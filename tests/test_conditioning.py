@@ -920,6 +920,29 @@ def test_what_rings_after_a_release_is_no_spike(rng: np.random.Generator) -> Non
     assert [note for note in condition(record(time, values, "acceleration")).notes if "a spike of" in note]
 
 
+@pytest.mark.parametrize(("bend", "power"), [(2.0, 3), (3.0, 5)])
+def test_a_strong_spring_that_decays_in_few_cycles_is_no_mode_of_its_harmonics(
+    bend: float, power: int, rng: np.random.Generator
+) -> None:
+    """Its frequency falls by an octave meanwhile: the line of the acceleration is as broad as what is beside it."""
+    stiffness, damping = (2.0 * np.pi * 6.0) ** 2, 2.0 * 0.08 * 2.0 * np.pi * 6.0
+    time = np.arange(1500) / 440.0
+    elapsed = np.maximum(time - 0.28, 0.0)
+
+    def rate(_: float, y: Array) -> Array:
+        return np.array([y[1], -damping * y[1] - stiffness * (y[0] + bend * y[0] ** power)])
+
+    x, v = solve_ivp(rate, (0.0, elapsed[-1]), [1.0, 0.0], "DOP853", rtol=1e-10, atol=1e-12, dense_output=True).sol(
+        elapsed
+    )
+    values = np.where(time > 0.28, -damping * v - stiffness * (x + bend * x**power), 0.0)
+    values += 3e-3 * np.abs(values).max() * rng.standard_normal(time.size)
+    decay = condition(record(time, values, "acceleration"))
+    assert 6.0 < decay.frequency < 9.0 and not decay.grows_again
+    cycles = extract_cycles(decay)
+    assert len(cycles) >= 5 and cycles.frequency[0] > 1.05 * cycles.frequency[-1]
+
+
 def test_hopeless_records_end_in_an_input_error(rng: np.random.Generator) -> None:
     time = np.arange(400) / 100.0
     shapes = {

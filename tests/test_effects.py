@@ -408,7 +408,7 @@ def test_a_variant_reduces_to_other_variants(simpler):
     library["mine"] = mine(number("one"), reduces_to=("hertz_contact",))
     with pytest.raises(InputError, match="`reduces_to` must name other variants"):
         effects_package._check_variants(library)
-    with pytest.raises(InputError, match="`reduces_to` .*must be a tuple of names, got 'hertz_contact'"):
+    with pytest.raises(InputError, match=r"`reduces_to` .*must be a tuple of names, got 'hertz_contact'"):
         mine(number("one"), reduces_to="hertz_contact")
 
 

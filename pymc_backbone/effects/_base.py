@@ -299,14 +299,7 @@ class Effect:
         for name in (*(name for name, _ in self.redundant), *(name for pair in self.opposed for name in pair)):
             if name not in names:
                 raise InputError(f"effect {self.name!r} has no parameter {name!r} to call redundant or opposed.")
-        for label in ("variant_of", "reduces_to"):
-            if not isinstance(names := getattr(self, label), tuple):
-                raise InputError(f"`{label}` of effect {self.name!r} must be a tuple of names, got {names!r}.")
-        if self.variant_of and self.only_if_named:
-            raise InputError(
-                f"effect {self.name!r} is a variant of {' and '.join(self.variant_of)}, in whose place the search "
-                "looks for it: leave out `variant_of` or `only_if_named`."
-            )
+        self._check_variants()
         self._settle_roles()
 
     def _check_mechanisms(self) -> None:
@@ -316,6 +309,17 @@ class Effect:
         if self.mechanism_below is not None:
             check_choice("mechanism_below", self.mechanism_below[0], [parameter.name for parameter in self.parameters])
             check_choice("mechanism_below", self.mechanism_below[2], get_args(Mechanism))
+
+    def _check_variants(self) -> None:
+        """Raise `InputError` where what this is a variant of is no tuple, or looked for only when named."""
+        for label in ("variant_of", "reduces_to"):
+            if not isinstance(names := getattr(self, label), tuple):
+                raise InputError(f"`{label}` of effect {self.name!r} must be a tuple of names, got {names!r}.")
+        if self.variant_of and self.only_if_named:
+            raise InputError(
+                f"effect {self.name!r} is a variant of {' and '.join(self.variant_of)}, in whose place the search "
+                "looks for it: leave out `variant_of` or `only_if_named`."
+            )
 
     def _settle_roles(self) -> None:
         """Make the first plain parameter the strength where none is declared, and refuse roles that do not fit."""

@@ -261,8 +261,9 @@ def _of_unexplained(decision: Decision) -> str:
         if decision.nearest is not None:
             near = named(decision.nearest)
             left = f"none holds at all amplitudes; nearest to the samples is {near}, but its backbones are far off"
-    why = DRIFTS if decision.drift_probability > 0.5 else left
-    return f"Something is missing, and no set of known effects explains it: {why}.{_certain(decision)}"
+    if decision.drift_probability > 0.5:
+        return f"No known effect is named: {DRIFTS}.{_certain(decision)}"
+    return f"Something is missing, and no set of known effects explains it: {left}.{_certain(decision)}"
 
 
 def _of_adequate(decision: Decision) -> str:

@@ -131,11 +131,11 @@ def dominant_frequency(
     top = top[(frequency[top] >= max(low, 2.0 * sampling_rate / n)) & (frequency[top] <= high)]
     top = top[spectrum[top] > 0.25 * spectrum[top].max(initial=0.0)]
     top = top[np.argsort(spectrum[top])[::-1]][:200]
-    # a strong decay whose frequency drifts has a broad peak
-    for prominence in (2.0, 1.3):
+    # a strong decay whose frequency drifts has a broad peak, of a strong spring over an octave
+    for prominence, reaches in ((2.0, (1.5,)), (1.3, (1.5, 3.0))):
         for peak in top:
-            around = weighted[max(int(peak / 1.5), 1) : int(peak * 1.5) + 2]
-            if weighted[peak] > prominence * np.median(around):
+            around = [weighted[max(int(peak / reach), 1) : int(peak * reach) + 2] for reach in reaches]
+            if weighted[peak] > prominence * min(float(np.median(item)) for item in around):
                 return float(frequency[peak])
     return None
 
