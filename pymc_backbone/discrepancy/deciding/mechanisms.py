@@ -39,6 +39,7 @@ _AMPLE = 5.0  # forces over the gap from which they are too large for it
 _STANDS_OUT = 3.0  # standard errors of a level value from which the departure of an observable counts
 _EXPLAINED = 0.2  # of the gap that a set leaves up to which it does not matter whose own the rest is
 _DRIFTS = 0.3  # of the gap, that a drift in time leaves at most where it explains the records
+_OUTDONE, _NO_CHANCE = 5.0, 0.5  # excess of chi-square over that of another set, and what is none
 _SEPARATE = 5.0  # logarithm of the odds from which departures are each specimen's own, and so no law of amplitude
 
 
@@ -92,7 +93,8 @@ def weigh(search: Search) -> Weighed | None:
     sizes = {names: _log_size(search, names, item, departures, departing.get(())) for names, item in departing.items()}
     beside = {names: value + sizes[names] for names, value in beside.items()}
     logs = {names: item.log_evidence + _log_prior(names, search) + beside[names] for names, item in departing.items()}
-    logs = {names: value for names, value in logs.items() if np.isfinite(value)}
+    outdone = _outdone(search)
+    logs = {names: value for names, value in logs.items() if np.isfinite(value) and names not in outdone}
     if () not in logs:
         return None
     best = max(logs, key=lambda names: logs[names])
@@ -199,6 +201,21 @@ def _log_size(search: Search, names: Set, item: Departing, departures: Departing
             force = max(abs(effect.along(x, v, a, states, own)) for x, v, a in points)
             lost += np.log(max(force / elastic / (_AMPLE * gap), 1.0))
     return -float(lost)
+
+
+def _outdone(search: Search) -> set[Set]:
+    """Return the sets that leave several times as much of the samples, beyond noise, as one with no more unknowns.
+
+    Backbones with a departure may not tell them apart, as a slider that slips in few cycles and a damper with a dead
+    band; what disturbs the records disturbs all sets alike, and few unknowns do not make up for it by chance.
+    """
+    excess = {names: max(search.reduced(found) - 1.0, 0.0) for names, found in search.fits.items() if names}
+    sizes = {names: search.layout(names).free.size for names in excess}
+    return {
+        names
+        for names, left in excess.items()
+        if any(sizes[other] <= sizes[names] and left > _OUTDONE * less + _NO_CHANCE for other, less in excess.items())
+    }
 
 
 def _looked_back(search: Search, departures: DepartingSets, departing: Mapping[Set, Departing]) -> dict[Set, Departing]:
