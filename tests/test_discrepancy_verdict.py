@@ -17,7 +17,7 @@ from scipy.integrate import solve_ivp
 import pymc_backbone as pb
 from pymc_backbone._common.text import capitalised, in_words
 from pymc_backbone.discrepancy.checks import rivals
-from pymc_backbone.discrepancy.deciding import decide, inexact, minded, shares
+from pymc_backbone.discrepancy.deciding import decide, inexact, mechanisms, minded, shares
 from pymc_backbone.discrepancy.deciding.decision import Decision, as_one
 from pymc_backbone.discrepancy.disturbances import left_beside
 from pymc_backbone.discrepancy.fitting.batch import batch_of_backbones
@@ -183,6 +183,44 @@ def test_specimens_that_differ_make_no_change_with_amplitude(monkeypatch):
     # negative control: with all levels taken for those of the same specimens the batch seems to fall
     monkeypatch.setattr(words, "_of_the_same", lambda held: np.arange(held.shape[1]))
     assert "frequency falls" in words._power_law(batch, without_it, brought, 0)
+
+
+def test_a_set_that_leaves_several_times_as_much_as_a_simpler_one_is_outdone():
+    left = {(): 90.0, ("jenkins",): 1.2, ("dead_band_damping",): 3.1, ("cubic_stiffness",): 3.0, ("a", "b"): 1.05}
+    sizes = {"jenkins": 2, "dead_band_damping": 2, "cubic_stiffness": 1}
+    search = SimpleNamespace(
+        fits={names: SimpleNamespace(left=value, is_converged=True) for names, value in left.items()},
+        reduced=lambda found: found.left,
+        layout=lambda names: SimpleNamespace(free=np.zeros(sum(sizes.get(name, 3) for name in names))),
+    )
+    # not by what has more unknowns: these follow what disturbs the records
+    assert mechanisms._outdone(search) == {("dead_band_damping",)}
+    search.fits[("jenkins",)].is_converged = False
+    assert mechanisms._outdone(search) == set()
+    search.fits[("jenkins",)].is_converged = True
+    for found in search.fits.values():
+        found.left *= 100.0  # the phase of all is lost
+    assert mechanisms._outdone(search) == set()
+
+
+def test_a_contact_that_closes_at_the_highest_amplitudes_alone_is_told_there():
+    """Two levels are no power of the amplitude, but what they show is to be told."""
+    levels = AMPLITUDE * np.geomspace(0.1, 1.0, 8)
+    truth = np.array([[STIFFNESS, DAMPING, STIFFNESS, 0.6 * AMPLITUDE]])
+    backbones = simulate_population(pb.Oscillator(MASS) + "freeplay", truth, levels)
+    errors = 1e-4 * np.abs(backbones["value"].values) + 1e-9
+    backbones["standard_error"] = (backbones["value"].dims, errors)
+    backbones["covariance"] = (
+        ("specimen", "observable", "level", "level_other"), errors[..., None] ** 2 * np.eye(levels.size)
+    )  # fmt: skip
+    batch = batch_of_backbones(MASS, backbones)
+    without_it = simulate_population(pb.Oscillator(MASS), truth[:, :2], levels)["value"].values
+    with_it = backbones["value"].values
+    rise = float(with_it[0, 0, -1] - without_it[0, 0, -1])
+    said = words._power_law(batch, without_it, with_it - without_it, 0)
+    assert said == f"frequency rises by {rise:.3g} Hz at {words.amplitude(float(levels[-1]), 'm')}"
+    # negative control: nothing of it, where the contact is out of reach
+    assert words._power_law(batch, with_it, with_it - without_it, 0) == ""
 
 
 def test_what_falls_by_little_and_then_rises_by_much_is_said_to_rise(rng):
@@ -812,6 +850,7 @@ def test_words_of_each_verdict():
                 "listed": (("cubic_stiffness",), ("cubic_stiffness", "quintic_stiffness")),
                 "best": ("cubic_stiffness",),
                 "drifts": (("cubic_stiffness",),),
+                "probabilities": {("cubic_stiffness",): 0.97},
             },
             "its law is cubic stiffness (97 %), beside it perhaps quintic stiffness (40 %). Frequency or damping also",
         ),

@@ -39,7 +39,8 @@ _AMPLE = 5.0  # forces over the gap from which they are too large for it
 _STANDS_OUT = 3.0  # standard errors of a level value from which the departure of an observable counts
 _EXPLAINED = 0.2  # of the gap that a set leaves up to which it does not matter whose own the rest is
 _DRIFTS = 0.3  # of the gap, that a drift in time leaves at most where it explains the records
-_OUTDONE, _NO_CHANCE = 5.0, 0.5  # excess of chi-square over that of another set, and what is none
+_OUTDONE, _NO_CHANCE = 3.0, 0.5  # excess of chi-square over that of another set, and what is none
+_NEAR = 4.0  # excess of a set that nearly explains the samples
 _SEPARATE = 5.0  # logarithm of the odds from which departures are each specimen's own, and so no law of amplitude
 
 
@@ -207,14 +208,16 @@ def _outdone(search: Search) -> set[Set]:
     """Return the sets that leave several times as much of the samples, beyond noise, as one with no more unknowns.
 
     Backbones with a departure may not tell them apart, as a slider that slips in few cycles and a damper with a dead
-    band; what disturbs the records disturbs all sets alike, and few unknowns do not make up for it by chance.
+    band; what disturbs the records disturbs all sets alike, and few unknowns do not make up for it by chance. Sets that
+    are all far off tell nothing so: their phase is lost in one way or another.
     """
     excess = {names: max(search.reduced(found) - 1.0, 0.0) for names, found in search.fits.items() if names}
+    near = {names: left for names, left in excess.items() if left < _NEAR and search.fits[names].is_converged}
     sizes = {names: search.layout(names).free.size for names in excess}
     return {
         names
         for names, left in excess.items()
-        if any(sizes[other] <= sizes[names] and left > _OUTDONE * less + _NO_CHANCE for other, less in excess.items())
+        if any(sizes[other] <= sizes[names] and left > _OUTDONE * less + _NO_CHANCE for other, less in near.items())
     }
 
 

@@ -24,6 +24,7 @@ from ..sets.search import Search, Set
 from ..weighing.evidence import DETECTED
 from .verdict_words import is_drift_possible, named
 
+_FEWEST_LEVELS = 3  # that stand out, from which a power of the amplitude is told
 _VANISHING = 0.3  # power of the amplitude below which a departure does not vanish with it
 _OWN = 0.3  # of a departure, that the effect itself brings about as the model has it, from which it is told
 _AT_BOUND = 1.2  # times the narrowest scatter, up to which it is none that is seen
@@ -195,7 +196,7 @@ def _power_law(batch: Batch, without_it: FloatArray, brought: FloatArray, row: i
         error = 1.0 / np.sqrt(total)
         significance = mean / error
     good = np.isfinite(mean) & (np.abs(significance) > 2.0)
-    if good.sum() < 3 or np.abs(significance[good]).max() < 4.0:
+    if not good.any() or np.abs(significance[good]).max() < 4.0:
         return ""
     own = np.where(held & np.isfinite(brought[:, row]), brought[:, row] * weight, 0.0).sum(axis=0)[good] / total[good]
     if not float(total[good] @ (own * mean[good])) > _OWN * float(total[good] @ mean[good] ** 2):
@@ -203,6 +204,10 @@ def _power_law(batch: Batch, without_it: FloatArray, brought: FloatArray, row: i
     alike = _of_the_same(held[:, good])
     unit, length = " Hz" if row == 0 else "", str(batch.backbones.attrs.get("amplitude_unit", "m"))
     units, sign = (unit, length), np.sign(np.median(mean[good]))
+    if good.sum() < _FEWEST_LEVELS:  # a contact that closes at the highest amplitudes alone
+        most = int(np.flatnonzero(good)[np.argmax(np.abs(significance[good]))])
+        verb = "rises" if mean[most] > 0.0 else "falls"
+        return f"{OBSERVABLES[row]} {verb} by {abs(mean[most]):.3g}{unit} at {amplitude(float(levels[most]), length)}"
     if (mean[good] * sign < 0.0).any():  # no power of the amplitude changes its sign
         return _change(OBSERVABLES[row], mean[good][alike], error[good][alike], own[alike], levels[good][alike], units)
     x, y = np.log(levels[good]), np.log(mean[good] * sign)
