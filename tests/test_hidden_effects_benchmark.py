@@ -456,6 +456,25 @@ def test_what_counts_as_right(truth: dict, result: dict, outcome: str, is_kindre
     assert (judged.outcome, judged.is_kindred) == (outcome, is_kindred)
 
 
+@pytest.mark.parametrize(
+    ("names", "certain"),
+    [
+        (("quintic_stiffness", "speed_limited_damping"), "right"),  # what contaminates acts as well
+        (("quintic_stiffness", "mid_stroke_damping"), "wrong"),
+    ],
+)
+def test_the_mechanisms_of_a_law_that_is_right_are_right(names: tuple[str, str], certain: str, tmp_path: Path) -> None:
+    """A speed-limited damper is one that falls with the speed; below zero one that rises with it."""
+    truth = {
+        "hidden": ["quintic_stiffness"],
+        "contaminations": {"outside": 0.01, "limited_negative_damping": 0.01},
+        "nominal": {"negative_damping": 1.0},
+    }
+    _write_case(tmp_path / "batch_0000", truth, _found(*names), None)
+    (judged,) = outcomes.read_outcomes(tmp_path)
+    assert judged.certain == certain and (judged.outcome == "right") == (certain == "right")
+
+
 def test_an_arm_that_the_base_imitates_is_nothing_to_be_found(tmp_path: Path) -> None:
     _write_case(tmp_path / "batch_0000", {"hidden": ["maxwell_element"]}, _found("jenkins"), None)
     (judged,) = outcomes.read_outcomes(tmp_path)

@@ -191,6 +191,8 @@ def _told(said: dict[str, Any]) -> frozenset[str]:
 
 def _of_certain(said: dict[str, Any], named: frozenset[str], meaning: Meaning) -> str:
     """Return whether the mechanisms that are certain, or those of the law that is named, may rightly be named."""
+    if named and named in meaning.accepted:  # whatever mechanism its coefficients make of a law
+        return "right"
     kinds = {WORDS.get(name, "other") for name in named} if named else _certain_kinds(said)
     if not kinds:
         return "none"
