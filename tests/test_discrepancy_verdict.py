@@ -156,6 +156,8 @@ def test_an_effect_that_is_a_spring_at_rest_is_told_by_what_changes():
     # what changes is not this effect's: a spring that is stiffer on one side is so at every amplitude
     constant = words._change("frequency", excess, error, np.full(4, 0.45), levels, units)
     assert constant == "frequency is 0.5 Hz higher throughout"
+    # nor is what is off at the first level, where the effect does nothing, or the contrary
+    assert words._change("frequency", excess, error, np.full(4, -0.01), levels, units) == ""
     excess = np.array([-0.5, -0.4995, -0.5, -0.501])
     same = words._change("damping", excess, error, excess, levels, ("", "mm"))
     assert same == "damping is 0.5 lower throughout"
@@ -741,12 +743,12 @@ def test_words_of_each_verdict():
         (
             "found",
             {"drifts": (("cubic_stiffness",),), "probabilities": {("cubic_stiffness",): 0.97, ("iwan",): 0.03}},
-            "97 %, while frequency or damping also change with time.",
+            "97 %, while frequency or damping also change with time, or a further effect imitates that.",
         ),
         (
             "found",
             {"drifts": (("cubic_stiffness",),), "probabilities": {("cubic_stiffness",): 0.8, ("iwan",): 0.2}},
-            "while frequency or damping may also change with time (80 %; else a further effect does the same).",
+            "while frequency or damping may also change with time (80 %), or a further effect imitates that.",
         ),
         ("found", {"below": ("iwan", "quadratic_damping")}, "(Iwan and quadratic damping are detectable too, below"),
         ("ambiguous", {"listed": (("cubic_stiffness",), ("freeplay",))}, "tell apart: cubic stiffness; freeplay."),

@@ -111,12 +111,14 @@ def _of_mechanisms(decision: Decision) -> str:
 
 
 def _changes_with_time(decision: Decision) -> str:
-    """Return that frequency or damping change with time: with the probability where sets without that remain."""
+    """Return that frequency or damping change with time: with the probability where sets without that remain.
+
+    In one decay time and amplitude go together: a law that is a little off, and a further effect, may do the same.
+    """
     drifting = sum(decision.probabilities.get(names, 0.0) for names in decision.drifts)
     share = drifting / max(sum(decision.probabilities.values()), 1e-300)
-    if share >= MECHANISM_NAMED:
-        return "frequency or damping also change with time"
-    return f"frequency or damping may also change with time ({_chance(share)}; else a further effect does the same)"
+    how = "also change with time" if share >= MECHANISM_NAMED else f"may also change with time ({_chance(share)})"
+    return f"frequency or damping {how}, or a further effect imitates that"
 
 
 def _none_of_these(decision: Decision) -> str:

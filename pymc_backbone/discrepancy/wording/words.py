@@ -250,6 +250,8 @@ def _change(
     at = int(np.argmax(np.abs(change)))
     is_seen = abs(change[at]) > 2.0 * float(np.hypot(error[at], error[0]))
     if not (is_seen and (own[at] - own[0]) / change[at] > _OWN):
+        if not own[0] / excess[0] > _OWN:  # what is off at the first level is not this effect's
+            return ""
         return f"{observable} is {abs(excess[0]):.3g}{units[0]} {'higher' if excess[0] > 0.0 else 'lower'} throughout"
     verb = "rises" if change[at] > 0.0 else "falls"
     between = span(float(levels[0]), float(levels[at]), units[1])
