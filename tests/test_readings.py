@@ -15,7 +15,7 @@ import pymc_backbone as pb
 from pymc_backbone.discrepancy.disturbances import edges as edges_module
 from pymc_backbone.discrepancy.disturbances.disturbance import Disturbance, Disturbed, line_modes, sentences
 from pymc_backbone.discrepancy.disturbances.edges import Edges, edges
-from pymc_backbone.discrepancy.disturbances.mode_lines import is_hum
+from pymc_backbone.discrepancy.disturbances.mode_lines import hum_of, is_hum
 from pymc_backbone.discrepancy.disturbances.readings import _is_one_line, disturbed, early_line
 from pymc_backbone.discrepancy.sets.promising import is_promising
 from pymc_backbone.discrepancy.sets.search import Search
@@ -271,6 +271,12 @@ def test_a_hum_that_meets_a_harmonic_of_one_record_is_taken_away_beside_another_
     places = np.array([15.0, 15.01, 14.99])
     assert is_hum(places, places / np.array([5.0, 5.2, 4.9]))
     assert not is_hum(places, np.array([3.0, 3.001, 2.999]))
+    # a record that hardly shows it may have its highest bin elsewhere
+    frequencies = np.array([11.9, 12.1, 11.7, 12.0, 11.8])
+    lines = np.array([150.02, 149.97, 159.6, 150.0, 150.01])
+    assert hum_of(lines, lines / frequencies) == pytest.approx(150.005) and not is_hum(lines, lines / frequencies)
+    assert hum_of(12.5 * frequencies, np.full(5, 12.5)) == 0.0  # another mode goes with the specimen
+    assert hum_of(lines[1:3], lines[1:3] / frequencies[1:3]) == 0.0
 
 
 @pytest.mark.parametrize("effects", [("cubic_stiffness",), ("quadratic_damping",), ()])

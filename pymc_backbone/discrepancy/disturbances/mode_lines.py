@@ -21,6 +21,7 @@ _LINE = 25.0  # peak of the residuals' periodogram over its median that a line h
 _FAR = 4.0  # bins between a line and a harmonic, where it is looked for
 _APART = 2.0  # bins between them, once it is found
 _DECAYS = (0.0, 3.0, 10.0)  # of lines over a record, as they are looked for
+_MOST_LINES = 2.0 / 3.0  # of the lines, that are at the frequency of a hum
 _ONE_FREQUENCY, _NO_ORDER = 3e-3, 0.3  # relative range of the frequencies of a hum, and that over the one of its orders
 
 
@@ -40,6 +41,18 @@ def is_hum(places: FloatArray, orders: FloatArray) -> bool:
     """Return whether lines are at one frequency, and at different orders of that of the motion."""
     at, of = (float(np.ptp(values) / np.median(values)) for values in (places, orders))
     return places.size > 1 and at < min(_ONE_FREQUENCY, _NO_ORDER * of)
+
+
+def hum_of(places: FloatArray, orders: FloatArray) -> float:
+    """Return the frequency [Hz] at which most of some lines are, at different orders of the motion; 0 for none.
+
+    In a record that hardly shows a hum another bin may stand out.
+    """
+    middle = float(np.median(places))
+    near = np.abs(places - middle) < _ONE_FREQUENCY * middle
+    if _MOST_LINES * near.size > np.count_nonzero(near) or not is_hum(places[near], orders[near]):
+        return 0.0
+    return float(np.median(places[near]))
 
 
 def ranges_of(batch: Batch, found: Fit) -> list[tuple[float, float]]:
@@ -66,8 +79,8 @@ def with_lines(batch: Batch, without: Batch, found: Fit, items: list[Disturbance
             return items
         places = np.array(lines)
         orders = places / frequencies
-        if is_hum(places[seen], orders[seen]):  # of one frequency, whatever the specimen does
-            expected = np.full(places.size, np.median(places[seen]))
+        if hum := hum_of(places[seen], orders[seen]):  # of one frequency, whatever the specimen does
+            expected = np.full(places.size, hum)
         else:
             expected = np.median(orders[seen]) * frequencies
         usual = np.where(np.abs(places - expected) < ALIKE * frequencies, places, expected)
@@ -130,4 +143,4 @@ def _refined(term: WaveformTerm, left: FloatArray, item: Disturbance) -> Disturb
     return replace(item, frequency=float(solved.x[0]) / length, decay=float(np.exp(solved.x[1])) / length)
 
 
-__all__ = ["ALIKE", "are_beside", "begun_lines", "is_hum", "left_over", "ranges_of", "step_of", "with_lines"]
+__all__ = ["ALIKE", "are_beside", "begun_lines", "hum_of", "is_hum", "left_over", "ranges_of", "step_of", "with_lines"]
