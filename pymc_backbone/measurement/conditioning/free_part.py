@@ -28,6 +28,7 @@ from .tracking import dominant_frequency
 
 _MOST_PLACES = 5
 _MOST_HELD = 0.1  # of a record, that is left out where a value is held: of more, nothing is known
+_SLOWER = 2.0  # frequency of the longest part over that of the whole record, from which missing samples make the latter
 _JUMP = 3  # widest spikes after a release within which what stands out is its jump behind a filter against aliases
 
 
@@ -143,14 +144,18 @@ class FreePart:
                 "choose the band around a mode."
             )
         if frequency is None:
-            self._check_gaps()
+            self._check_gaps(0.0)
             raise InputError(f"{self.name}: no oscillation stands out of the record; check the column, or give a band.")
+        self._check_gaps(frequency)
         check_per_cycle(self.rate, frequency, self.name)
         check_clipping(values, self.reading, time, frequency, self.step, self.name)
         return frequency
 
-    def _check_gaps(self) -> None:
-        """Raise `InputError` where samples are missing for longer than the motion allows: what fills them hides it."""
+    def _check_gaps(self, found: float) -> None:
+        """Raise `InputError` where samples are missing for longer than the motion allows: what fills them hides it.
+
+        The frequency that was ``found`` is then none, or that of what fills them, far below that of the longest part.
+        """
         gaps, rate = self.samples.gaps, self.rate
         if not gaps.size:
             return
@@ -159,7 +164,7 @@ class FreePart:
         longest = int(np.argmax(ends - begins))
         part = self.whole[round(begins[longest] * rate) : round(ends[longest] * rate)]
         frequency = dominant_frequency(part, rate, self.band) if part.size >= MINIMUM_SAMPLES else None
-        if frequency is not None:
+        if frequency is not None and frequency > _SLOWER * found:
             self.samples.check_gaps(frequency, np.inf, self.name)
 
     def _released(self, values: FloatArray) -> tuple[FloatArray, bool]:

@@ -26,6 +26,7 @@ _LEFT = 0.4  # of the limit, beyond which samples that are bridged leave nothing
 _PRICE = 9.0  # variances of the noise that each further wild sample must explain
 _RINGS = 0.1  # of what stands out most, below which its neighbours may be what rings after it
 _LONGEST = 16  # places for them: more is no spike
+_TOWERS = 3.0  # of what else stands out, where that is not once
 _MANY = 20  # places that stand out, of whatever kind
 
 
@@ -74,7 +75,7 @@ def without_spikes(values: FloatArray, step: float = 0.0) -> tuple[FloatArray, l
     away = np.convolve(values, _CUBIC, mode="same")
     away[:_REACH] = away[-_REACH:] = 0.0
     limit = _limits(away, max(_STEPS * step, 1e-9 * float(np.max(np.abs(values)))))
-    result = values.copy()
+    result, left_alone = values.copy(), [0.0, 0.0]
     wild = [np.zeros(0, dtype=np.int64)]
     places = np.flatnonzero(np.abs(away) > limit)
     together = _apart(places, 2 * _REACH)
@@ -82,13 +83,17 @@ def without_spikes(values: FloatArray, step: float = 0.0) -> tuple[FloatArray, l
         return values, []
     for cluster in together:
         found, heights = _wild(away, limit, cluster, 2 * _REACH, places)
+        if not found.size:
+            left_alone.append(float(np.max(np.abs(away[cluster]))))
         result[found] -= heights
         wild.append(found)
     spikes = [
         Spike(int(run[0]), run.size, float(np.max(np.abs(values[run] - result[run]))))
         for run in _apart(np.concatenate(wild), 1)
     ]
-    if not spikes or len(spikes) > MOST:
+    # one release, or a blow, is no law; of a structure that makes more of them a spike stands far out
+    usual = sorted(left_alone)[-2]
+    if not spikes or len(spikes) > MOST or min(spike.height for spike in spikes) < _TOWERS * usual:
         return values, []
     return result, spikes
 
