@@ -671,6 +671,27 @@ def test_a_stop_on_one_side_is_asked_where_a_play_off_the_middle_is_the_best(str
     assert ("offset_freeplay",) not in search.fits and search.best() == ("one_sided_stiffness",)
 
 
+def test_a_look_that_was_lost_among_many_is_repeated_alone(cubic):
+    """What was not simulated among hundreds of sets ended far off: its own look brings it to what it explains."""
+    search = Search(cubic.batch, Oscillator(MASS), CANDIDATES, 1, variants=("power_stiffness",))
+    names = ("power_stiffness",)
+    known = next(item for item in search.proposals.values() if item.names == names)
+    lost = replace(
+        known, is_exact=False, chi_square=1e6 * known.chi_square, starts=((1e9, 0.0 * known.eta, known.own),)
+    )
+    search.proposals[names] = lost
+    search.fit_set(("cubic_stiffness",))
+    search._fit_varied(names)
+    assert search._proposal(names).is_exact and search._proposal(names).chi_square < 2.0 * known.chi_square + 10.0
+    assert search.fits[names].cost < search.fits[("cubic_stiffness",)].cost + 5.0
+    # negative control: what was simulated is taken at its word
+    search = Search(cubic.batch, Oscillator(MASS), CANDIDATES, 1, variants=("power_stiffness",))
+    search.proposals[names] = replace(lost, is_exact=True)
+    search.fit_set(("cubic_stiffness",))
+    search._fit_varied(names)
+    assert names not in search.varied
+
+
 def test_a_drift_that_explains_the_records_by_itself_ends_the_search_early():
     """Of records whose stiffness changes many laws come near, each at the price of a long fit."""
     batch = batch_of(drifting_records(np.random.default_rng(3), 0.1))

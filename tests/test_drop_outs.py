@@ -57,6 +57,20 @@ def test_a_few_wild_samples_are_found_and_the_records_mended(rng):
     assert largest_residual(again) < 5.0
 
 
+@pytest.mark.parametrize(("count", "is_found"), [(4, True), (6, False)])
+def test_a_few_do_not_count_in_a_record_of_few_cycles(count, is_found, rng):
+    """More than one in ten cycles, but no more than four, with six cycles to each."""
+    records = make_records(rng, ("cubic_stiffness",), specimens=2, decibels=50.0, share=2.0)
+    values = records[0].values.copy()
+    for at in np.linspace(140, 480, count).astype(int) + rng.integers(-9, 9, count):
+        values[at : at + 4] += 14.0 * NOISE  # too wide to be bridged before
+    search = searched([replace(records[0], values=values), records[1]])
+    cycles = search.batch.waveform[0].cycles
+    assert 24.0 < cycles < 36.0  # four of them are more than a tenth, and six of these fit in
+    found = drop_outs(search)
+    assert (found is not None and found.events == count) == is_found
+
+
 @pytest.mark.parametrize("what", ["noise", "often", "no set"])
 def test_nothing_is_mended_where_nothing_is_wild_or_something_comes_again(what, rng):
     records, clean = with_drop_outs(rng, is_often=what == "often")

@@ -157,6 +157,17 @@ def test_motion_and_noise_are_no_spikes(force: str, quantity: int, noise: float,
         assert without_spikes(values)[1] == []
 
 
+def test_a_spike_stands_far_out_of_the_blows_of_a_stop(rng: np.random.Generator) -> None:
+    """One of the blows looks like a spike; a true one is bridged, and that is not."""
+    _, (_, _, clean) = simulated("late stop", 0.01, 40, 40)
+    assert without_spikes(clean)[1] == []
+    spoiled = clean.copy()
+    spoiled[1200] += 0.5 * np.ptp(clean)
+    bridged, (spike,) = without_spikes(spoiled)
+    assert (spike.first, spike.count) == (1200, 1) and abs(bridged[1200] - clean[1200]) < 0.01 * np.ptp(clean)
+    assert np.array_equal(np.delete(bridged, 1200), np.delete(clean, 1200))
+
+
 def test_friction_and_converters_make_no_spikes() -> None:
     _, x = friction(0.01, 30, 100)
     assert without_spikes(x)[1] == []

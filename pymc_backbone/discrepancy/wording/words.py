@@ -206,8 +206,8 @@ def _power_law(batch: Batch, without_it: FloatArray, brought: FloatArray, row: i
     units, sign = (unit, length), np.sign(np.median(mean[good]))
     if good.sum() < _FEWEST_LEVELS:  # a contact that closes at the highest amplitudes alone
         most = int(np.flatnonzero(good)[np.argmax(np.abs(significance[good]))])
-        verb = "rises" if mean[most] > 0.0 else "falls"
-        return f"{OBSERVABLES[row]} {verb} by {abs(mean[most]):.3g}{unit} at {amplitude(float(levels[most]), length)}"
+        where = amplitude(float(levels[most]), length)
+        return f"{OBSERVABLES[row]} {_verb(row, mean[most])} by {abs(mean[most]):.3g}{unit} at {where}"
     if (mean[good] * sign < 0.0).any():  # no power of the amplitude changes its sign
         return _change(OBSERVABLES[row], mean[good][alike], error[good][alike], own[alike], levels[good][alike], units)
     x, y = np.log(levels[good]), np.log(mean[good] * sign)
@@ -218,12 +218,18 @@ def _power_law(batch: Batch, without_it: FloatArray, brought: FloatArray, row: i
     if row < 2 and slope < _VANISHING and (row == 0 or slope > -_VANISHING):
         return _change(OBSERVABLES[row], mean[good][alike], error[good][alike], own[alike], levels[good][alike], units)
     at = int(np.flatnonzero(good)[-1 if slope > 0.0 else 0])  # where it is largest but for the noise
-    verb = {(0, 1): "rises", (0, -1): "falls", (1, 1): "rises", (1, -1): "falls"}.get((row, int(sign)), "moves")
     trend = "grows with amplitude" if slope > 0.0 else "grows as amplitude falls"
     return (
-        f"{OBSERVABLES[row]} {verb}: the departure {trend}, proportional to A^({slope:.2f} +- {slope_error:.2f}), "
-        f"{mean[at]:+.3g}{unit} at {amplitude(float(levels[at]), length)}"
+        f"{OBSERVABLES[row]} {_verb(row, sign)}: the departure {trend}, proportional to "
+        f"A^({slope:.2f} +- {slope_error:.2f}), {mean[at]:+.3g}{unit} at {amplitude(float(levels[at]), length)}"
     )
+
+
+def _verb(row: int, change: float) -> str:
+    """Return what an observable does; a mid-line has sides, and no up and down."""
+    if OBSERVABLES[row] == "offset":
+        return "moves"
+    return "rises" if change > 0.0 else "falls"
 
 
 def _of_the_same(held: BoolArray) -> IntArray:

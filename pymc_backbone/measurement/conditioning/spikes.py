@@ -26,7 +26,7 @@ _LEFT = 0.4  # of the limit, beyond which samples that are bridged leave nothing
 _PRICE = 9.0  # variances of the noise that each further wild sample must explain
 _RINGS = 0.1  # of what stands out most, below which its neighbours may be what rings after it
 _LONGEST = 16  # places for them: more is no spike
-_TOWERS = 3.0  # of what else stands out, where that is not once
+_TOWERS = 3.0  # of what else stands out, where that is more than one thing
 _MANY = 20  # places that stand out, of whatever kind
 
 
@@ -69,33 +69,35 @@ def without_spikes(values: FloatArray, step: float = 0.0) -> tuple[FloatArray, l
     stands out is explained by the fewest samples, each free to take any value, that leave nothing beyond motion and
     noise; by least squares their values are those of the smoothest curve (least fourth differences). Where a jump of
     the values or of their slope explains as much, as the force of friction or an impact makes one, it is left alone.
+    Where more than one thing is left alone, so is what is less than three times as high: blows of a stop look like all.
     """
     if values.size < _BLOCK + 2 * _REACH:
         return values, []
     away = np.convolve(values, _CUBIC, mode="same")
     away[:_REACH] = away[-_REACH:] = 0.0
     limit = _limits(away, max(_STEPS * step, 1e-9 * float(np.max(np.abs(values)))))
-    result, left_alone = values.copy(), [0.0, 0.0]
-    wild = [np.zeros(0, dtype=np.int64)]
     places = np.flatnonzero(np.abs(away) > limit)
-    together = _apart(places, 2 * _REACH)
-    if len(together) > _MANY:
+    clusters = _apart(places, 2 * _REACH)
+    if len(clusters) > _MANY:
         return values, []
-    for cluster in together:
-        found, heights = _wild(away, limit, cluster, 2 * _REACH, places)
-        if not found.size:
-            left_alone.append(float(np.max(np.abs(away[cluster]))))
-        result[found] -= heights
-        wild.append(found)
+    looks = [_wild(away, limit, cluster, 2 * _REACH, places) for cluster in clusters]
+    others = [
+        float(np.max(np.abs(away[cluster])))
+        for cluster, (samples, _) in zip(clusters, looks, strict=True)
+        if not samples.size
+    ]
+    # one release, or a blow, is no law; of a structure that makes more of them a spike stands far out
+    least = _TOWERS * sorted(others)[-2] if len(others) > 1 else 0.0
+    result, wild = values.copy(), [np.zeros(0, dtype=np.int64)]
+    for samples, heights in looks:
+        if samples.size and np.max(np.abs(heights)) >= least:
+            result[samples] -= heights
+            wild.append(samples)
     spikes = [
         Spike(int(run[0]), run.size, float(np.max(np.abs(values[run] - result[run]))))
         for run in _apart(np.concatenate(wild), 1)
     ]
-    # one release, or a blow, is no law; of a structure that makes more of them a spike stands far out
-    usual = sorted(left_alone)[-2]
-    if not spikes or len(spikes) > MOST or min(spike.height for spike in spikes) < _TOWERS * usual:
-        return values, []
-    return result, spikes
+    return (result, spikes) if spikes and len(spikes) <= MOST else (values, [])
 
 
 def _limits(away: FloatArray, least: float) -> FloatArray:
