@@ -63,7 +63,7 @@ def test_a_few_do_not_count_in_a_record_of_few_cycles(count, is_found, rng):
     records = make_records(rng, ("cubic_stiffness",), specimens=2, decibels=50.0, share=2.0)
     values = records[0].values.copy()
     for at in np.linspace(140, 480, count).astype(int) + rng.integers(-9, 9, count):
-        values[at : at + 4] += 14.0 * NOISE  # too wide to be bridged before
+        values[at : at + 4] += 25.0 * NOISE  # too wide to be bridged before
     search = searched([replace(records[0], values=values), records[1]])
     cycles = search.batch.waveform[0].cycles
     assert 24.0 < cycles < 36.0  # four of them are more than a tenth, and six of these fit in
