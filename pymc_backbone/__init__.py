@@ -45,18 +45,11 @@ if TYPE_CHECKING:
     from .reporting.output_folder import write_backbones
     from .reporting.study_files import write_study
     from .simulation.backbones import simulate_population
-    from .simulation.decay import (
-        BackboneResult,
-        DecayResult,
-        Status,
-        WaveformResult,
-        simulate_backbone,
-        simulate_decay,
-        simulate_waveform,
-    )
+    from .simulation.decay import simulate_backbone, simulate_decay, simulate_waveform
     from .simulation.forced_response import ForcedOscillator, FrequencyResponse, frequency_response
     from .simulation.harmonic_balance import PeriodicMotion, periodic_motion
     from .simulation.response_fit import ResponseFit, fit_frequency_response
+    from .simulation.results import BackboneResult, DecayResult, Status, WaveformResult
     from .survey.structure import Structure
     from .survey.survey import Survey
     from .survey.workflow import diagnose_many
@@ -77,15 +70,8 @@ _WHERE = {
     "measurement.cycles": ("extract_cycles",),
     "measurement.envelope": ("envelope_cycles",),
     "likelihood.data_consistent": ("fit_data_consistent",),
-    "simulation.decay": (
-        "BackboneResult",
-        "DecayResult",
-        "Status",
-        "WaveformResult",
-        "simulate_backbone",
-        "simulate_decay",
-        "simulate_waveform",
-    ),
+    "simulation.results": ("BackboneResult", "DecayResult", "Status", "WaveformResult"),
+    "simulation.decay": ("simulate_backbone", "simulate_decay", "simulate_waveform"),
     "simulation.forced_response": ("ForcedOscillator", "FrequencyResponse", "frequency_response"),
     "simulation.harmonic_balance": ("PeriodicMotion", "periodic_motion"),
     "simulation.response_fit": ("ResponseFit", "fit_frequency_response"),

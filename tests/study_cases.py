@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from pymc_backbone.discrepancy.results.study import (
+from pymc_backbone.discrepancy.results.entries import (
     Candidate,
     Check,
     Detectable,
@@ -20,8 +20,8 @@ from pymc_backbone.discrepancy.results.study import (
     LawProbability,
     MissingMechanism,
     ScatterOfEffects,
-    Study,
 )
+from pymc_backbone.discrepancy.results.study import Study
 from pymc_backbone.discrepancy.results.verdict import NamedLevel
 from pymc_backbone.effects import LIBRARY
 from pymc_backbone.inference.diagnostics import findings, summarise

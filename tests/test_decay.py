@@ -20,8 +20,9 @@ from pymc_backbone.effects import BASE_EFFECTS, LIBRARY, Effect
 from pymc_backbone.oscillator import Oscillator
 from pymc_backbone.simulation import forces, memory, stepper
 from pymc_backbone.simulation.counts import half_cycles_run
-from pymc_backbone.simulation.decay import Simulator, Status, simulate_backbone, simulate_decay, simulate_waveform
+from pymc_backbone.simulation.decay import Simulator, simulate_backbone, simulate_decay, simulate_waveform
 from pymc_backbone.simulation.pointers import address, shifted
+from pymc_backbone.simulation.results import Status
 from pymc_backbone.simulation.run import prepare
 
 from .decay_cases import (

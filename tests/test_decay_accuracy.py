@@ -9,7 +9,8 @@ from scipy.special import ellipe, ellipk
 
 from pymc_backbone.effects import LIBRARY
 from pymc_backbone.oscillator import Oscillator
-from pymc_backbone.simulation.decay import Status, simulate_backbone, simulate_decay, simulate_waveform
+from pymc_backbone.simulation.decay import simulate_backbone, simulate_decay, simulate_waveform
+from pymc_backbone.simulation.results import Status
 
 from .decay_cases import (
     AMPLITUDE,

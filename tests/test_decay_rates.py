@@ -8,7 +8,8 @@ import pytest
 from pymc_backbone._common.checks import InputError
 from pymc_backbone.oscillator import Oscillator
 from pymc_backbone.simulation import decay
-from pymc_backbone.simulation.decay import Status, simulate_decay, simulate_waveform
+from pymc_backbone.simulation.decay import simulate_decay, simulate_waveform
+from pymc_backbone.simulation.results import Status
 
 from .decay_cases import (
     AMPLITUDE,

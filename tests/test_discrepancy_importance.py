@@ -17,9 +17,9 @@ from pymc_backbone.discrepancy.fitting.normal_equations import NUISANCES, start_
 from pymc_backbone.discrepancy.sets.search import Search
 from pymc_backbone.discrepancy.weighing import corrected_evidence, evidence
 from pymc_backbone.discrepancy.weighing.conditional import Conditional
-from pymc_backbone.discrepancy.weighing.corrected_evidence import Corrected, Correction, corrections
+from pymc_backbone.discrepancy.weighing.corrected_evidence import Corrected, corrections
 from pymc_backbone.discrepancy.weighing.evidence import Evidence, laplace, noise_scale
-from pymc_backbone.discrepancy.weighing.importance import LARGEST_K, integrate
+from pymc_backbone.discrepancy.weighing.importance import LARGEST_K, Integral, integrate
 from pymc_backbone.oscillator import Oscillator
 
 from .discrepancy_cases import AMPLITUDE, DAMPING, MASS, OMEGA, STIFFNESS, batch_of, make_records
@@ -249,7 +249,7 @@ def test_evidence_over_the_base_is_that_of_quadrature(weak, names):
     plain = laplace(fits[names], scale) - laplace(fits[()], scale)
     known = {key: Evidence(0.0, 0.0, 0.4) for key in fits}
     found = corrections(fits, known, batch, EFFORT)
-    corrected = plain + found.sets[names].shift - found.sets[()].shift
+    corrected = plain + found.sets[names].log_value - found.sets[()].log_value
     assert found.sets[names].is_trusted
     assert corrected == pytest.approx(exact, abs=0.05 + 2.0 * found.sets[names].error)
     if names == ("coulomb_friction",):
@@ -293,9 +293,9 @@ def test_what_is_asked_rests_on_probability_and_effort_and_nothing_else(weak, mo
 
 def test_shifts_move_differences_only_and_what_fails_moves_nothing():
     asked = {
-        ("a",): Correction(-1.0, 0.1, 0.1, 128),
-        ("b",): Correction(-1.5, 0.1, 0.1, 128),
-        ("c",): Correction(-9.0, 0.1, 0.9, 128),
+        ("a",): Integral(-1.0, 0.1, 0.1, 128),
+        ("b",): Integral(-1.5, 0.1, 0.1, 128),
+        ("c",): Integral(-9.0, 0.1, 0.9, 128),
     }
     shifts = Corrected(asked, "").shifts(("a",))
     assert shifts == {("a",): 0.0, ("b",): -0.5}

@@ -15,7 +15,7 @@ from pymc_backbone.discrepancy.drift.drift_kinds import drift_bonus
 from pymc_backbone.discrepancy.fitting.layout import make_layout
 from pymc_backbone.discrepancy.fitting.normal_equations import DRIFTS
 from pymc_backbone.discrepancy.fitting.scatter import SCATTER, WIDE_SCATTER
-from pymc_backbone.discrepancy.proposals.propose import Proposal
+from pymc_backbone.discrepancy.proposals.proposal import Proposal
 from pymc_backbone.discrepancy.sets import search as search_module
 from pymc_backbone.discrepancy.sets.search import Search
 from pymc_backbone.oscillator import Oscillator

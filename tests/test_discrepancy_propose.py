@@ -14,7 +14,8 @@ from pymc_backbone.discrepancy.fitting.curves import fit_on_levels, spread_over
 from pymc_backbone.discrepancy.fitting.layout import make_layout
 from pymc_backbone.discrepancy.proposals import looks
 from pymc_backbone.discrepancy.proposals.looks import STIFFNESS, atoms_of, level_data
-from pymc_backbone.discrepancy.proposals.propose import Proposal, _Proposer, propose
+from pymc_backbone.discrepancy.proposals.proposal import Proposal
+from pymc_backbone.discrepancy.proposals.propose import _Proposer, propose
 from pymc_backbone.discrepancy.proposals.refine_kernels import observe
 from pymc_backbone.discrepancy.proposals.small_systems import solve_in_place
 from pymc_backbone.discrepancy.sets.question import looked_for

@@ -40,8 +40,8 @@ from pymc_backbone.discrepancy.fitting.joint_fit import fit
 from pymc_backbone.discrepancy.fitting.layout import make_layout
 from pymc_backbone.discrepancy.fitting.normal_equations import DRIFTS, RELEASE_INSTANT, State, information, start_state
 from pymc_backbone.discrepancy.fitting.scatter import SCATTER
+from pymc_backbone.discrepancy.results.entries import HeldOut
 from pymc_backbone.discrepancy.results.locate import mean_gap, where_different
-from pymc_backbone.discrepancy.results.study import HeldOut
 from pymc_backbone.discrepancy.sets.question import Question, check_one_batch
 from pymc_backbone.discrepancy.sets.search import Search
 from pymc_backbone.discrepancy.weighing import evidence

@@ -13,9 +13,10 @@ from pymc_backbone.discrepancy.fitting.estimates import estimates_of
 from pymc_backbone.discrepancy.fitting.joint_fit import fit
 from pymc_backbone.discrepancy.fitting.layout import make_layout
 from pymc_backbone.discrepancy.fitting.normal_equations import State, start_state
+from pymc_backbone.discrepancy.results.entries import Estimate
 from pymc_backbone.discrepancy.results.extend import _reaching, _told_by, estimates_from_fit
-from pymc_backbone.discrepancy.results.study import UNMIXED, Estimate
-from pymc_backbone.discrepancy.sets.fitted_sets import BUDGET
+from pymc_backbone.discrepancy.results.study import UNMIXED
+from pymc_backbone.discrepancy.sets.known_sets import BUDGET
 from pymc_backbone.discrepancy.sets.search import Search
 from pymc_backbone.effects import LIBRARY
 from pymc_backbone.oscillator import Oscillator

@@ -24,7 +24,7 @@ from pymc_backbone.discrepancy.fitting.batch import batch_of_backbones
 from pymc_backbone.discrepancy.fitting.curves import level_chi_square
 from pymc_backbone.discrepancy.fitting.drift_course import DRIFT
 from pymc_backbone.discrepancy.fitting.normal_equations import DRIFTS, State
-from pymc_backbone.discrepancy.results.study import Candidate, LawProbability, MissingMechanism, ScatterOfEffects
+from pymc_backbone.discrepancy.results.entries import Candidate, LawProbability, MissingMechanism, ScatterOfEffects
 from pymc_backbone.discrepancy.results.verdict import AdequateBy, NamedLevel, Status, Verdict
 from pymc_backbone.discrepancy.sets.question import TOLERANCE
 from pymc_backbone.discrepancy.sets.search import Search

@@ -26,7 +26,7 @@ from pymc_backbone.discrepancy.force_curves.curve_words import Judgement, senten
 from pymc_backbone.discrepancy.force_curves.families import FAMILIES, Shape, _curve, judged, places, proposals
 from pymc_backbone.discrepancy.force_curves.force_curve import fit_remainder, force_curves
 from pymc_backbone.discrepancy.force_curves.tabulated import DAMPING, NODES, STIFFNESS, tabulate
-from pymc_backbone.discrepancy.results.study import MissingMechanism
+from pymc_backbone.discrepancy.results.entries import MissingMechanism
 from pymc_backbone.discrepancy.results.verdict import NamedLevel, Verdict
 from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.oscillator import Oscillator

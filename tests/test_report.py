@@ -14,8 +14,8 @@ from matplotlib import pyplot
 
 from pymc_backbone._common.checks import InputError
 from pymc_backbone._common.text import in_words
+from pymc_backbone.discrepancy.results.entries import Candidate
 from pymc_backbone.discrepancy.results.locate import mean_gap
-from pymc_backbone.discrepancy.results.study import Candidate
 from pymc_backbone.discrepancy.results.verdict import NamedLevel, Status, Verdict
 from pymc_backbone.effects import LIBRARY
 from pymc_backbone.reporting.candidate_plots import plot_candidates

@@ -8,7 +8,7 @@ import itertools
 import numpy as np
 import pytest
 
-from pymc_backbone.discrepancy.results.study import Candidate, Check, HeldOut, Remainder
+from pymc_backbone.discrepancy.results.entries import Candidate, Check, HeldOut, Remainder
 from pymc_backbone.discrepancy.results.verdict import Status, Verdict
 from pymc_backbone.effects import LIBRARY
 from pymc_backbone.reporting.candidate_plots import plot_parameters

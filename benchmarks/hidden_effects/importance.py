@@ -57,7 +57,7 @@ def judge(task: tuple[int, int, str]) -> dict[str, Any] | None:
     if not corrected.corrected.sets:
         return None
     sets = [
-        {"effects": names, "shift": item.shift, "error": item.error, "k": item.pareto_k, "draws": item.draws}
+        {"effects": names, "shift": item.log_value, "error": item.error, "k": item.pareto_k, "draws": item.draws}
         for names, item in corrected.corrected.sets.items()
     ]
     return {

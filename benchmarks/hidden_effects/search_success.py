@@ -38,7 +38,7 @@ _USUAL = (*HARD_TIERS, *QUANTITY_TIERS, "one_effect", "two_effects", "three_effe
 def judge(task: tuple[str, int, int]) -> dict[str, Any]:
     """Return what the search made of one batch."""
     from pymc_backbone import InputError, Oscillator, read_records
-    from pymc_backbone.discrepancy.sets.fitted_sets import BUDGET
+    from pymc_backbone.discrepancy.sets.known_sets import BUDGET
     from pymc_backbone.discrepancy.sets.question import batch_of, possible_effects
     from pymc_backbone.discrepancy.sets.search import Search
     from pymc_backbone.measurement.options import Measuring

@@ -31,7 +31,7 @@ IMPORTS = "imports"
 STAGES: dict[str, tuple[str, ...]] = {
     "reading": ("workflows.diagnose:_read",),
     "conditioning, cycles, levels": ("discrepancy.sets.question:batch_of",),
-    "proposals": ("discrepancy.sets.fitted_sets:propose",),
+    "proposals": ("discrepancy.sets.known_sets:propose",),
     "waveform fits": ("discrepancy.workflow:_searched",),
     "deciding, rivals": ("discrepancy.workflow:_decided",),
     "held out": ("discrepancy.workflow:verify",),

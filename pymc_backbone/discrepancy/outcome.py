@@ -11,7 +11,7 @@ from .deciding.tolerance import is_drift_small
 from .fitting.batch import Batch
 from .fitting.curves import has_mid_line, level_chi_square
 from .fitting.joint_fit import Fit
-from .results.study import Check
+from .results.entries import Check
 from .results.verdict import Verdict
 from .sets.question import Question
 from .sets.search import Search

@@ -38,12 +38,14 @@ from .outcome import Outcome, checks_of
 from .planning.plan import plan_tests
 from .results.curve_records import ForceCurves
 from .results.design import Contender, Plan, contender, present_design
+from .results.entries import Check, EvidenceBasis
 from .results.extend import Inference, infer
 from .results.locate import where_different
 from .results.portraits import portraits
-from .results.study import Check, EvidenceBasis, Study
+from .results.study import Study
 from .results.verdict import NamedLevel, Verdict
-from .sets.fitted_sets import BUDGET, FittedSets, Progress
+from .sets.fitted_sets import FittedSets
+from .sets.known_sets import BUDGET, Progress
 from .sets.question import Question, ask, is_of_records
 from .sets.search import Search
 from .weighing.evidence import UNEXPLAINED, Drifting, leaves_noise

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from .._common.checks import OBSERVABLE_UNITS, FloatArray
-from ..simulation.decay import Status, simulate_backbone
+from ..simulation.decay import simulate_backbone
 from ..simulation.response import OscillatorResponse
+from ..simulation.results import Status
 from .targets import Target
 
 

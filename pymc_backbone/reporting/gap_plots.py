@@ -13,8 +13,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, NullFormatter, NullLocator
 
 from .._common.checks import FloatArray
+from ..discrepancy.results.entries import HeldOut
 from ..discrepancy.results.locate import mean_gap
-from ..discrepancy.results.study import HeldOut, Study
+from ..discrepancy.results.study import Study
 from .style import (
     COLUMN,
     FEW,

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.figure import Figure
 
-from ..discrepancy.results.study import HeldOut, Study
+from ..discrepancy.results.entries import HeldOut
+from ..discrepancy.results.study import Study
 from ..discrepancy.results.verdict import Status, Verdict
 from .html import Raw, escape, image, number, paragraph, section, table, unit
 from .style import engineering

@@ -10,7 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from .._common.text import capitalised, in_words, span
-from ..discrepancy.results.study import Candidate, Detectable, Estimate, Study
+from ..discrepancy.results.entries import Candidate, Detectable, Estimate
+from ..discrepancy.results.study import Study
 from ..discrepancy.results.verdict import Verdict
 from ..effects import LIBRARY
 from ..oscillator import Oscillator

@@ -26,7 +26,8 @@ import numpy as np
 
 from ..discrepancy.results.curve_records import ForceCurves
 from ..discrepancy.results.design import Contender, Plan
-from ..discrepancy.results.study import Estimate, HeldOut, Study
+from ..discrepancy.results.entries import Estimate, HeldOut
+from ..discrepancy.results.study import Study
 from .curve_script import curve_script
 from .model_script import model_script
 from .output_folder import CURVE_SCRIPT, REPORT, SCRIPT, package_version, prepare_output, write_results

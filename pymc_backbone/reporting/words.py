@@ -15,7 +15,8 @@ from ..discrepancy.weighing.evidence import MISSING
 from ..effects import LIBRARY, MECHANISMS
 
 if TYPE_CHECKING:
-    from ..discrepancy.results.study import Candidate, Estimate, Study
+    from ..discrepancy.results.entries import Candidate, Estimate
+    from ..discrepancy.results.study import Study
 
 VERDICT_WORDS: dict[str, str] = {
     Verdict.ADEQUATE: "\N{CHECK MARK} Adequate",

@@ -27,7 +27,8 @@ from .measure import Progress, Say, measure, say_warnings
 if TYPE_CHECKING:
     import xarray as xr
 
-    from ..discrepancy.results.study import Candidate, Estimate, Study
+    from ..discrepancy.results.entries import Candidate, Estimate
+    from ..discrepancy.results.study import Study
     from ..measurement.reading.record import Record
 
     Data = str | os.PathLike[str] | Sequence[Record] | xr.Dataset

@@ -18,7 +18,7 @@ from ..._common.text import per_cent
 from ...measurement.rough_turning import rough_noise
 from ..fitting.batch import Batch
 from ..fitting.joint_fit import Fit
-from ..results.study import Check
+from ..results.entries import Check
 from ..weighing.evidence import residuals_as_measured
 from .close_modes import envelope_about
 

@@ -11,7 +11,7 @@ from ..fitting.batch import Batch
 from ..fitting.curves import measured
 from ..fitting.joint_fit import Fit
 from ..fitting.normal_equations import NUISANCES
-from ..results.study import Check
+from ..results.entries import Check
 from ..weighing.evidence import leaves_noise
 
 _ALIKE = 4.0  # scatters as expected, that a specimen is off at least which is not alike

@@ -17,7 +17,7 @@ from ..fitting.descent import is_heavy
 from ..fitting.drift_course import changes_of
 from ..fitting.joint_fit import Fit
 from ..fitting.normal_equations import DRIFTS
-from ..results.study import Check
+from ..results.entries import Check
 from ..sets.search import Search, Set
 from ..sets.side_by_side import ABREAST, fit_side_by_side
 from ..sets.varied_sets import NEEDED, is_akin

@@ -14,7 +14,7 @@ from ..disturbances.harmonic_lines import frequencies_of
 from ..disturbances.lines import line_below, line_beside, line_near
 from ..fitting.batch import Batch
 from ..fitting.joint_fit import Fit
-from ..results.study import Check
+from ..results.entries import Check
 from ..weighing import evidence
 from .close_modes import CloseModes, close_modes
 

@@ -24,7 +24,7 @@ from ..fitting.data_term import level_term
 from ..fitting.descent import is_heavy
 from ..fitting.joint_fit import Fit, fit, parameters_of
 from ..fitting.normal_equations import DRIFTS, NUISANCES, State
-from ..results.study import HeldOut
+from ..results.entries import HeldOut
 
 MOST_HELD_OUT = 6
 """Specimens that are left out in turn, by default."""

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from ..fitting.joint_fit import Fit
-from ..results.study import MissingMechanism, Remainder
+from ..results.entries import MissingMechanism, Remainder
 from ..results.verdict import AdequateBy, NamedLevel, Verdict
 from ..sets.search import Set
 from ..weighing.corrected_evidence import Corrected

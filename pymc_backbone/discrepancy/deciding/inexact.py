@@ -11,7 +11,7 @@ import numpy as np
 from ...effects import EITHER
 from ..fitting.curves import fit_on_levels
 from ..fitting.joint_fit import Fit
-from ..results.study import MissingMechanism
+from ..results.entries import MissingMechanism
 from ..results.verdict import MECHANISM_NAMED, NamedLevel, Verdict
 from ..sets.search import Search, Set
 from ..sets.varied_sets import NEEDED

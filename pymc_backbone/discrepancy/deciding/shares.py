@@ -11,7 +11,7 @@ import numpy as np
 from ..._common.checks import OBSERVABLES
 from ...effects import EITHER
 from ..proposals.departing import Departing
-from ..results.study import LawProbability, MissingMechanism, Remainder
+from ..results.entries import LawProbability, MissingMechanism, Remainder
 from ..sets.search import Search, Set
 from .mechanisms import Weighed
 

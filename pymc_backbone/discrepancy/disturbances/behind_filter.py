@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..fitting.batch import Batch
-from ..fitting.data_term import WaveformTerm
 from ..fitting.joint_fit import Fit, fit
 from ..fitting.telling import Telling
+from ..fitting.waveform_term import WaveformTerm
 from ..fitting.whitening import with_slow_noise
 from ..weighing import evidence
 from .sensor_filter import GIBBS, SensorFilter, first_values

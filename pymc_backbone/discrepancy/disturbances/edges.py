@@ -11,8 +11,8 @@ import numpy as np
 from ..._common.checks import FloatArray
 from ...measurement.reading.record import Record
 from ..fitting.batch import Batch
-from ..fitting.data_term import WaveformTerm
 from ..fitting.joint_fit import Fit
+from ..fitting.waveform_term import WaveformTerm
 from ..weighing import evidence
 
 _MOST = 3  # cycles that are no free motion: of more, something else is wrong

@@ -9,9 +9,9 @@ import numpy as np
 
 from ..._common.checks import FloatArray
 from ..fitting.batch import Batch
-from ..fitting.data_term import WaveformTerm
 from ..fitting.joint_fit import Fit, fit
 from ..fitting.normal_equations import DRIFTS, State, derivatives
+from ..fitting.waveform_term import WaveformTerm
 from ..weighing import evidence
 from .disturbance import Disturbance, line_modes
 from .mode_lines import are_beside, step_of, with_lines

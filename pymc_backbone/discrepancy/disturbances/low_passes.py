@@ -9,10 +9,10 @@ import numpy as np
 
 from ..._common.checks import FloatArray
 from ..fitting.batch import Batch
-from ..fitting.data_term import WaveformTerm
 from ..fitting.joint_fit import Fit, fit
 from ..fitting.normal_equations import derivatives
 from ..fitting.telling import most_telling
+from ..fitting.waveform_term import WaveformTerm
 from ..weighing import evidence
 from .behind_filter import EACH, ITERATIONS, MOST_FITTED, PRICE, Behind, FittedBehind, behind_it, is_promising_part
 from .sensor_filter import Chain, SensorFilter

@@ -9,8 +9,8 @@ from scipy.optimize import minimize
 
 from ..._common.checks import FloatArray
 from ..fitting.batch import Batch
-from ..fitting.data_term import WaveformTerm
 from ..fitting.joint_fit import Fit
+from ..fitting.waveform_term import WaveformTerm
 from ..weighing import evidence
 from .disturbance import Disturbance, line_modes
 from .harmonic_lines import beside_harmonics, frequencies_with, is_harmonic

@@ -16,8 +16,8 @@ from scipy.optimize import minimize_scalar
 
 from ..._common.checks import FloatArray
 from ..fitting.batch import Batch
-from ..fitting.data_term import Subspace, WaveformTerm
 from ..fitting.record_term import orthogonal_to
+from ..fitting.waveform_term import Subspace, WaveformTerm
 from ..sets.search import Search
 from ..weighing import evidence
 

@@ -20,8 +20,8 @@ from ..._common.checks import FloatArray
 from ..._common.text import per_cent
 from ...measurement.reading.record import Record
 from ..fitting.batch import Batch
-from ..fitting.data_term import WaveformTerm
 from ..fitting.record_term import BETWEEN, INSIDE, beside_jumps, orthogonal_to
+from ..fitting.waveform_term import WaveformTerm
 from ..fitting.whitening import with_slow_noise
 
 Kind = Literal["low-pass", "high-pass"]

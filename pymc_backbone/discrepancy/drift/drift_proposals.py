@@ -17,7 +17,8 @@ from ..fitting.data_term import LevelTerm
 from ..fitting.drift_course import DRIFT, covered
 from ..fitting.normal_equations import State
 from ..fitting.scatter import SCATTER, WIDE_SCATTER
-from ..proposals.propose import Proposal, propose
+from ..proposals.proposal import Proposal
+from ..proposals.propose import propose
 from ..sets.search import Search, Set
 
 _LARGEST = 2  # effects of the sets that are looked at

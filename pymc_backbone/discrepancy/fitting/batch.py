@@ -12,8 +12,9 @@ from ..._common.backbone_dataset import FREQUENCY, typical_frequency
 from ..._common.checks import FloatArray, InputError
 from ...measurement.conditioning.conditioned import ConditionedRecord
 from ...measurement.cycle_data import Cycles
-from .data_term import DataTerm, LevelTerm, TurningTerm, WaveformTerm, level_term, with_frequency
+from .data_term import DataTerm, LevelTerm, TurningTerm, level_term, with_frequency
 from .record_term import release_of, turning_term, waveform_term
+from .waveform_term import WaveformTerm
 
 _ABOVE = 1.25  # release over the highest level, where none is known
 

@@ -12,9 +12,10 @@ from ..._common.checks import FloatArray
 from ...measurement.conditioning.conditioned import ConditionedRecord
 from ...measurement.conditioning.filters import BandPass
 from ...measurement.cycle_data import Cycles
-from .data_term import Jumps, Subspace, TurningTerm, WaveformTerm
+from .data_term import TurningTerm
 from .drift_course import fade_of, motion_of
 from .passed import passed_values
+from .waveform_term import Jumps, Subspace, WaveformTerm
 from .whitening import EDGE, means, of_means, whitener, with_slow_noise
 
 _SMEARED = (2.0, 0.1)  # samples, and at most of a half cycle, on either side of a turning point in which a jump is

@@ -6,7 +6,8 @@ import numpy as np
 
 from ..._common.checks import FloatArray
 from ..fitting.batch import Batch
-from ..fitting.data_term import TOLERANCE, WaveformTerm
+from ..fitting.data_term import TOLERANCE
+from ..fitting.waveform_term import WaveformTerm
 from ..results.curve_records import Band, Bands
 from .curve_fit import CurveFit
 from .tabulated import DAMPING, STIFFNESS

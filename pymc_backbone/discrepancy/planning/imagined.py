@@ -13,11 +13,12 @@ from ..._common.checks import FloatArray
 from ...oscillator import Oscillator
 from ...simulation.decay import Simulator
 from ..fitting.batch import Batch
-from ..fitting.data_term import TOLERANCE, TurningTerm, WaveformTerm
+from ..fitting.data_term import TOLERANCE, TurningTerm
 from ..fitting.descent import Descent
 from ..fitting.drift_course import fade_of
 from ..fitting.joint_fit import Fit
 from ..fitting.layout import Layout
+from ..fitting.waveform_term import WaveformTerm
 from ..results.design import DENSE, QUANTITY_OF_ORDER, Contender, Design
 
 _MOST_TURNS = 3000

@@ -8,7 +8,7 @@ regression is repeated. Then each set within reach is refined with its own defec
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import combinations, pairwise
 from typing import Any
@@ -24,6 +24,7 @@ from ..fitting.scatter import SCATTER, WIDE_SCATTER
 from .look_kernels import N_LOOK
 from .looks import regression
 from .points import Point
+from .proposal import Proposal
 from .set_fits import Set, SetFits
 from .set_kernels import best_atoms
 
@@ -44,40 +45,6 @@ _NEARLY_AS_GOOD = 10.0  # chi-square above that of the best point of a set
 _POLISHED = 16
 _LARGEST_VARIED = 2  # effects of the sets that hold variants
 _NEAR = 100  # sets that are refined from several starts
-
-
-@dataclass(frozen=True, eq=False)
-class Proposal:
-    """One set of effects and how well it explains the level values.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Effects beyond the base, sorted.
-    eta : (q,) array
-        Shared coordinates in the set's `Layout`.
-    own : (r, 2) array
-        Stiffness and damping of each specimen.
-    chi_square : float
-        Of the level values with the model-error floor, the scatter of the effects at its best.
-    is_exact : bool
-        Whether the exact simulator gave ``chi_square``, or the look alone.
-    log_evidence : float
-        For ranking, the prior of the set's size included.
-    starts : tuple of (float, (q,) array, (r, 2) array)
-        Minima found: chi-square, coordinates, own values; best first.
-    scatter : float
-        How much the effects were taken to differ between specimens.
-    """
-
-    names: Set
-    eta: FloatArray
-    own: FloatArray
-    chi_square: float
-    is_exact: bool
-    log_evidence: float
-    starts: tuple[tuple[float, FloatArray, FloatArray], ...]
-    scatter: float = SCATTER
 
 
 def propose(

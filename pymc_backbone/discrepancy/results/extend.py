@@ -20,7 +20,8 @@ from ..fitting.descent import is_heavy
 from ..fitting.estimates import estimates_of
 from ..fitting.joint_fit import Fit
 from ..fitting.layout import SHAPES
-from .study import UNMIXED, Estimate
+from .entries import Estimate
+from .study import UNMIXED
 
 _REACH = 10.0  # standard deviations between an estimate and the ends of its prior
 _LEAST = {"linear_stiffness": 0.02, "viscous_damping": 0.5}

@@ -7,7 +7,7 @@ import xarray as xr
 
 from ..._common.checks import OBSERVABLE_UNITS, FloatArray
 from ..fitting.batch import Batch
-from .study import GapRange
+from .entries import GapRange
 
 _REAL = 3.0  # standard errors that the largest gap of a range has at least
 _EDGE = 2.0  # standard errors up to which the range goes on

@@ -2,38 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 
 from ..._common.checks import FloatArray
-from ...effects import LIBRARY, Effect
-from ...oscillator import Oscillator
 from ..fitting import starts
-from ..fitting.batch import Batch
 from ..fitting.curves import is_told_apart, level_chi_square
-from ..fitting.descent import IN_REACH, Descent, Way
+from ..fitting.descent import IN_REACH, Way
 from ..fitting.joint_fit import Fit
-from ..fitting.layout import Layout, make_layout
-from ..fitting.scatter import SCATTER
-from ..proposals.propose import Proposal, propose
+from ..fitting.layout import Layout
+from ..proposals.proposal import Proposal
 from ..proposals.set_fits import Set
-from ..weighing import evidence
 from ..weighing.evidence import Drifting
+from .known_sets import POOR, POSSIBLE_BACKBONE, KnownSets
 
-Progress = Callable[[str, float], None]
-
-BUDGET = 3e7
-"""Simulated values after which the search ends; only what nothing explains takes as many."""
-POSSIBLE_BACKBONE = 3.0
-"""Reduced chi-square of the level values up to which a set could explain the backbones."""
-_EXPLAINED = 1.1  # reduced chi-square up to which a set may be complete, whatever its residuals look like
-_NOISE = 0.01  # p-value of the residuals from which they are taken for noise
-_LIMIT = 4.0  # of the budget, that a fit which began before it was spent may take
-_POOR = 1.5  # reduced chi-square above which a fit may have lost its way
 _NOT_FAR = 2.0  # reduced chi-square of a smaller set up to which the records say where a further effect begins
 _UNTOLD = 1.0  # reduced chi-square of the backbones of a smaller set up to which they do not say what else is there
 _MUCH_MORE = 10.0  # chi-square of the backbones above their lowest minimum, from which that is asked as well
@@ -46,25 +31,11 @@ _HINT = 1.0  # the same, from which a single effect is fitted although a linear 
 
 
 @dataclass
-class FittedSets:
+class FittedSets(KnownSets):
     """Fits of sets of effects beyond the base, each set once, and what is needed to fit one more.
 
     Attributes
     ----------
-    batch : Batch
-        The data.
-    base : Oscillator
-        Mass and base effects.
-    candidates : tuple of str
-        Effects that may be missing.
-    max_effects : int
-        Largest set.
-    own : mapping of str to Effect
-        Candidates that the library does not hold, by name.
-    variants : tuple of str
-        Effects that are looked for in the place of the candidates that they are variants of.
-    tolerance : mapping of str to float
-        Relative change of frequency and damping that does not matter.
     is_disturbed : callable, optional
         Asked once, early: whether something in front of the records is in the way, or runs beside the motion. What it
         returns is kept in ``halted``, and the search ends there; None lets it go on.
@@ -72,133 +43,11 @@ class FittedSets:
         What ended the search early.
     is_drifting : callable, optional
         Asked once, early, where nothing explains the records: the model as it is with a drift in time, if that does.
-    drift_alone : Drifting, optional
-        That fit and what its evidence gains: then few sets more are asked, and none that costs much.
-    refuted : set of tuple of str
-        Sets that were not fitted to the samples, because the turning points leave no doubt.
-    scatter : float
-        How much the effects are taken to differ between specimens, relative to their value.
-    beyond : int
-        Sets that were followed although the effort was spent.
     """
 
-    batch: Batch
-    base: Oscillator
-    candidates: tuple[str, ...]
-    max_effects: int = 3
-    progress: Progress = lambda _stage, _share: None
-    fits: dict[Set, Fit] = field(default_factory=dict)
-    failed: dict[Set, str] = field(default_factory=dict)
-    layouts: dict[Set, Layout] = field(default_factory=dict)
-    budget: float = BUDGET
-    is_cut: bool = False
-    beyond: int = 0
-    own: Mapping[str, Effect] = field(default_factory=dict)
-    variants: tuple[str, ...] = ()
-    tolerance: Mapping[str, float] = field(default_factory=dict)
-    asked: dict[tuple[Set, int], object] = field(default_factory=dict)
-    varied: dict[Set, Proposal] = field(default_factory=dict)
-    limited: tuple[Fit | None, float] = (None, np.inf)
-    noisy: dict[int, tuple[Fit, bool]] = field(default_factory=dict)
-    refuted: set[Set] = field(default_factory=set)
-    scatter: float = SCATTER
     is_disturbed: Callable[[FittedSets], object | None] | None = None
     halted: object | None = None
     is_drifting: Callable[[FittedSets], Drifting | None] | None = None
-    drift_alone: Drifting | None = None
-
-    def __post_init__(self) -> None:
-        self.descent = Descent(self.batch, limit=_LIMIT * self.budget)
-        spans = (w.levels[-1] / w.levels[0] if w.levels.size else 0.0 for w in self.batch.levels)
-        self.count, self.reference = self.batch.count, int(np.argmax(list(spans)))
-
-    @cached_property
-    def proposals(self) -> dict[Set, Proposal]:
-        """How every set looks in the backbones, the likeliest first."""
-        self.progress("all sets, by their backbones", 0.0)
-        found = propose(self.batch, self.base, self.candidates, self.max_effects, self.own, self.variants)
-        return {item.names: item for item in found}
-
-    def _is_any_possible(self, proposals: Iterable[Proposal]) -> bool:
-        """Return whether a set explains the backbones, or none was simulated exactly."""
-        known = [item.chi_square for item in proposals if item.is_exact]
-        return not known or min(known) <= POSSIBLE_BACKBONE * self._level_values
-
-    @property
-    def _level_values(self) -> int:
-        """How many values the backbones hold."""
-        return sum(term.size for term in self.batch.levels)
-
-    @property
-    def has_proposals(self) -> bool:
-        """Whether the backbones were asked for proposals."""
-        return "proposals" in self.__dict__
-
-    def _is_explained(self) -> bool:
-        """Return whether a set leaves hardly more than noise."""
-        return self.is_any_exact(self.fits.values())
-
-    def explains(self, found: Fit) -> bool:
-        """Return whether a fit leaves hardly more than noise.
-
-        The size of the noise is an estimate, and short records hold more of it by chance: what leaves somewhat more
-        counts where it is no more along the harmonics of the motion than beside them.
-        """
-        if not _EXPLAINED * self.count <= found.cost < _POOR * self.count:
-            return found.cost < _EXPLAINED * self.count
-        if id(found) not in self.noisy:
-            self.noisy[id(found)] = (found, evidence.lack_of_fit(self.batch, found).p_value > _NOISE)
-        return self.noisy[id(found)][1]
-
-    def is_any_exact(self, fits: Iterable[Fit]) -> bool:
-        """Return whether the best of these fits explains the records."""
-        best = min(fits, key=lambda item: item.cost, default=None)
-        return best is not None and self.explains(best)
-
-    @property
-    def _limit(self) -> float:
-        """Sum of squares over the turning points above which a set is no rival of what explains the records, or will.
-
-        None for the base: what it leaves is the gap.
-        """
-        best = min(self.fits.values(), key=lambda item: item.cost, default=None)
-        if best is None:
-            return np.inf
-        if not self.explains(best):
-            return self.descent.hopeless(None) if self.drift_alone is not None else self.descent.unheard_of
-        if best is not self.limited[0]:
-            self.limited = (best, self.descent.hopeless(best))
-        return self.limited[1]
-
-    @property
-    def _is_spent(self) -> bool:
-        return self.descent.effort > self.budget
-
-    def layout(self, names: Set) -> Layout:
-        """Return the layout of the base with these effects."""
-        if names not in self.layouts:
-            extended = self.base + [self.own.get(name, name) for name in names]
-            self.layouts[names] = make_layout(
-                extended, self.batch.amplitude, self.batch.angular_frequency, self.scatter,
-                is_relaxed=self.batch.is_relaxed,
-            )  # fmt: skip
-        return self.layouts[names]
-
-    def mechanism_of(self, name: str) -> str:
-        """Return the mechanism of an effect: where a parameter decides, by the fit that leaves least with it."""
-        effect = self.own.get(name) or LIBRARY[name]
-        held = [found for names, found in self.fits.items() if name in names] if effect.mechanism_below else []
-        if not held:
-            return effect.mechanism or "other"
-        least = min(held, key=lambda found: found.cost)
-        return effect.mechanism_at(least.value_of, self.batch.amplitude) or "other"
-
-    def _was_asked(self, names: Set, other: Fit) -> bool:
-        """Return whether a set was started from this fit of another before, and note that it now is."""
-        asked = (names, id(other.state))
-        is_known = asked in self.asked
-        self.asked[asked] = other.state  # kept, so that its identity stays its own
-        return is_known
 
     def fit_set(self, names: Set) -> Fit | None:
         """Return the best fit of a set, from several starts; kept for the next time.
@@ -348,11 +197,6 @@ class FittedSets:
             return
         self.fits[names] = min([known, *self._beside(names, None)], key=lambda item: item.cost)
 
-    def _proposal(self, names: Set) -> Proposal | None:
-        """Return how a set looks in the backbones; None where they were not asked for it or have no start."""
-        found = self.varied.get(names) or self.proposals.get(names)
-        return found if found is not None and found.starts else None
-
     def _proposed(self, names: Set, rival: float | None) -> list[Fit]:
         """Return fits from what the backbones propose for a set, until one keeps what they promise.
 
@@ -415,7 +259,7 @@ class FittedSets:
 
     def _is_lost(self, found: Fit, promised: float) -> bool:
         """Return whether a fit ended far above what the backbones promise: then another start may do better."""
-        if found.cost < _POOR * self.count:
+        if found.cost < POOR * self.count:
             return False
         reduced = level_chi_square(self.batch, found)
         return not reduced < _LOST * max(promised / self._level_values, 1.0)

@@ -7,7 +7,7 @@ from itertools import chain, zip_longest
 
 import numpy as np
 
-from ..proposals.propose import Proposal
+from ..proposals.proposal import Proposal
 from ..proposals.set_fits import Set
 from ..weighing import evidence
 from .revisited_sets import CLOSE

@@ -15,7 +15,8 @@ from ..fitting.layout import Layout
 from ..fitting.normal_equations import State
 from ..proposals.set_fits import Set
 from ..weighing import evidence
-from .fitted_sets import POSSIBLE_BACKBONE, FittedSets
+from .fitted_sets import FittedSets
+from .known_sets import POSSIBLE_BACKBONE
 
 Kept = tuple[dict[Set, Fit], dict[Set, str], set[Set], float]
 """Fits, failures, refuted sets and the scatter that they were made with."""

@@ -16,8 +16,8 @@ from ..fitting.scatter import SCATTER, WIDE_SCATTER
 from ..proposals.propose import propose
 from ..proposals.set_fits import Set
 from ..weighing import evidence
-from .fitted_sets import POSSIBLE_BACKBONE
 from .followed_sets import FEW_FOLLOWED, REACH, FollowedSets
+from .known_sets import POSSIBLE_BACKBONE
 from .revisited_sets import CLOSE
 from .side_by_side import ABREAST, fit_side_by_side
 from .varied_sets import NEEDED

@@ -14,7 +14,7 @@ from ..fitting.descent import PER_CYCLE, is_heavy
 from ..fitting.joint_fit import Fit
 from .conditional import Conditional
 from .evidence import Evidence, NoiseScale, laplace, noise_scale
-from .importance import LARGEST_K, MOST_ROUNDS, MOST_WALKS, WALK, integrate, is_trusted
+from .importance import LARGEST_K, MOST_ROUNDS, MOST_WALKS, WALK, Integral, integrate
 
 SETTLED = 0.999
 """Probability by Laplace's method from which nothing is asked: rivals would have to gain 4.9 on it, as logarithms, to
@@ -33,50 +33,21 @@ _KINKED = 2.5  # the same where a force has kinks, at which steps end
 _SEED = 20240229  # the same for all sets, so that their differences are known better than each
 
 
-class Correction(NamedTuple):
-    """What importance sampling says of one evidence.
-
-    Attributes
-    ----------
-    shift : float
-        To be added to the logarithm of the evidence by Laplace's method.
-    error : float
-        Standard error of it.
-    pareto_k : float
-        Shape of the tail of the weights: above 0.7 they cannot be summed. NaN where nothing had to be sampled.
-    draws : int
-        Points that were asked.
-    is_bridged : bool
-        Whether a bridge says it, which does without that tail.
-    """
-
-    shift: float
-    error: float
-    pareto_k: float
-    draws: int
-    is_bridged: bool = False
-
-    @property
-    def is_trusted(self) -> bool:
-        """Whether the weights have a tail that can be summed, or a bridge does without."""
-        return is_trusted(self.shift, self.pareto_k, is_bridged=self.is_bridged)
-
-
 @dataclass(frozen=True)
 class Corrected:
     """Which evidences were corrected, and what that took.
 
     Attributes
     ----------
-    sets : mapping of set to Correction
-        Those that were asked.
+    sets : mapping of set to Integral
+        Of those that were asked; the logarithm is what is to be added to that of the evidence by Laplace's method.
     reason : str
         In one sentence, what was done and why no more.
     cycles : float
         Cycles that were simulated.
     """
 
-    sets: Mapping[tuple[str, ...], Correction] = field(default_factory=dict)
+    sets: Mapping[tuple[str, ...], Integral] = field(default_factory=dict)
     reason: str = ""
     cycles: float = 0.0
 
@@ -86,7 +57,7 @@ class Corrected:
         Sets that were not asked are taken to be off by as much as the leading one is, so only differences are moved;
         and where that of the leading one is not to be trusted, by as much as those that are on average.
         """
-        trusted = {names: item.shift for names, item in self.sets.items() if item.is_trusted}
+        trusted = {names: item.log_value for names, item in self.sets.items() if item.is_trusted}
         if not trusted:
             return {}
         common = trusted.get(leading, sum(trusted.values()) / len(trusted))
@@ -127,7 +98,7 @@ def corrections(
     scale = noise_scale(fits, batch)
     costs = {names: _cost(fits[names], batch) for names in near}
     chosen, draws = _affordable(near, costs, allowed)
-    found: dict[tuple[str, ...], Correction] = {}
+    found: dict[tuple[str, ...], Integral] = {}
     for names in chosen:
         spare = allowed - cycles - sum(draws * costs[other] for other in chosen if other not in found)
         affordable = _rounds_and_walks(spare, draws, costs[names])
@@ -151,7 +122,7 @@ class _Affordable(NamedTuple):
 
 def _integrated(
     found: Fit, batch: Batch, scale: NoiseScale, draws: int, affordable: _Affordable
-) -> tuple[Correction, float]:
+) -> tuple[Integral, float]:
     """Return by how much Laplace's method is off for one set, and the cycles that it took to say so."""
     conditional = Conditional(found, batch.deciding, scale.sizes, scale.floor)
     middle, covariance = conditional.proposal
@@ -160,8 +131,7 @@ def _integrated(
         rounds=affordable.rounds, walks=affordable.walks, random_seed=_SEED,
     )  # fmt: skip
     shift = integral.log_value - laplace(found, scale)
-    said = Correction(float(shift), integral.error, integral.pareto_k, integral.draws, integral.is_bridged)
-    return said, conditional.simulated * _weight(found)
+    return integral._replace(log_value=float(shift)), conditional.simulated * _weight(found)
 
 
 def _weight(found: Fit) -> float:
@@ -204,7 +174,7 @@ def _rounds_and_walks(spare: float, draws: int, cost: float) -> _Affordable:
     return _Affordable(rounds, int(np.clip(left // ((WALK + draws) * cost), 0, MOST_WALKS)))
 
 
-def _reason(found: Mapping[tuple[str, ...], Correction], near: list[tuple[str, ...]], draws: int) -> str:
+def _reason(found: Mapping[tuple[str, ...], Integral], near: list[tuple[str, ...]], draws: int) -> str:
     """Return in one sentence what was done."""
     if not found:
         return "evidence is Laplace's: importance sampling of the leading sets would cost more than it may"
@@ -226,4 +196,4 @@ def _reason(found: Mapping[tuple[str, ...], Correction], near: list[tuple[str, .
     return said
 
 
-__all__ = ["Corrected", "Correction", "corrections"]
+__all__ = ["Corrected", "corrections"]

@@ -13,10 +13,11 @@ from scipy.special import chdtr, chdtrc, chdtri, fdtrc, logsumexp, ndtr, ndtri
 
 from ..._common.checks import FloatArray
 from ..fitting.batch import Batch
-from ..fitting.data_term import DataTerm, Subspace, WaveformTerm
+from ..fitting.data_term import DataTerm
 from ..fitting.joint_fit import Fit
 from ..fitting.normal_equations import NUISANCES, information
 from ..fitting.starts import positions
+from ..fitting.waveform_term import Subspace, WaveformTerm
 
 PRIOR_OF_SIZE = (0.38, 0.565, 0.05, 0.005)
 """Prior probability that so many effects are missing, shared evenly among the sets of that size."""

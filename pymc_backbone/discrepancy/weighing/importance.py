@@ -46,11 +46,6 @@ _DEFENSIVE = 0.2  # share of the first proposal in a mixture
 _EVEN = 1e-9  # spread of the logarithm of weights below which they are equal: the integrand is the proposal
 
 
-def is_trusted(log_value: float, pareto_k: float, *, is_bridged: bool) -> bool:
-    """Return whether an integral is to be believed: its weights have a tail that can be summed, or a bridge says it."""
-    return bool(np.isfinite(log_value)) and (is_bridged or not pareto_k > LARGEST_K)
-
-
 class Integral(NamedTuple):
     """An integral and what it rests on.
 
@@ -77,7 +72,7 @@ class Integral(NamedTuple):
     @property
     def is_trusted(self) -> bool:
         """Whether the weights have a tail that can be summed, or a bridge does without."""
-        return is_trusted(self.log_value, self.pareto_k, is_bridged=self.is_bridged)
+        return bool(np.isfinite(self.log_value)) and (self.is_bridged or not self.pareto_k > LARGEST_K)
 
 
 class _Mirror(NamedTuple):
@@ -358,4 +353,4 @@ def _mixture(middles: FloatArray, spread: FloatArray, first: _Kernels) -> _Kerne
     )
 
 
-__all__ = ["LARGEST_K", "MOST_ROUNDS", "MOST_WALKS", "WALK", "Integral", "integrate", "is_trusted"]
+__all__ = ["LARGEST_K", "MOST_ROUNDS", "MOST_WALKS", "WALK", "Integral", "integrate"]

@@ -8,7 +8,7 @@ from ..._common.text import in_words
 from ..deciding.decision import Decision
 from ..fitting.curves import level_chi_square, on_levels
 from ..fitting.estimates import estimates_of
-from ..results.study import Candidate
+from ..results.entries import Candidate
 from ..results.verdict import Status
 from ..sets.search import Search, Set
 from ..weighing import evidence
@@ -47,7 +47,7 @@ def candidates_of(search: Search, decision: Decision) -> tuple[Candidate, ...]:
                 + (_WITH_DRIFT if names in decision.drifts else "")
                 + ("" if shift is None or shift.is_trusted else _NOT_TRUSTED),
                 parameters=estimates_of(found),
-                evidence_shift=float("nan") if shift is None else shift.shift,
+                evidence_shift=float("nan") if shift is None else shift.log_value,
                 pareto_k=float("nan") if shift is None else shift.pareto_k,
                 is_bridged=shift is not None and shift.is_bridged,
                 has_drift=names in decision.drifts,

@@ -9,7 +9,7 @@ import numpy as np
 from ..._common.text import capitalised, in_words, per_cent
 from ...effects import MECHANISMS
 from ..deciding.decision import DRIFT_POSSIBLE, NAMED, Decision
-from ..results.study import Check, MissingMechanism
+from ..results.entries import Check, MissingMechanism
 from ..results.verdict import MECHANISM_NAMED, AdequateBy, NamedLevel, Verdict
 from ..sets.search import Set
 from ..weighing.evidence import MISSING

@@ -18,7 +18,7 @@ from ..fitting.estimates import estimates_of, without
 from ..fitting.joint_fit import Fit, parameters_of
 from ..fitting.normal_equations import State
 from ..fitting.scatter import NARROWEST
-from ..results.study import Detectable, ScatterOfEffects
+from ..results.entries import Detectable, ScatterOfEffects
 from ..sets.question import Question
 from ..sets.search import Search, Set
 from ..weighing.evidence import DETECTED
