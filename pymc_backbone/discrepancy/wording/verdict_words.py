@@ -17,15 +17,19 @@ from ..weighing.evidence import MISSING
 _SPOKEN = 5  # sets or laws that the sentence holds
 _HEADED = 3  # sets in the headline, where a list of them follows
 _REST = 0.1  # probability of no known set from which the sentence speaks of it
+_LIKELY = 0.5  # of a further mechanism, from which the sentence speaks of it although no set is exact
 _CLEARLY = 2.0  # standard errors
 _UNLIKELY = 0.02  # probability of a law below which the sentence does not hold it
 _JOINT = 1.02  # sum of the probabilities of laws over that of their mechanism, beyond which sets hold several
 DRIFTS = "a drift with time explains the records better than any effect of amplitude"
 _OR_FORCES = (
-    "a drift with time explains the records, and so do forces of displacement and speed that none of them is; "
-    "releases of the same specimens from other amplitudes tell the two apart"
+    "a drift with time explains the records, and so does a force that depends on displacement and speed alone but is "
+    "no known effect's; releases of the same specimens from other amplitudes tell the two apart"
 )
-_FORCES = "forces of displacement and speed that none of them is explain the records, and a drift with time does not"
+_FORCES = (
+    "a force that depends on displacement and speed alone but is no known effect's explains the records, and a drift "
+    "with time does not"
+)
 
 
 def with_forces(sentence: str, *, is_drift_exact: bool) -> str:
@@ -86,7 +90,7 @@ def _in_full(item: MissingMechanism) -> str:
 
 
 def _of_mechanisms(decision: Decision) -> str:
-    """Return the sentences that name mechanisms; where sets are exact, also what else may be missing."""
+    """Return the sentences that name mechanisms, and what else may be missing: where no set is exact, if likely."""
     is_like = decision.is_approximate or not decision.listed  # of a bent sensor no law is told, however exact it is
     said = " ".join(_of_mechanism(item, is_like) for item in decision.mechanisms if item.is_certain)
     if not is_like and decision.model in decision.drifts and not decision.has_small_drift:
@@ -94,11 +98,11 @@ def _of_mechanisms(decision: Decision) -> str:
     others = [
         item
         for item in decision.mechanisms
-        if not item.is_certain and item.probability > _REST and item.laws[0].effect not in decision.below
+        if not item.is_certain
+        and item.probability > (_LIKELY if is_like else _REST)
+        and item.laws[0].effect not in decision.below
     ]
-    if is_like or not others:
-        return said
-    small = [item for item in others if item.probability >= MECHANISM_NAMED]
+    small = [item for item in others if item.probability >= MECHANISM_NAMED and not is_like]
     if small:
         kinds = ", ".join(
             f"{MECHANISMS[item.mechanism]} ({_chance(item.probability)}, {100.0 * item.share_of_gap:.0f} % of the gap)"
@@ -194,7 +198,7 @@ def _of_best(decision: Decision) -> str:
 
 def _of_ambiguous(decision: Decision) -> str:
     """Return the sentence where several explanations remain, or one that is too uncertain for a name."""
-    listed = [named(names) for names in decision.listed]
+    listed = [f"{named(names)}{_beside_drift(decision, names)}" for names in decision.listed]
     told = [*listed, "a drift with time"] if is_drift_possible(decision) else listed
     if decision.has_second_mode:
         told = [*told, "a second mode"]
@@ -209,9 +213,10 @@ def _of_ambiguous(decision: Decision) -> str:
             f"{left}: what does not hold at every amplitude is no name."
         )
     if len(told) == 1 and decision.best and not decision.unfinished:
+        what = f"{named(decision.best)}{_beside_drift(decision, decision.best)}"
         return (
-            f"Something is missing; of the known effects {named(decision.best)} is the only explanation that remains, "
-            f"but with a probability of {_of_best(decision)} it is too uncertain for a name.{_small(decision)}"
+            f"Something is missing; of the known effects {what} is the only explanation that remains, but with a "
+            f"probability of {_of_best(decision)} it is too uncertain for a name.{_small(decision)}"
             f"{_none_of_these(decision)}"
         )
     if decision.unfinished:
@@ -222,6 +227,11 @@ def _of_ambiguous(decision: Decision) -> str:
     sets = "; ".join(told[:_HEADED])
     told_apart = f"Something is missing, but these records do not tell apart: {sets}{rest}."
     return f"{told_apart}{_small(decision)}{_none_of_these(decision)}{_certain(decision)}"
+
+
+def _beside_drift(decision: Decision, names: Set) -> str:
+    """Return what follows a set that explains the records beside a drift only; empty where it does so by itself."""
+    return " with a drift in time" if names in decision.drifts else ""
 
 
 def _small(decision: Decision) -> str:
@@ -287,9 +297,11 @@ def _of_adequate(decision: Decision) -> str:
         return f"The model is adequate: {what} detectable, but {verb} the backbones by less than the tolerance."
     if decision.p_missing > MISSING:
         return f"Nothing is missing: model and records agree within measurement error (p = {decision.p_missing:.2g})."
-    share = f", {per_cent(decision.lack.share)} of the motion," if decision.lack.share > 0.0 else ""
-    rare = f"what it leaves{share} is rare where nothing is missing (p = {decision.p_missing:.2g})"
-    return f"The model is adequate: no set of known effects is more probable than none. But {rare}."
+    size = f" to {per_cent(decision.lack.share)} of the motion" if decision.lack.share > 0.0 else ""
+    return (
+        f"The model is adequate{size}: no set of known effects is more probable than none. Chance alone rarely leaves "
+        f"as much (p = {decision.p_missing:.2g}): a little is there that no known effect explains."
+    )
 
 
 def with_checks(text: str, verdict: Verdict, checks: Sequence[Check]) -> str:
