@@ -730,7 +730,9 @@ def test_a_drift_that_settles_is_told_with_its_time(change):
     np.testing.assert_allclose(frequency, 0.5 * change * over, rtol=0.02)
     message = rivals.drift_check(found.fit, 1.0, False, found.fit, settling=search.batch.settling_time).message
     sign = "+" if change > 0.0 else "-"
-    assert re.search(rf"by \{sign}[23]\.?\d? % and \S+ % over a record, settling with a time constant of", message)
+    assert re.search(
+        rf"by \{sign}[23]\.?\d? % and at most [2-4]\.?\d? % over a record, settling with a time constant of", message
+    )
     known = Undisturbed(Question(Oscillator(MASS), batch, ("cubic_stiffness",), (), {}, 2, {}, ()), search)
     asked = with_drifts(known, rivals.drifting_sets)
     assert asked.question.batch is search.batch and asked.is_drifting
@@ -1308,7 +1310,7 @@ def test_laws_of_one_mechanism_compete_with_a_drift_beside_them():
     changes = changes_of(named.state.own[:, list(DRIFTS)], named.own_covariance[:, list(DRIFTS)])
     assert not check.passed
     assert f"(by +{per_cent(changes['frequency'])} and " in check.message  # it becomes stiffer
-    assert f"{per_cent(changes['damping'])} over a record)" in check.message
+    assert re.search(r"and at most [1-4]\.?\d? % over a record\)", check.message)  # damping stays
     below = rivals.drift_check(found[()].fit, 0.0, True, named, is_small=True)
     assert below.passed and "below the tolerance" in below.message
     rate = DRIFT * float(np.abs(named.state.own[:, DRIFTS[0]]).mean())

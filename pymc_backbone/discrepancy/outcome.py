@@ -66,7 +66,9 @@ class Outcome:
 def checks_of(question: Question, outcome: Outcome, verification: Verification) -> tuple[Check, ...]:
     """Return the checks on the data: explanations that are no effect."""
     batch, decision = question.batch, outcome.decision
-    named = outcome.model if decision.model in decision.drifts else None
+    # beside what is none of the answer a drift is told for the base, with its probability
+    is_told = not decision.best or decision.drift_probability <= 0.5
+    named = outcome.model if is_told and decision.model in decision.drifts else None
     reduced = verification.reduced
     if not decision.is_approximate:  # the samples speak for it: each value of the backbones may speak against it
         reduced = min(reduced, level_chi_square(outcome.judged, outcome.model, is_apart=True))

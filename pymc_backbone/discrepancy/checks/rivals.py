@@ -28,6 +28,7 @@ _ASKED = 3  # sets that are asked with a drift beside them where none leaves noi
 _HELPED = 20.0  # fall of chi-square by a drift from which other laws of the same mechanisms are asked
 _NEAR = 2.0  # reduced chi-square with a drift up to which they are
 _AGREED = 0.8  # of what all records drift, that is one way where they agree
+_STANDS_OUT, _AT_MOST = 4.0, 2.0  # of the variances: mean square of drifts that are seen, and added to what is not
 _WORTH_SETTLING = 15.0  # chi-square above what leaves least, up to which a steady drift will do
 _BENT = 0.5  # of what the base leaves, that a drift leaves at most which bends the backbones as much as a law does
 
@@ -308,14 +309,21 @@ def drift_check(
 
 
 def _rates(drifting: Fit, settling: float) -> str:
-    """Return the relative changes of frequency and damping over a record: mean sizes, signed where records agree."""
+    """Return the relative changes of frequency and damping over a record: mean sizes, signed where records agree.
+
+    Of one that does not stand out of its errors, what it is at most.
+    """
     places = list(DRIFTS)
-    values = drifting.state.own[:, places]
-    changes = changes_of(values, np.nan_to_num(drifting.own_covariance[:, places]))
+    values, variances = drifting.state.own[:, places], np.nan_to_num(drifting.own_covariance[:, places])
+    changes = changes_of(values, variances)
+    most = changes_of(values, -_AT_MOST * variances)
     signs = np.where(np.abs(values.sum(axis=0)) > _AGREED * np.abs(values).sum(axis=0), np.sign(values.sum(axis=0)), 0)
+    is_seen = (values**2).sum(axis=0) > _STANDS_OUT * variances.sum(axis=0)
     said = [
-        f"{'-' if sign * change < 0.0 else '+' if sign * change > 0.0 else ''}{per_cent(change)}"
-        for sign, change in zip(signs, changes.values(), strict=True)
+        f"{'-' if sign * changes[name] < 0.0 else '+' if sign * changes[name] > 0.0 else ''}{per_cent(changes[name])}"
+        if seen
+        else f"at most {per_cent(most[name])}"
+        for sign, name, seen in zip(signs, changes, is_seen, strict=True)
     ]
     how = f", settling with a time constant of {settling:.3g} s" if np.isfinite(settling) else ""
     return f"by {said[0]} and {said[1]} over a record{how}"
