@@ -14,6 +14,7 @@ from ..rough_turning import rough_noise
 from .blow import is_struck
 from .decimation import Decimation, design_decimation
 from .filters import check_band
+from .gap_filling import filled
 from .hum import without_hum
 from .lift import end_of_lift
 from .lost_samples import MOST, Jump, find_jump, mended, repeats
@@ -102,6 +103,7 @@ class FreePart:
         self.begin, self.rate = self.samples.start, self.samples.sampling_rate
         self.band = None if band is None else check_band(band, self.rate, self.name)
         self.frequency = self._dominant(time, values)
+        self.whole = filled(self.whole, self.samples.missing, self.rate / self.frequency)
         self.whole, hum = without_hum(self.whole, self.rate, self.frequency)
         self.notes += [] if hum is None else [hum.note]
         self.searches = start is None and not record.starts_free

@@ -43,6 +43,13 @@ class UniformSamples:
     gaps: FloatArray
     notes: tuple[str, ...]
 
+    @property
+    def missing(self) -> list[tuple[int, int]]:
+        """First sample of each gap that was put in by the spline, and first one after it."""
+        places = np.round(np.column_stack([self.gaps[:, 0], self.gaps.sum(axis=1)]) - self.start, 12)
+        ends = np.round(places * self.sampling_rate).astype(int) + np.array([1, 0])
+        return [(first, end) for first, end in ends.tolist() if end > first]
+
     def check_gaps(self, frequency: float, until: float, name: str) -> None:
         """Raise `InputError` at the first gap before ``until`` that is too long for the motion."""
         for begin, length in self.gaps:
