@@ -1269,6 +1269,37 @@ def test_laws_of_one_mechanism_that_take_each_other_back_are_one_curve(monkeypat
     assert (open_still.verdict, open_still.named_level, open_still.listed) == (Verdict.AMBIGUOUS, None, (springs,))
 
 
+@pytest.mark.parametrize(
+    ("names", "is_like"),
+    [
+        (("magnetic_stiffness", "power_stiffness"), True),  # two rare springs
+        (("mid_stroke_damping", "stribeck_friction"), True),  # two rare laws of two mechanisms
+        (("cubic_stiffness", "power_stiffness"), True),
+        (("cubic_stiffness", "quintic_stiffness"), False),
+        (("power_stiffness", "quadratic_damping"), False),
+        (("power_stiffness",), False),
+    ],
+)
+def test_two_rare_laws_are_likelier_one_that_the_library_lacks(names, is_like):
+    rare = {name for name, effect in LIBRARY.items() if effect.variant_of}
+    search = SimpleNamespace(mechanism_of=lambda name: LIBRARY[name].mechanism, variants=rare)
+    assert decide._is_of_rare_laws(search, decision_of("found", best=names)) == is_like
+    mechanisms = (mechanism_of("spring", 0.999, 1.0, **dict.fromkeys(names, 0.99)),)
+    exact = {"named_level": NamedLevel.MECHANISM, "mechanisms": mechanisms, "best": names, "listed": (names,)}
+    said = verdict_words.sentence(decision_of("found", **exact, is_like=is_like))
+    assert ("like" in said) == is_like
+
+
+@pytest.mark.parametrize(("change", "error", "is_bent"), [(0.4, 0.05, True), (0.4, 0.3, False), (0.05, 0.01, False)])
+def test_a_law_beside_which_damping_is_to_change_by_much_is_one_like_it(change, error, is_bent):
+    names = ("speed_limited_damping",)
+    own, variances = np.zeros((3, 20)), np.zeros((3, 20))
+    own[:, DRIFTS[1]], variances[:, DRIFTS[1]] = 2.0 * change, (2.0 * error) ** 2  # of half the damping each
+    search = SimpleNamespace(fits={names: SimpleNamespace(state=SimpleNamespace(own=own), own_covariance=variances)})
+    assert decide._is_bent_by_time(search, decision_of("found", best=names, drifts=(names,))) == is_bent
+    assert not decide._is_bent_by_time(search, decision_of("found", best=names))
+
+
 def test_a_law_that_wants_another_of_its_mechanism_below_the_tolerance_is_one_like_it():
     search = SimpleNamespace(mechanism_of=lambda name: LIBRARY[name].mechanism)
     power, both = ("power_stiffness",), ("cubic_stiffness", "power_stiffness")
@@ -1423,7 +1454,7 @@ def test_exact_sets_that_agree_on_the_mechanism_only_name_it(chances, options, l
     monkeypatch.setattr(decide, "level_chi_square", lambda batch, fit: 30.0)
     costs = {(): 250.0, ("iwan",): 180.0, ("jenkins",): 181.0, ("cubic_stiffness",): 181.0}  # the noise is louder
     search = SimpleNamespace(
-        count=100, batch=SimpleNamespace(is_behind_filter=False),
+        count=100, variants=(), batch=SimpleNamespace(is_behind_filter=False),
         fits={names: SimpleNamespace(cost=cost) for names, cost in costs.items()},
         mechanism_of=lambda name: LIBRARY[name].mechanism,
     )  # fmt: skip

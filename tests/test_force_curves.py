@@ -333,6 +333,11 @@ def test_a_fit_that_is_lost_leaves_all_of_the_gap(left):
     assert "the best of them leave all of that rest (p = 1e-09)" in said
 
 
+def test_forces_that_leave_most_of_the_gap_to_what_is_beside_the_motion_explain_nothing():
+    said = sentence(Judgement(True, 0.97, 0.2, ""), (), "m")
+    assert said.startswith("97 % of the gap is no force of displacement and speed: it lies beside the motion")
+
+
 def test_the_likeliest_number_lies_in_its_own_interval():
     """The records say ever more towards the end of what is looked at: the interval goes there."""
     family = SimpleNamespace(name="saturates", number="place")

@@ -75,11 +75,11 @@ def test_gaps_of_the_times_are_known_by_their_samples():
 
 
 def test_held_values_leave_less_than_the_noise_behind(rng):
-    """A logger that held its last value five times over five samples where it moves: what stands there is the motion."""
+    """A logger that held its last value five times over five samples while it moved: the motion stands there."""
     time = np.arange(40 * PER_CYCLE) / (PER_CYCLE * 14.0)
     truth = 3e-3 * np.exp(-0.06 * 14.0 * time) * np.cos(2.0 * np.pi * 14.0 * time)
     values = truth + 5e-6 * rng.normal(size=time.size)
-    held = [410 + 203 * k for k in range(5)]
+    held = [410 + 200 * k for k in range(5)]
     for first in held:
         values[first : first + 5] = values[first - 1]
     conditioned = condition(Record("s", time, values, unit="m", source="s.csv", starts_free=True))

@@ -14,7 +14,7 @@ from ..drift.drift_fits import Settled, drift_fit, settled, weighed
 from ..drift.drift_proposals import sets_beside_drifts, single_beside_drifts
 from ..fitting import starts
 from ..fitting.descent import is_heavy
-from ..fitting.drift_course import changes_of
+from ..fitting.drift_course import changes_of, stand_out
 from ..fitting.joint_fit import Fit
 from ..fitting.normal_equations import DRIFTS
 from ..results.entries import Check
@@ -28,7 +28,7 @@ _ASKED = 3  # sets that are asked with a drift beside them where none leaves noi
 _HELPED = 20.0  # fall of chi-square by a drift from which other laws of the same mechanisms are asked
 _NEAR = 2.0  # reduced chi-square with a drift up to which they are
 _AGREED = 0.8  # of what all records drift, that is one way where they agree
-_STANDS_OUT, _AT_MOST = 4.0, 2.0  # of the variances: mean square of drifts that are seen, and added to what is not
+_AT_MOST = 2.0  # of the variances, that are added to what does not stand out of them
 _WORTH_SETTLING = 15.0  # chi-square above what leaves least, up to which a steady drift will do
 _BENT = 0.5  # of what the base leaves, that a drift leaves at most which bends the backbones as much as a law does
 
@@ -318,12 +318,11 @@ def _rates(drifting: Fit, settling: float) -> str:
     changes = changes_of(values, variances)
     most = changes_of(values, -_AT_MOST * variances)
     signs = np.where(np.abs(values.sum(axis=0)) > _AGREED * np.abs(values).sum(axis=0), np.sign(values.sum(axis=0)), 0)
-    is_seen = (values**2).sum(axis=0) > _STANDS_OUT * variances.sum(axis=0)
     said = [
         f"{'-' if sign * changes[name] < 0.0 else '+' if sign * changes[name] > 0.0 else ''}{per_cent(changes[name])}"
         if seen
         else f"at most {per_cent(most[name])}"
-        for sign, name, seen in zip(signs, changes, is_seen, strict=True)
+        for sign, name, seen in zip(signs, changes, stand_out(values, variances), strict=True)
     ]
     how = f", settling with a time constant of {settling:.3g} s" if np.isfinite(settling) else ""
     return f"by {said[0]} and {said[1]} over a record{how}"

@@ -22,7 +22,7 @@ from .compensation import compensation
 from .decision import AGREE, DRIFT_POSSIBLE, NAMED, Decision, as_one, listed
 from .inexact import departing, is_told_apart
 from .shares import missing_mechanisms
-from .tolerance import is_drift_small, prune
+from .tolerance import damping_drift, is_drift_small, prune
 
 _IMITATES = (0.0, 0.03, 0.06, 0.15)  # how probable it is that a set of so many effects imitates what the library lacks
 _HARDLY = 200.0  # gap in standard deviations of the noise beyond which that is rarer, in proportion
@@ -32,6 +32,7 @@ _STANDS_IN = 0.2  # how probable it is that the weakest of several effects stand
 _SMALL = 12.0  # gap that it closes, in standard deviations of the noise, beyond which that is rarer
 _LARGE = 0.01  # share of the motion that this gap is, beyond which that is rarer, too
 _ONE_FORCE = frozenset(("spring", "asymmetry"))  # the odd and the even part of one
+_MOST_FADING = 0.1  # of the damping, that changes with time in one decay at most where a law holds beside that
 _WEIGHT_OF_NOISE = 0.1  # how much rarer residuals like noise are where the library lacks what is missing
 
 
@@ -249,15 +250,16 @@ def _by_mechanism(search: Search, decision: Decision) -> Decision:
         search, decision.probabilities, best, gaps, estimates_of(search.fits[best]), elsewhere
     )
     known = replace(decision, mechanisms=mechanisms)
-    is_like_another = _is_one_curve, _is_inexact_alone, _is_of_free_shape_and_drifts
-    if decision.named_level is NamedLevel.LAW and any(asked(search, decision) for asked in is_like_another):
+    if decision.named_level is NamedLevel.LAW and _is_like_another(search, decision):
         return without_laws(known)
     is_open = decision.verdict is Verdict.AMBIGUOUS and is_exact and not decision.unfinished
     is_against = best in decision.drifts and _backbones_disagree(search, best)
     is_doubtful = is_against or decision.drift_probability >= DRIFT_POSSIBLE
     if not is_open or is_doubtful or not is_told_apart(mechanisms):
         return known
-    return replace(known, verdict=Verdict.FOUND, named_level=NamedLevel.MECHANISM)
+    return replace(
+        known, verdict=Verdict.FOUND, named_level=NamedLevel.MECHANISM, is_like=_is_like_another(search, known)
+    )
 
 
 def _is_one_curve(search: Search, decision: Decision) -> bool:
@@ -285,10 +287,31 @@ def _is_of_free_shape_and_drifts(search: Search, decision: Decision) -> bool:
     return decision.has_small_drift and not set(search.variants).isdisjoint(decision.best)
 
 
+def _is_of_rare_laws(search: Search, decision: Decision) -> bool:
+    """Return whether two laws are named that are rare, or a rare one beside another of its mechanism.
+
+    One law that the library lacks is likelier than two of which each is rare: between them they have shapes for it.
+    """
+    kinds = [search.mechanism_of(name) for name in decision.model]
+    rare = [name for name in decision.model if name in search.variants]
+    return len(rare) > 1 or any(kinds.count(search.mechanism_of(name)) > 1 for name in rare)
+
+
+def _is_bent_by_time(search: Search, decision: Decision) -> bool:
+    """Return whether damping is to change with time by so much beside what is named that a law is at fault."""
+    return decision.model in decision.drifts and damping_drift(search.fits[decision.model]) > _MOST_FADING
+
+
+def _is_like_another(search: Search, decision: Decision) -> bool:
+    """Return whether what is named may be a law like the best set, that the library lacks."""
+    questions = _is_one_curve, _is_inexact_alone, _is_of_free_shape_and_drifts, _is_of_rare_laws, _is_bent_by_time
+    return any(question(search, decision) for question in questions)
+
+
 def without_laws(decision: Decision) -> Decision:
     """Return a decision that named laws with their mechanisms instead, where these are told apart."""
     if is_told_apart(decision.mechanisms):
-        return replace(decision, named_level=NamedLevel.MECHANISM)
+        return replace(decision, named_level=NamedLevel.MECHANISM, is_like=True)
     return replace(decision, verdict=Verdict.AMBIGUOUS, named_level=None, listed=(decision.best,))
 
 

@@ -68,6 +68,8 @@ class Decision:
         Sets that could explain the backbones, but whose fit to the records did not come to rest.
     is_approximate : bool
         Whether no set is exact, and their probabilities are those with a departure.
+    is_like : bool
+        Whether what is named is like the laws of the best set, which explains the records, and not exactly of these.
     mechanisms : tuple of MissingMechanism
         What may be missing by mechanism, most probable first.
     named_level : NamedLevel or None
@@ -107,6 +109,7 @@ class Decision:
     against: float = float("nan")
     unfinished: tuple[Set, ...] = ()
     is_approximate: bool = False
+    is_like: bool = False
     mechanisms: tuple[MissingMechanism, ...] = ()
     named_level: NamedLevel | None = None
     remainder: tuple[Remainder, ...] = ()

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..fitting.curves import relative_change
-from ..fitting.drift_course import changes_of
+from ..fitting.drift_course import changes_of, stand_out
 from ..fitting.joint_fit import Fit
 from ..fitting.normal_equations import DRIFTS
 from ..sets.search import Search, Set
@@ -18,6 +18,13 @@ def is_drift_small(found: Fit, tolerance: Mapping[str, float]) -> bool:
     places = list(DRIFTS)
     changes = changes_of(found.state.own[:, places], np.nan_to_num(found.own_covariance[:, places]))
     return all(change < tolerance.get(key, np.inf) for key, change in changes.items())
+
+
+def damping_drift(found: Fit) -> float:
+    """Return by how much damping changes over a record in a fit, relative; nothing where that is within its errors."""
+    places = list(DRIFTS)
+    values, variances = found.state.own[:, places], np.nan_to_num(found.own_covariance[:, places])
+    return changes_of(values, variances)["damping"] if stand_out(values, variances)[1] else 0.0
 
 
 def prune(search: Search, best: Set, tolerance: Mapping[str, float]) -> tuple[Set, Set]:

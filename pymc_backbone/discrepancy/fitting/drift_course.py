@@ -17,6 +17,7 @@ _FADE = 0.5
 """Relative change of damping over a record that one unit of drift stands for, as long as it takes no more than ..."""
 _MOST_FADE = 1.0
 """... this of the logarithm of the amplitude, twice."""
+_STANDS_OUT = 4.0  # mean square of drifts that are seen, over their mean variance
 _LEAST_FALL = 0.02  # of the logarithm of the amplitude, as which a record counts that hardly decays
 _LEAST_LEFT = 0.05  # of a stiffness or a pace, that drifts leave: far from any motion fits go beyond
 _MOST_BENDS, _CYCLES_PER_BEND = 5, 4  # degree of the curves through cycles, and cycles that one more needs
@@ -124,6 +125,12 @@ def changes_of(drifts: FloatArray, variances: FloatArray) -> dict[str, float]:
     """
     frequency, damping = np.sqrt(np.maximum((drifts**2 - variances).mean(axis=0), 0.0))
     return {"frequency": DRIFT * float(frequency), "damping": _FADE * float(damping)}
+
+
+def stand_out(drifts: FloatArray, variances: FloatArray) -> tuple[bool, bool]:
+    """Return whether the drifts (r, 2) of frequency and of damping stand out of their errors, all records together."""
+    frequency, damping = (drifts**2).sum(axis=0) > _STANDS_OUT * variances.sum(axis=0)
+    return bool(frequency), bool(damping)
 
 
 def covered(share: FloatArray, settling: float) -> FloatArray:
@@ -283,4 +290,5 @@ __all__ = [
     "fade_of",
     "motion_of",
     "passage_of",
+    "stand_out",
 ]  # fmt: skip

@@ -29,6 +29,7 @@ _ONE_SIDE = (
     " What is alike on both sides is drawn: the band keeps the second harmonic and the offset out, "
     "by which an even part of a force would be measured."
 )
+_BESIDE = 0.5  # of the gap, from which it is not told what forces explain the rest
 WHY = {
     "drift": (
         "a drift with time explains more of the rest than any such force (a kink, as of another stop, is not smooth)"
@@ -78,6 +79,11 @@ def sentence(
         could = "A smooth force of displacement and speed is not" if judged.why else "No smooth force was found that is"
         said = f"{could} {what}: {left}, and {WHY[judged.why]}."
         return said + ("" if has_even else _ONE_SIDE)
+    if judged.share_left > _BESIDE:
+        gap = f"{per_cent(min(judged.share_left, 1.0))} of the gap"
+        return (
+            f"{gap} is no force of displacement and speed: it lies beside the motion, or differs from cycle to cycle."
+        )
     parts = []
     for curve, what, place in (
         ("conservative", "the conservative force beyond the linear spring", unit),

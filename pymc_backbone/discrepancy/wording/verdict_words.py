@@ -91,7 +91,8 @@ def _in_full(item: MissingMechanism) -> str:
 
 def _of_mechanisms(decision: Decision) -> str:
     """Return the sentences that name mechanisms, and what else may be missing: where no set is exact, if likely."""
-    is_like = decision.is_approximate or not decision.listed  # of a bent sensor no law is told, however exact it is
+    # of a bent sensor no law is told, however exact it is
+    is_like = decision.is_approximate or decision.is_like or not decision.listed
     said = " ".join(_of_mechanism(item, is_like) for item in decision.mechanisms if item.is_certain)
     if not is_like and decision.model in decision.drifts and not decision.has_small_drift:
         said += f" {capitalised(_changes_with_time(decision))}."
