@@ -835,6 +835,8 @@ def test_clipping(side: str, per_cycle: int, rng: np.random.Generator) -> None:
         condition(record(time, np.clip(noisy, low, high)))
     again = float(str(caught.value).rpartition("start=")[2].rstrip(".`"))
     assert condition(record(time, np.clip(noisy, low, high)), start=again).amplitude < 0.82
+    left = noisy[time >= again]
+    assert low < left.min() and left.max() < high  # no sample that was cut is the first of what is advised
 
 
 @pytest.mark.parametrize("side", ["upper", "lower", "both"])

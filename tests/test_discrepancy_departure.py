@@ -11,7 +11,11 @@ import pytest
 
 from pymc_backbone._common.checks import OBSERVABLES
 from pymc_backbone.discrepancy.deciding import mechanisms
-from pymc_backbone.discrepancy.deciding.inexact import _without_idle, _without_those_that_explain_nothing
+from pymc_backbone.discrepancy.deciding.inexact import (
+    _leaves_the_samples,
+    _without_idle,
+    _without_those_that_explain_nothing,
+)
 from pymc_backbone.discrepancy.deciding.mechanisms import Weighed, _log_size
 from pymc_backbone.discrepancy.fitting import starts
 from pymc_backbone.discrepancy.fitting.batch import Batch, batch_of_backbones
@@ -300,3 +304,12 @@ def test_an_effect_that_backbones_alone_want_is_not_believed(cost, parent, moved
     found = _without_idle(search, weighed).probabilities
     expected = {("bilinear_stiffness",): 0.99, ("bilinear_stiffness", "bouc_wen"): 0.0, (): 0.01}
     assert found == pytest.approx(expected if moved else chances)
+
+
+@pytest.mark.parametrize(("left", "refuted", "leaves"), [(0.99, (), True), (0.5, (), False), (0.99, ((),), False)])
+def test_what_leaves_all_of_the_samples_explains_nothing(left, refuted, leaves):
+    """Of what a logger had held the backbones told a spring of two sides, which left 99 % of it in the samples."""
+    names = ("quadratic_stiffness",)
+    fits = {(): SimpleNamespace(cost=1000.0 + 5e4), names: SimpleNamespace(cost=1000.0 + left * 5e4)}
+    search = SimpleNamespace(fits=fits, count=1000, is_refuted=lambda item: item in refuted)
+    assert _leaves_the_samples(search, names) == leaves

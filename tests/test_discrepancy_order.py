@@ -167,6 +167,20 @@ def test_the_likeliest_set_is_asked_whatever_it_costs(batch):
         assert (COSTLY in asked) == is_asked
 
 
+def test_what_is_as_likely_as_the_likeliest_is_asked_although_the_effort_is_spent(batch):
+    """Bouc-Wen beside a cubic spring, which costs much, stood behind simple sets that explained nothing."""
+    costly = {("bouc_wen", f"effect {k}"): -3.0 - k for k in range(6)}
+    simple = {("cubic_stiffness", f"effect {k}"): -0.1 * k for k in range(8)}
+    for costs, several in (({}, 3), ({("cubic_stiffness", "effect 0"): 1.0}, 0)):
+        search, asked = search_with(batch, simple | costly, costs)
+        search._is_costly = lambda names: "bouc_wen" in names
+        search.layout = lambda names: None
+        search.descent.effort = 2.0 * search.budget
+        search._follow_backbones(24)
+        likely = [names for names in asked if "bouc_wen" in names and costly[names] > -6.0]
+        assert len(likely) == several and len([names for names in asked if "bouc_wen" in names]) == several
+
+
 def test_what_adds_to_a_set_that_leaves_more_than_another_is_asked(batch):
     """A pair explains the records about, another set better: what adds to the pair is no longer left for its sake."""
     candidates = ("coulomb_friction", "cubic_stiffness", "quadratic_damping", "quintic_stiffness")

@@ -68,3 +68,18 @@ def test_what_cannot_be_fitted_is_told(batch, monkeypatch):
     monkeypatch.setattr(Search, "_set_fits", lambda self, names: [] if names == DRAG else fitted(self, names))
     fit_side_by_side(search, [DRAG, CUBIC])
     assert set(search.fits) == {(), CUBIC} and set(search.failed) == {DRAG}
+
+
+def test_a_set_that_holds_another_begins_where_that_one_ended(batch, monkeypatch):
+    both, seen = ("cubic_stiffness", "quadratic_damping"), {}
+    fitted = Search._set_fits
+
+    def noted(self, names):
+        seen[names] = set(self.fits)
+        return fitted(self, names)
+
+    monkeypatch.setattr(Search, "_set_fits", noted)
+    search = begun(batch)
+    fit_side_by_side(search, [both, CUBIC, QUINTIC])
+    assert CUBIC in seen[both] and QUINTIC in seen[both] and seen[CUBIC] == seen[QUINTIC] == {()}
+    assert search.fits[both].cost <= search.fits[CUBIC].cost + 1.0

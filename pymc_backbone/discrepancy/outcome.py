@@ -66,9 +66,11 @@ class Outcome:
 def checks_of(question: Question, outcome: Outcome, verification: Verification) -> tuple[Check, ...]:
     """Return the checks on the data: explanations that are no effect."""
     batch, decision = question.batch, outcome.decision
-    # beside what is none of the answer a drift is told for the base, with its probability
-    is_told = not decision.best or decision.drift_probability <= 0.5
-    named = outcome.model if is_told and decision.model in decision.drifts else None
+    # where a drift is the answer it is told for the base, beside what is none of it with its probability
+    is_drift = decision.drift_probability > 0.5
+    named = outcome.model if decision.model in decision.drifts and not (is_drift and decision.best) else None
+    if is_drift and not decision.best:
+        named = outcome.drifting
     reduced = verification.reduced
     if not decision.is_approximate:  # the samples speak for it: each value of the backbones may speak against it
         reduced = min(reduced, level_chi_square(outcome.judged, outcome.model, is_apart=True))

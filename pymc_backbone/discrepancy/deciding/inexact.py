@@ -23,6 +23,7 @@ from .shares import estimates_with, missing_mechanisms, remainder_of
 
 _LITTLE = 0.01  # probability of a set from which its effects are doubted; and of one over the likeliest to tell it
 _NEAR = 3.0  # reduced chi-square up to which the samples say so
+_ALL_BUT_NOTHING = 0.9  # of what the base leaves of the samples, that what explains none of them leaves
 _NOTHING = 0.7  # of the gap, that a set leaves which explains next to nothing
 _MOST_UNFINISHED = 5  # sets that did not come to rest, listed although others are more probable
 _UNDONE = 5.0  # times as much as a set does, that an effect in it does, beyond which it is no explanation
@@ -53,7 +54,8 @@ def departing(search: Search, decision: Decision) -> Decision:
     if simpler is not None and simpler != best and _is_kept(search, weighed, simpler):
         # what is only possible beside the certain takes nothing of what these explain alone
         best, mechanisms = simpler, _told(search, weighed, simpler)
-    if weighed.gaps[best] > _NOTHING and not any(item.is_certain for item in mechanisms):
+    is_nothing = weighed.gaps[best] > _NOTHING or _leaves_the_samples(search, best)
+    if is_nothing and not any(item.is_certain for item in mechanisms):
         # what explains next to nothing is no explanation, nor the best of any
         best, mechanisms, weighed = (), (), _without_those_that_explain_nothing(weighed)
     nearest = None if best else _nearest(search)
@@ -107,6 +109,18 @@ def _nearest(search: Search) -> Set | None:
     names = min(search.fits, key=lambda item: search.fits[item].cost)
     leaves, base = (search.fits[item].cost - search.count for item in (names, ()))
     return names if names and leaves < _MUCH_LESS**2 * base else None
+
+
+def _leaves_the_samples(search: Search, best: Set) -> bool:
+    """Return whether a set leaves next to all of what the base leaves of the samples, both in phase with them.
+
+    A base whose backbones are near those of the records leaves little of these to explain: whatever explains that is no
+    explanation of the rest.
+    """
+    if () not in search.fits or search.is_refuted(()) or search.is_refuted(best):
+        return False
+    base, left = (search.fits[names].cost - search.count for names in ((), best))
+    return bool(left > _ALL_BUT_NOTHING**2 * base > 0.0)
 
 
 def _without_those_that_explain_nothing(weighed: Weighed) -> Weighed:

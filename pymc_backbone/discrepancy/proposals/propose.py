@@ -36,6 +36,7 @@ _REACH = 400.0  # chi-square above the best within which a set gets its own defe
 _REACH_SHARE = 0.5  # ... or this share of the largest fall that any set brings
 _CORRECTIONS = 5
 _TURNS, _ADDED = 6, 4.0  # of a look from a smaller set, and the chi-square by which a costly one must leave less
+_LITTLE = 3.0  # reduced chi-square of a smaller set from which it does not tell what a larger one would add
 _HEAVY_WEIGHT = 6
 _EFFORTS = (250, 120, 60)  # fits by the exact simulator in turn, heavy ones by their weight
 _PENALTY, _RARER = 10.0, 7.0  # chi-square by which an effect, and one that is a variant, has to be worth it
@@ -267,7 +268,12 @@ class _Proposer:
         return min((part for part in parts if self.points[part][0].is_exact), key=self._cost, default=None)
 
     def _is_needless(self, names: Set, smaller: Set) -> bool:
-        """Return whether a costly set, looked at from where a smaller one was simulated, adds nothing to that."""
+        """Return whether a costly set, looked at from where a smaller one was simulated, adds nothing to that.
+
+        Where that explains little, the set's own look counts, which may have begun elsewhere.
+        """
+        if self._cost(names) < self._cost(smaller) and self._cost(smaller) > _LITTLE * self.data.count.sum():
+            return False
         start = self.fits.transferred(self.points[smaller][0], smaller, names)
         self.fits.refine(names, start, self.sharp, _TURNS)
         if start.cost < self._cost(smaller) - _ADDED or not np.isfinite(start.cost):

@@ -253,7 +253,10 @@ class SetFits:
         return bool(np.isfinite(start.defect).all())
 
     def improve(self, names: Set, start: Point, whitening: FloatArray, turns: int) -> Point | None:
-        """Fit a point by the exact simulator: Gauss-Newton, steps cut back where it does not confirm them."""
+        """Fit a point by the exact simulator: Gauss-Newton, steps cut back where it does not confirm them.
+
+        Far from the values a step that promises nothing by its look is taken all the same, where it leads elsewhere.
+        """
         self.refine(names, start, whitening, 0)
         if not np.isfinite(start.cost) or not self._exact(names, start):
             return None
@@ -265,7 +268,8 @@ class SetFits:
             trial = best.copy()
             self.refine(names, trial, whitening, 6, careful=True)
             promised = best.cost - trial.cost
-            if not promised > 0.2:
+            is_far = best.cost > _FAR * self.data.count.sum() and not np.array_equal(trial.eta, best.eta)
+            if not (promised > 0.2 or is_far):
                 break
             moved = None
             for _ in range(_CUTS):

@@ -23,6 +23,7 @@ REACH = 12.0
 _FIRST = 3  # sets that are followed before it is asked whether something is in front of the records
 _LEAST_FOLLOWED = 2  # sets that are followed although a base with a law of its own has taken all the effort
 _STILL = 6  # simple sets within reach that are followed although the effort is spent
+_STILL_COSTLY, _AS_LIKELY = 3, 6.0  # costly ones that are, as likely as the likeliest but for this logarithm of odds
 _PASSED = 6  # less likely simple sets that are followed before one that costs much
 _FLOOR = 1.1  # ratio of costs within which sets leave the same
 _TOLD = 0.9  # probability of a drift in time beside the base, from which larger sets are not asked
@@ -130,11 +131,22 @@ class FollowedSets(VariedSets):
         return not (so_far.explained and self._is_hopeless(names))
 
     def _is_affordable(self, names: Set) -> bool:
-        """Return whether a set is fitted after what was spent: a few simple ones do not pay for the costly ones."""
+        """Return whether a set is fitted after what was spent: a few simple ones do not pay for the costly ones.
+
+        But for what is as likely as the likeliest by its simulated backbones, as long as nothing explains the records.
+        """
         if not self._is_spent:
             return True
         self.is_cut = True
-        if self._is_costly(names) or self.beyond >= _STILL:
+        if self._is_costly(names):
+            likeliest = max(item.log_evidence for item in self.proposals.values())
+            proposal = self.proposals[names]
+            is_likely = proposal.is_exact and proposal.log_evidence > likeliest - _AS_LIKELY
+            if not is_likely or self.costly_beyond >= _STILL_COSTLY or self._is_explained():
+                return False
+            self.costly_beyond += 1
+            return True
+        if self.beyond >= _STILL:
             return False
         self.beyond += 1
         return True

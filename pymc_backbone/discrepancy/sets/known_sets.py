@@ -59,8 +59,8 @@ class KnownSets:
         Sets that were not fitted to the samples, because the turning points leave no doubt.
     scatter : float
         How much the effects are taken to differ between specimens, relative to their value.
-    beyond : int
-        Sets that were followed although the effort was spent.
+    beyond, costly_beyond : int
+        Simple sets, and costly ones, that were followed although the effort was spent.
     """
 
     batch: Batch
@@ -74,6 +74,7 @@ class KnownSets:
     budget: float = BUDGET
     is_cut: bool = False
     beyond: int = 0
+    costly_beyond: int = 0
     own: Mapping[str, Effect] = field(default_factory=dict)
     variants: tuple[str, ...] = ()
     tolerance: Mapping[str, float] = field(default_factory=dict)

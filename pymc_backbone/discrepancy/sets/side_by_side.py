@@ -27,9 +27,15 @@ def fit_side_by_side(search: FittedSets, sets: Sequence[Set]) -> None:
     search : FittedSets
         Gets the fits and failures, as `FittedSets.fit_set` leaves them, and the effort of all.
     sets : sequence of tuple of str
-        Those that were fitted before are left alone.
+        Those that were fitted before are left alone. One that holds another of them begins when that has ended, for it
+        may begin where that one did.
     """
     new = [names for names in dict.fromkeys(sets) if names not in search.fits and names not in search.failed]
+    larger = [names for names in new if any({*other} < {*names} for other in new)]
+    if larger:
+        fit_side_by_side(search, [names for names in new if names not in larger])
+        fit_side_by_side(search, larger)
+        return
     if len(new) < 2:
         for names in new:
             search.fit_set(names)

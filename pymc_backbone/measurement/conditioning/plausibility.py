@@ -12,6 +12,7 @@ MINIMUM_PER_CYCLE = 8.0
 MINIMUM_CYCLES = 4.0
 MINIMUM_FALL = 0.02
 _CLIPPED_PEAKS = 3
+_BEYOND = 0.98  # of the limit, from which a peak on the other side may be cut as well
 _WITHIN, _FLAT, _FLAT_SHARE = 3.0, 20.0, 0.02
 """Noise about a flat top; by how much more the cosine falls beside it, in noise and as a share of the amplitude."""
 _FINE = 1e-5
@@ -70,7 +71,10 @@ def check_clipping(
         if np.count_nonzero(cut) < _CLIPPED_PEAKS:
             at, first, cut = _noisy_tops(values, extreme, middle, amplitude, sampling_rate / frequency)
         if np.count_nonzero(cut) >= _CLIPPED_PEAKS:
-            last = min(int(np.flatnonzero(at)[-1]) + 1, time.size - 1)
+            # the next peak on the other side may be cut as well, and a cut peak must not be the first of what follows
+            beyond = at | (np.abs(values - middle) > _BEYOND * amplitude)
+            quarter = round(0.25 * sampling_rate / frequency)
+            last = min(int(np.flatnonzero(beyond)[-1]) + 1 + quarter, time.size - 1)
             side = "upper" if extreme > middle else "lower"
             raise InputError(
                 f"{name}: {np.count_nonzero(cut)} peaks are clipped at {extreme + reading:.6g} ({side} limit of "
