@@ -68,7 +68,8 @@ class VariedSets(RevisitedSets):
         is_new = variant != name and len(names) == len(varied) and names not in self.fits
         if not (is_new and is_akin(name, variant)) or (self._is_costly(names) and not self._is_costly(varied)):
             return
-        if self._is_spent and (self._is_costly(names) or not self.explains(self.fits[varied]) or self._is_overdrawn):
+        is_overdrawn = self._is_overdrawn and not (name in self.variants and variant in LIBRARY[name].reduces_to)
+        if self._is_spent and (self._is_costly(names) or not self.explains(self.fits[varied]) or is_overdrawn):
             return  # of what explains the records, the few that are soon fitted are asked all the same
         self.progress("variants of effects", 0.5)
         found = self._fit_varied(names)
@@ -77,12 +78,12 @@ class VariedSets(RevisitedSets):
                 if out != name:
                     self._fit_varied(tuple(other for other in names if other != out))
 
-    def _plain(self, names: Set) -> list[Set]:
-        """Return the sets that hold what a variant in this one varies, or reduces to, in its place."""
+    def _plain(self, names: Set, *, is_reduced: bool = False) -> list[Set]:
+        """Return the sets that hold what a variant in this one varies, or reduces to (or that alone), in its place."""
         return [
             tuple(sorted({*(other for other in names if other != variant), name}))
-            for variant in {*names}.intersection(self.variants)
-            for name in (*LIBRARY[variant].variant_of, *LIBRARY[variant].reduces_to)
+            for variant in sorted({*names}.intersection(self.variants))
+            for name in (*(() if is_reduced else LIBRARY[variant].variant_of), *LIBRARY[variant].reduces_to)
         ]
 
     def plainer(self, names: Set) -> list[Set]:
@@ -98,13 +99,14 @@ class VariedSets(RevisitedSets):
     def _ask_plain(self) -> None:
         """Fit what variants of the likeliest sets vary once more, from there: its own fits may have lost their way.
 
-        Where the effort is spent, of what explains the records alone: else backbones decide, and no law is named.
+        Where the effort is spent, of what explains the records alone: else backbones decide, and no law is named. What
+        a variant reduces to is asked whatever was spent: where it explains as much, the variant has no name.
         """
         for names in self.ranked()[:_LIKELIEST]:
             varied = self.fits[names]
-            if self._is_spent and (self._is_overdrawn or not self.explains(varied)):
+            if self.is_refuted(names) or (self._is_spent and not self.explains(varied)):
                 continue
-            for plain in self._plain(names) if not self.is_refuted(names) else ():
+            for plain in self._plain(names, is_reduced=self._is_spent and self._is_overdrawn):
                 known, is_possible = self.fits.get(plain), {*plain} <= {*self.candidates, *self.variants}
                 if not is_possible or (known is not None and known.cost < varied.cost + NEEDED):
                     continue
