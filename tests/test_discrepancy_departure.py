@@ -11,10 +11,11 @@ import pytest
 
 from pymc_backbone._common.checks import OBSERVABLES
 from pymc_backbone.discrepancy.deciding import mechanisms
+from pymc_backbone.discrepancy.deciding.decide import _explains_nothing
 from pymc_backbone.discrepancy.deciding.inexact import (
-    _leaves_the_samples,
     _without_idle,
     _without_those_that_explain_nothing,
+    leaves_the_samples,
 )
 from pymc_backbone.discrepancy.deciding.mechanisms import Weighed, _log_size
 from pymc_backbone.discrepancy.fitting import starts
@@ -312,4 +313,14 @@ def test_what_leaves_all_of_the_samples_explains_nothing(left, refuted, leaves):
     names = ("quadratic_stiffness",)
     fits = {(): SimpleNamespace(cost=1000.0 + 5e4), names: SimpleNamespace(cost=1000.0 + left * 5e4)}
     search = SimpleNamespace(fits=fits, count=1000, is_refuted=lambda item: item in refuted)
-    assert _leaves_the_samples(search, names) == leaves
+    assert leaves_the_samples(search, fits[names]) == leaves
+
+
+@pytest.mark.parametrize(("cost", "is_nothing"), [(3.94e3, True), (2.1e3, False), (1.3e3, False)])
+def test_a_drift_that_leaves_far_more_than_noise_is_no_explanation(cost, is_nothing):
+    """Where the line of another mode was left, a drift of 0.001 % had passed for what explains the records."""
+    search = SimpleNamespace(
+        fits={(): SimpleNamespace(cost=3.95e3 if is_nothing or cost > 2e3 else 1.31e3)}, count=1000,
+        is_refuted=lambda _: False, reduced=lambda fit: fit.cost / 1000.0,
+    )  # fmt: skip
+    assert _explains_nothing(search, SimpleNamespace(cost=cost)) == is_nothing

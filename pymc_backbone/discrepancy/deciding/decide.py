@@ -20,7 +20,7 @@ from ..weighing.evidence import DRIFT, UNEXPLAINED, Drifting, Evidence, is_unexp
 from .as_good import odds_of_as_good
 from .compensation import compensation
 from .decision import AGREE, DRIFT_POSSIBLE, NAMED, Decision, as_one, listed
-from .inexact import departing, is_told_apart
+from .inexact import departing, is_told_apart, leaves_the_samples
 from .shares import missing_mechanisms
 from .tolerance import damping_drift, is_drift_small, prune
 
@@ -32,6 +32,7 @@ _STANDS_IN = 0.2  # how probable it is that the weakest of several effects stand
 _SMALL = 12.0  # gap that it closes, in standard deviations of the noise, beyond which that is rarer
 _LARGE = 0.01  # share of the motion that this gap is, beyond which that is rarer, too
 _ONE_FORCE = frozenset(("spring", "asymmetry"))  # the odd and the even part of one
+_FAR = 2.0  # reduced chi-square that is far more than noise
 _MOST_FADING = 0.1  # of the damping, that changes with time in one decay at most where a law holds beside that
 _WEIGHT_OF_NOISE = 0.1  # how much rarer residuals like noise are where the library lacks what is missing
 
@@ -45,6 +46,8 @@ def decide(search: Search, drifting: Mapping[Set, Drifting], tolerance: Mapping[
     _complete(search)
     base = drifting[()].fit if () in drifting else None
     decision = _mind_backbones(search, _judged(search, _weighed(search, drifting), tolerance, base))
+    if base is not None and () not in decision.drifts and _explains_nothing(search, base):
+        decision = replace(decision, drift_probability=0.0)
     drifts = decision.model in decision.drifts and decision.model in search.fits
     if drifts and is_drift_small(search.fits[decision.model], tolerance):
         decision = replace(decision, has_small_drift=True)
@@ -55,6 +58,15 @@ def decide(search: Search, drifting: Mapping[Set, Drifting], tolerance: Mapping[
     if not np.isnan(decision.against):  # what does not hold at every amplitude names no mechanism either
         return decision
     return _by_mechanism(search, decision)
+
+
+def _explains_nothing(search: Search, drifting: Fit) -> bool:
+    """Return whether the base with a drift leaves far more than noise of the samples, and next to all of the rest.
+
+    Backbones may want a drift that the samples do not have; and where these hold what no set explains, as the line of
+    another mode, the little that a drift takes of it passes for evidence.
+    """
+    return search.reduced(drifting) > _FAR and leaves_the_samples(search, drifting)
 
 
 def _judged(search: Search, weighed: Decision, tolerance: Mapping[str, float], drifting: Fit | None) -> Decision:

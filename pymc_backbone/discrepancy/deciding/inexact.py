@@ -54,7 +54,8 @@ def departing(search: Search, decision: Decision) -> Decision:
     if simpler is not None and simpler != best and _is_kept(search, weighed, simpler):
         # what is only possible beside the certain takes nothing of what these explain alone
         best, mechanisms = simpler, _told(search, weighed, simpler)
-    is_nothing = weighed.gaps[best] > _NOTHING or _leaves_the_samples(search, best)
+    is_lost = search.is_refuted(best) or best not in search.fits
+    is_nothing = weighed.gaps[best] > _NOTHING or (not is_lost and leaves_the_samples(search, search.fits[best]))
     if is_nothing and not any(item.is_certain for item in mechanisms):
         # what explains next to nothing is no explanation, nor the best of any
         best, mechanisms, weighed = (), (), _without_those_that_explain_nothing(weighed)
@@ -111,15 +112,15 @@ def _nearest(search: Search) -> Set | None:
     return names if names and leaves < _MUCH_LESS**2 * base else None
 
 
-def _leaves_the_samples(search: Search, best: Set) -> bool:
-    """Return whether a set leaves next to all of what the base leaves of the samples, both in phase with them.
+def leaves_the_samples(search: Search, found: Fit) -> bool:
+    """Return whether a fit leaves next to all of what the base, in phase with the samples, leaves of them.
 
     A base whose backbones are near those of the records leaves little of these to explain: whatever explains that is no
     explanation of the rest.
     """
-    if () not in search.fits or search.is_refuted(()) or search.is_refuted(best):
+    if () not in search.fits or search.is_refuted(()):
         return False
-    base, left = (search.fits[names].cost - search.count for names in ((), best))
+    base, left = (item.cost - search.count for item in (search.fits[()], found))
     return bool(left > _ALL_BUT_NOTHING**2 * base > 0.0)
 
 
