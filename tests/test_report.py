@@ -14,7 +14,7 @@ from matplotlib import pyplot
 
 from pymc_backbone._common.checks import InputError
 from pymc_backbone._common.text import in_words
-from pymc_backbone.discrepancy.results.entries import Candidate
+from pymc_backbone.discrepancy.results.entries import Candidate, Remainder
 from pymc_backbone.discrepancy.results.locate import mean_gap
 from pymc_backbone.discrepancy.results.verdict import NamedLevel, Status, Verdict
 from pymc_backbone.effects import LIBRARY
@@ -175,8 +175,13 @@ def test_sets_that_are_exact_and_agree_on_the_mechanism_are_told_beside_it(studi
     words = Page(report_html(named, {}, version="0.0")).text
     assert "leave no more than noise" in words and "What remains possible" in words and "The rest is told" in words
     # negative control: where none is exact there are no such sets, and what is allowed for is said
-    inexact = Page(report_html(dataclasses.replace(named, ambiguous_sets=()), {}, version="0.0")).text
-    assert "a smooth departure of unknown size" in inexact and "What remains possible" not in inexact
+    left = Remainder("frequency", 1e-3, "Hz", 5.0, 0.1, 0.1, 0.5, (0.1,), (1e-3,), (2e-4,))
+    inexact = dataclasses.replace(named, ambiguous_sets=(), remainder=(left,))
+    words = Page(report_html(inexact, {}, version="0.0")).text
+    assert "a smooth departure of unknown size" in words and "What remains possible" not in words
+    # nor is that said of a law that leaves noise, and may be another one
+    alike = Page(report_html(dataclasses.replace(inexact, remainder=()), {}, version="0.0")).text
+    assert "would look much the same" in alike and "a smooth departure" not in alike
 
 
 def test_many_sets_that_remain_are_told_by_their_mechanisms(studies):

@@ -34,9 +34,13 @@ VERDICT_MEANS: dict[str, str] = {
 }
 NAMED_MEANS: dict[str, str] = {
     NamedLevel.LAW: "One set of effects explains the gap between base model and measurement, and the others do not.",
-    NamedLevel.MECHANISM: "All that explain the gap agree on its mechanism. Its law is not certain: none is exact, and "
-    "a smooth departure of unknown size is allowed for; or what bends the sensor's readings may belong to it.",
+    NamedLevel.MECHANISM: "All that explain the gap agree on its mechanism. Its law is not certain: one that the "
+    "library lacks, or what bends the sensor's readings, would look much the same.",
 }
+NONE_IS_EXACT = (
+    "All that explain the gap agree on its mechanism. Its law is not certain: none is exact, and a smooth departure of "
+    "unknown size is allowed for."
+)
 ADEQUATE_BY: dict[str, str] = {
     AdequateBy.STATISTICS: "Model and measurement agree within measurement error.",
     AdequateBy.TOLERANCE: "There is a difference beyond measurement error, "
@@ -72,6 +76,8 @@ def verdict_means(study: Study) -> str:
             "All that explain the gap agree on its mechanism, and leave no more than noise; these records do not tell "
             "which law it is, or whether a smaller effect stands beside it."
         )
+    if study.named_level == NamedLevel.MECHANISM and study.remainder:
+        return NONE_IS_EXACT
     return NAMED_MEANS[study.named_level or NamedLevel.LAW]
 
 
