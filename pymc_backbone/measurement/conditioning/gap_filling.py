@@ -1,7 +1,7 @@
 """Samples that are missing in between, put in by the motion of the cycles around them.
 
-A spline through the samples on either side follows their noise, and carries it several times larger into the gap: of
-five missing samples at fifty in a cycle five times the noise. The cycles around know the motion better.
+A spline through the samples on either side follows their noise, and carries it several times larger into the gap. The
+cycles around know the motion better.
 """
 
 from __future__ import annotations
