@@ -83,6 +83,7 @@ def test_held_values_leave_less_than_the_noise_behind(rng):
     for first in held:
         values[first : first + 5] = values[first - 1]
     conditioned = condition(Record("s", time, values, unit="m", source="s.csv", starts_free=True))
+    assert any("hold one value while the motion goes on" in note for note in conditioned.notes)
     at = np.concatenate([np.arange(first, first + 5) for first in held])
     place = np.round((time[at] - conditioned.time[0]) * conditioned.sampling_rate).astype(int)
     np.testing.assert_allclose(conditioned.time[place], time[at], atol=1e-9)

@@ -195,6 +195,7 @@ ROWS = {
         "test_a_sensor_that_sticks_while_the_motion_goes_on_is_cut_and_told "
         "test_friction_that_stops_a_motion_is_no_sensor_that_sticks"
     ),
+    "a value held for": "test_held_values_leave_less_than_the_noise_behind",
     "samples lost or written twice": "test_lost_samples_are_noticed_said_and_put_in test_a_doubled_sample_is_taken_out",
     "samples or frames that repeat": "test_repeated_frames_are_left_out",
     "NaN, empty": "test_a_bad_line_is_named test_arrays_that_are_no_record",

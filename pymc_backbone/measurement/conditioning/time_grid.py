@@ -108,7 +108,7 @@ def to_uniform(time: FloatArray, values: FloatArray, name: str = "record") -> Un
         notes.append(
             f"{missing} missing {'sample' if missing == 1 else 'samples'} in {count} "
             f"{'gap' if count == 1 else 'gaps'} of the times, {first}, {'was' if missing == 1 else 'were'} "
-            f"interpolated by a spline"
+            f"interpolated"
         )
     grid = start + interval * np.arange(round((stamps[-1] - start) / interval) + 1)
     # over a gap of three samples a cubic is a thousandth of the motion off
