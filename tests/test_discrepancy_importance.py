@@ -134,7 +134,7 @@ class Linear:
     def residuals(self, simulator, parameters, nuisances):
         return self.values - self.matrix @ np.concatenate([parameters, nuisances])
 
-    def compare(self, simulator, parameters, nuisances):
+    def compare(self, simulator, parameters, nuisances, *, drifts=True):
         return self.residuals(simulator, parameters, nuisances), self.matrix
 
 

@@ -33,6 +33,7 @@ def compiled_sources_digest() -> str:
 
 _COMPILED_MODULES = (
     "_common/compiled.py",
+    "discrepancy/fitting/fit_kernels.py",
     "discrepancy/proposals/look_kernels.py",
     "discrepancy/proposals/refine_kernels.py",
     "discrepancy/proposals/set_kernels.py",

@@ -13,7 +13,7 @@ import xarray as xr
 
 from ..._common.checks import OBSERVABLES, BoolArray, FloatArray, IntArray
 from ...simulation.decay import Simulator
-from .drift_course import Motion, course_of
+from .drift_course import STEADY, Motion, course_of
 
 TOLERANCE = 1e-7  # of one integration step: waveforms to 3e-6 of the amplitude, far below any noise here
 KNOWN = 1e-3  # relative error of a frequency that is known and not measured: it settles the stiffness, no more
@@ -28,6 +28,7 @@ class DataTerm(Protocol):
 
     The drifts are changes with time, not with amplitude: of the linear spring, by which the motion without it is passed
     faster, and of the damping, by which the amplitude falls by the square of the elapsed share of the record more.
+    Where ``drifts`` are not asked for, which have to be zero then, their derivatives are zero.
     """
 
     @property
@@ -41,7 +42,7 @@ class DataTerm(Protocol):
         ...
 
     def compare(
-        self, simulator: Simulator, parameters: FloatArray, nuisances: FloatArray
+        self, simulator: Simulator, parameters: FloatArray, nuisances: FloatArray, *, drifts: bool = True
     ) -> tuple[FloatArray, FloatArray] | None:
         """Return residuals and derivatives."""
         ...
@@ -87,7 +88,7 @@ class LevelTerm:
         return float(self.levels.size)
 
     def compare(
-        self, simulator: Simulator, parameters: FloatArray, nuisances: FloatArray
+        self, simulator: Simulator, parameters: FloatArray, nuisances: FloatArray, *, drifts: bool = True
     ) -> tuple[FloatArray, FloatArray] | None:
         """Return residuals (m,) and derivatives (m, p + 5)."""
         jacobian = np.zeros((3, self.levels.size, parameters.size))
@@ -198,7 +199,7 @@ class TurningTerm:
         return 0.5 * self.times.size
 
     def compare(
-        self, simulator: Simulator, parameters: FloatArray, nuisances: FloatArray
+        self, simulator: Simulator, parameters: FloatArray, nuisances: FloatArray, *, drifts: bool = True
     ) -> tuple[FloatArray, FloatArray] | None:
         """Return residuals (2 n,) and derivatives (2 n, p + 5)."""
         release, release_time, offset = nuisances[:3]
@@ -211,9 +212,10 @@ class TurningTerm:
             return None
         turns, times, slopes, time_slopes = (part[first:] for part in turning)
         n, stiffness = self.times.size, float(parameters[0])
-        course = course_of(
-            self.times, nuisances, 0, self.fade, self.settling, self.motion, stiffness / simulator.oscillator.mass
-        )
+        course = STEADY
+        if drifts:
+            square = stiffness / simulator.oscillator.mass
+            course = course_of(self.times, nuisances, 0, self.fade, self.settling, self.motion, square)
         later = 0.0 if course.later is None else course.later
         less = np.ones(n) if course.factor is None else course.factor
         values = turns * less

@@ -58,11 +58,11 @@ class Course(NamedTuple):
         How much faster it passes: one more than the derivative of that.
     factor : (n,) array or None
         By which they change the measured quantity; None where they are zero.
-    share : (n,) array
+    share : (n,) array or float
         By how much one unit of the drift of damping lowers the logarithm of the amplitude.
-    hastened : (n,) array
+    hastened : (n,) array or float
         Derivative of the logarithm of the factor with respect to the drift of frequency.
-    by_drift, by_loss : (n,) arrays
+    by_drift, by_loss : (n,) arrays or float
         Derivatives of ``later`` with respect to the drifts of frequency and damping [s].
     by_stiffness : (n,) array or None
         The same with respect to the logarithm of the stiffness; None where the drifts are zero.
@@ -71,11 +71,15 @@ class Course(NamedTuple):
     later: FloatArray | None
     pace: FloatArray | float
     factor: FloatArray | None
-    share: FloatArray
-    hastened: FloatArray
-    by_drift: FloatArray
-    by_loss: FloatArray
+    share: FloatArray | float
+    hastened: FloatArray | float
+    by_drift: FloatArray | float
+    by_loss: FloatArray | float
     by_stiffness: FloatArray | None
+
+
+STEADY = Course(None, 1.0, None, 0.0, 0.0, 0.0, 0.0, None)
+"""The course of a motion without drifts, where nobody asks how they would change it."""
 
 
 def motion_of(cycles: Cycles, time: FloatArray) -> Motion:
@@ -282,6 +286,7 @@ def _growing(share: FloatArray, settling: float) -> FloatArray:
 
 __all__ = [
     "DRIFT",
+    "STEADY",
     "Course",
     "Motion",
     "changes_of",

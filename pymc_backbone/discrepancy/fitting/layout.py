@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from ..._common.checks import BoolArray, FloatArray, IntArray
 from ...effects import BASE_EFFECTS, Role
 from ...oscillator import Oscillator
 from ...simulation.decay import Simulator
+from .fit_kernels import to_physical
 from .scatter import SCATTER
 
 _BOX = 4.0
@@ -115,24 +117,18 @@ class Layout:
     def physical(self, eta: FloatArray, delta: FloatArray, scatter: float) -> tuple[FloatArray, FloatArray]:
         """Return effect parameters (q,) of a specimen, and their derivatives (q, q) to its own coordinates."""
         own = np.clip(eta * (1.0 + scatter * delta), self.low, self.high)
-        slopes, base = np.eye(own.size), np.eye(own.size)
-        for j, other in self.opposed:
-            for limit in (-1.0, MOST_OPPOSED):
-                if limit * (own[j] - limit * own[other]) > 0.0:
-                    own[j] = limit * own[other]
-                    base[j, j], base[j, other] = 0.0, limit
-        values = own.copy()
-        for j, exponent in self.powers:
-            factor = self.amplitude ** -own[exponent]
-            values[j] = own[j] * factor
-            slopes[j, j] = factor
-            slopes[j, exponent] = -values[j] * np.log(self.amplitude)
-        for stiffness, force in self.slips:
-            reach = own[force] * self.amplitude
-            values[stiffness], values[force] = own[stiffness] / reach, own[stiffness]
-            slopes[stiffness, stiffness], slopes[stiffness, force] = 1.0 / reach, -values[stiffness] / own[force]
-            slopes[force, stiffness], slopes[force, force] = 1.0, 0.0
-        return values, slopes @ base
+        values, slopes = np.empty(own.size), np.empty((own.size, own.size))
+        powers, slips, opposed = self._pairs
+        to_physical(own, self.amplitude, powers, slips, opposed, MOST_OPPOSED, values, slopes)
+        return values, slopes
+
+    @cached_property
+    def _pairs(self) -> tuple[IntArray, IntArray, IntArray]:
+        """Coordinates (n, 2) of powers, slips and those opposed, for compiled code."""
+        powers, slips, opposed = (
+            np.array(pairs, dtype=np.int64).reshape(-1, 2) for pairs in (self.powers, self.slips, self.opposed)
+        )
+        return powers, slips, opposed
 
     def coordinates(self, values: FloatArray) -> FloatArray:
         """Return the coordinates of physical values of the free parameters."""

@@ -12,6 +12,7 @@ import numpy as np
 from ..._common.checks import FloatArray
 from ..._common.threads import in_threads
 from .data_term import DataTerm
+from .fit_kernels import eliminate_own, put_together
 from .layout import Layout
 
 NUISANCES = 7  # stiffness, damping, release amplitude, release instant, offset, drift of frequency, of damping
@@ -121,22 +122,18 @@ def derivatives(
 ) -> Derivatives | None:
     """Return residuals and derivatives of one specimen at a point; None where it cannot be simulated."""
     vector, slopes = parameters_at(layout, eta, values, scatter)
-    compared = term.compare(layout.simulator, vector, values[2:NUISANCES])
+    drifts = any(active[column] or values[column] != 0.0 for column in DRIFTS)
+    compared = term.compare(layout.simulator, vector, values[2:NUISANCES], drifts=drifts)
     if compared is None:
         return None
     residuals, jacobian = compared
-    to_effects = jacobian[:, layout.free] @ slopes
     q = layout.free.size
     together = np.empty((residuals.size, q + values.size + 1))
-    shared, own = together[:, :q], together[:, q:-1]
-    np.multiply(to_effects, 1.0 + scatter * values[NUISANCES:], out=shared)
-    own[:, :2] = jacobian[:, :2]
-    own[:, 2:NUISANCES] = jacobian[:, vector.size :]
-    np.multiply(to_effects, eta * scatter, out=own[:, NUISANCES:])
-    for column in np.flatnonzero(~active):
-        own[:, column] = 0.0
-    together[:, -1] = residuals
-    return Derivatives(residuals, shared, own, together)
+    put_together(
+        np.ascontiguousarray(residuals), np.ascontiguousarray(jacobian), layout.free, slopes,
+        1.0 + scatter * values[NUISANCES:], eta * scatter, active, together,
+    )  # fmt: skip
+    return Derivatives(together[:, -1], together[:, :q], together[:, q:-1], together)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # far from any motion derivatives overflow: counted as a failure
@@ -152,38 +149,21 @@ def _gram(
 
 
 def eliminate(system: System, active: Any, damping: float, held: Any) -> Any:
-    """Return what remains for the shared values once each specimen's own are eliminated."""
-    shared = system.shared + damping * np.diag(np.diag(system.shared))
-    gradient = system.shared_gradient.copy()
+    """Return what remains for the shared values once each specimen's own are eliminated; None where nothing does."""
     free = active & ~held
-    every = np.arange(free.shape[0])
-    # specimens with the same free values in one call: their systems are small, and calls cost more than they do
-    groups = [every] if (free == free[:1]).all() else [every[r : r + 1] for r in every]
+    (count, q, size), shared = system.mixed.shape, system.shared + damping * np.diag(np.diag(system.shared))
+    gradient, scale = system.shared_gradient.copy(), np.empty((count, size))
+    reduced, logarithms = np.empty((count, size, q + 1)), np.empty(count)
+    is_regular = eliminate_own(
+        system.mixed, system.own, system.own_gradient, free, damping, shared, gradient, scale, reduced, logarithms
+    )
+    if not is_regular:
+        return None
     solved = []
-    for rows in groups:
-        index = np.flatnonzero(free[rows[0]])
-        try:
-            found = _eliminated(system, rows, index, damping)
-        except np.linalg.LinAlgError:
-            return None
-        for scale, mixed, reduced, log_determinant in zip(*found, strict=True):
-            shared -= mixed @ reduced[:, :-1]
-            gradient -= mixed @ reduced[:, -1]
-            solved.append((index, scale, reduced, log_determinant))
+    for r in range(count):
+        index = np.flatnonzero(free[r])
+        solved.append((index, scale[r, : index.size], reduced[r, : index.size], float(logarithms[r])))
     return shared, gradient, solved
-
-
-def _eliminated(system: System, rows: Any, index: Any, damping: float) -> tuple[FloatArray, ...]:
-    """Return scales (s, n), scaled mixed blocks (s, q, n), solutions (s, n, q + 1), log-determinants (s,)."""
-    block = system.own[rows][:, index[:, None], index]
-    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(block, axis1=1, axis2=2), 1e-300))
-    block = block * (scale[:, :, None] * scale[:, None, :]) + (damping + 1e-12) * np.eye(index.size)
-    mixed = system.mixed[rows][:, :, index] * scale[:, None]
-    right = np.concatenate([mixed, (system.own_gradient[rows][:, index] * scale)[:, None]], axis=1).transpose(0, 2, 1)
-    factor = np.linalg.cholesky(block)
-    roots = np.diagonal(factor, axis1=1, axis2=2)
-    log_determinants = 2.0 * np.log(roots).sum(axis=1) - 2.0 * np.log(scale).sum(axis=1)
-    return scale, mixed, np.linalg.solve(block, right), log_determinants
 
 
 def information(layout: Layout, system: System, state: State, active: Any, noise: float) -> tuple[float, FloatArray]:

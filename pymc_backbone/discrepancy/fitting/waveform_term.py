@@ -11,7 +11,7 @@ import numpy as np
 from ..._common.checks import FloatArray, IntArray
 from ...simulation.decay import Simulator
 from .data_term import TOLERANCE
-from .drift_course import Course, Motion, course_of
+from .drift_course import STEADY, Course, Motion, course_of
 from .whitening import EDGE, average, means
 
 _MARGIN = 60  # turning points beyond those of the record
@@ -150,11 +150,11 @@ class WaveformTerm:
         return float(np.count_nonzero(np.diff(np.signbit(self.values - self.values.mean()))) / 2 + 1)
 
     def compare(
-        self, simulator: Simulator, parameters: FloatArray, nuisances: FloatArray
+        self, simulator: Simulator, parameters: FloatArray, nuisances: FloatArray, *, drifts: bool = True
     ) -> tuple[FloatArray, FloatArray] | None:
         """Return residuals (m,) and derivatives (m, p + 5)."""
         release, release_time, offset = nuisances[:3]
-        course = self._course(simulator, parameters, nuisances)
+        course = self._course(simulator, parameters, nuisances) if drifts else STEADY
         simulated = self.simulate(simulator, parameters, release, release_time, self._at(course))
         if simulated is None:
             return None

@@ -6,9 +6,10 @@ import functools
 from collections.abc import Callable
 
 import numpy as np
-from scipy.linalg import solve_toeplitz, solve_triangular, toeplitz
+from scipy.linalg import solve_toeplitz, toeplitz
 
 from ..._common.checks import FloatArray
+from .fit_kernels import filter_columns, weigh_neighbours
 
 MOST_LAGS = 32
 EDGE = 2
@@ -17,18 +18,13 @@ EDGE = 2
 
 def average(columns: FloatArray, together: int) -> FloatArray:
     """Return means over each step from values at the middle of the steps; two steps at either end are lost."""
-    weights = _mean_weights(together)
-    kept = columns.shape[0] - 2 * EDGE
-    result: FloatArray = weights[0] * columns[:kept]
-    room = np.empty_like(result)  # one for all: large arrays anew for each weight cost more than the sums
-    for k, weight in enumerate(weights[1:], start=1):
-        np.multiply(columns[k : kept + k], weight, out=room)
-        result += room
+    result = np.empty((columns.shape[0] - 2 * EDGE, columns.shape[1]))
+    weigh_neighbours(_mean_weights(together), np.ascontiguousarray(columns), result)
     return result
 
 
 @functools.cache
-def _mean_weights(together: int) -> tuple[float, ...]:
+def _mean_weights(together: int) -> FloatArray:
     """Return weights (5,) on the middles of neighbouring steps that give the mean of a step's ``together`` samples.
 
     Exact for polynomials of degree five. A mean of few samples is not the mean over the step: for two samples of a
@@ -38,7 +34,7 @@ def _mean_weights(together: int) -> tuple[float, ...]:
     second, fourth = float(np.mean(place**2)), float(np.mean(place**4))
     outer = (fourth - second) / 24.0
     inner = 0.5 * second - 4.0 * outer
-    return (outer, inner, 1.0 - 2.0 * (outer + inner), inner, outer)
+    return np.array([outer, inner, 1.0 - 2.0 * (outer + inner), inner, outer])
 
 
 def means(columns: FloatArray, together: int) -> FloatArray:
@@ -75,14 +71,14 @@ def whitener(autocovariance: FloatArray) -> Callable[[FloatArray], FloatArray]:
     variance = float(row[0] - prediction @ row[1:])
     taps = np.concatenate([[1.0], -prediction]) / np.sqrt(max(variance, 1e-6 * row[0]))
     try:
-        start = np.linalg.cholesky(toeplitz(row[:-1]))
+        start = np.linalg.inv(np.linalg.cholesky(toeplitz(row[:-1])))
     except np.linalg.LinAlgError:  # what was estimated is no autocovariance
         return lambda columns: _filtered(taps, columns)
 
     def whiten(columns: FloatArray) -> FloatArray:
         filtered = _filtered(taps, columns)
         first = min(order, columns.shape[0])  # samples whose past is not in the record
-        filtered[:first] = solve_triangular(start[:first, :first], columns[:first], lower=True)
+        filtered[:first] = start[:first, :first] @ columns[:first]
         return filtered
 
     return whiten
@@ -106,7 +102,6 @@ def with_slow_noise(
 
 def _filtered(taps: FloatArray, columns: FloatArray) -> FloatArray:
     """Return each column after a filter of finite length."""
-    rows = np.empty((columns.shape[1], columns.shape[0]))
-    for row, column in zip(rows, columns.T, strict=True):
-        row[:] = np.convolve(taps, column)[: row.size]
-    return rows.T
+    filtered = np.empty(columns.shape)
+    filter_columns(taps, np.ascontiguousarray(columns), filtered)
+    return filtered

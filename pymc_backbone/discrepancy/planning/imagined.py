@@ -55,11 +55,11 @@ class _WeightedTurns(TurningTerm):
     added_mass: float = 0.0
 
     def compare(
-        self, simulator: Simulator, parameters: FloatArray, nuisances: FloatArray
+        self, simulator: Simulator, parameters: FloatArray, nuisances: FloatArray, *, drifts: bool = True
     ) -> tuple[FloatArray, FloatArray] | None:
         """Compare with the mass of this test."""
         heavier = with_mass(simulator.oscillator, self.added_mass) if self.added_mass else simulator
-        return super().compare(heavier, parameters, nuisances)
+        return super().compare(heavier, parameters, nuisances, drifts=drifts)
 
     def first(self, count: int) -> _WeightedTurns:
         """Return the term of the first ``count`` turning points."""
