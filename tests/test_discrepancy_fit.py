@@ -263,6 +263,21 @@ def test_derivatives_of_levels(effects):
     assert not slopes[:, vector.size :].any()  # backbones know nothing of release, sensor and time
 
 
+@pytest.mark.parametrize("kind", ["waveform", "turning"])
+def test_without_drifts_all_else_is_the_same(kind):
+    """What a fit does not ask for is not computed: where drifts are zero, nothing but their derivatives goes."""
+    batch = batch_of(make_records(np.random.default_rng(5), CASES[0], specimens=1))
+    layout, vector, nuisances, _ = point(CASES[0])
+    nuisances[3:] = 0.0
+    (chosen,) = getattr(batch, kind)
+    residuals, slopes = chosen.compare(layout.simulator, vector, nuisances)
+    plain, kept = chosen.compare(layout.simulator, vector, nuisances, drifts=False)
+    assert slopes[:, -2:].any(axis=0).all()
+    slopes[:, -2:] = 0.0
+    np.testing.assert_array_equal(plain, residuals)
+    np.testing.assert_array_equal(kept, slopes)
+
+
 @pytest.mark.parametrize("effects", CASES)
 def test_derivatives_of_turning_points(effects):
     batch = batch_of(make_records(np.random.default_rng(4), effects, specimens=1))

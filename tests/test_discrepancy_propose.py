@@ -317,6 +317,20 @@ def test_a_costly_set_keeps_its_look_where_the_smaller_one_explains_little(littl
     assert proposer.points[names][0].cost == (60.0 if is_asked else 25.0)
 
 
+def test_a_set_of_several_points_that_becomes_needless_is_left_alone():
+    """One point is left of it then: a second one that was to be simulated stood no more where it had."""
+    smaller, names = ("damped_stop",), ("damped_stop", "jenkins")
+    proposer = object.__new__(_Proposer)
+    proposer.data, proposer.needless, proposer.sharp = SimpleNamespace(count=np.array([30])), set(), None
+    proposer.points = {smaller: [SimpleNamespace(cost=40.0)], names: [SimpleNamespace(cost=45.0)] * 3}
+    improved = []
+    proposer.fits = SimpleNamespace(
+        transferred=lambda *_: SimpleNamespace(cost=40.0), refine=lambda *_: None, improve=lambda *_: improved.append(1)
+    )
+    proposer._simulate(names, [0, 1, 2], smaller)
+    assert proposer.needless == {names} and len(proposer.points[names]) == 1 and not improved
+
+
 @pytest.mark.parametrize(("cost", "is_taken"), [(900.0, True), (25.0, False)])
 def test_far_from_the_values_a_step_is_taken_that_promises_nothing_by_its_look(cost, is_taken, monkeypatch):
     """A look of Bouc-Wen promised 19054 where 13182 was reached, and led to 2989, then to the noise."""

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._common.checks import FloatArray, InputError, check_finite_array
+from .._common.checks import BoolArray, FloatArray, InputError, check_finite_array
 from .._common.threads import with_one_thread
 from .cycle_data import MINIMUM_CYCLES, Cycles, with_shared_errors
 from .peak_noise import with_peak_noise
@@ -217,6 +217,17 @@ def _inflation(fit: Fit, variance: float) -> FloatArray:
     return np.sqrt(np.where(ratio > limit, ratio, 1.0))
 
 
+def _end_of_motion(is_above: BoolArray) -> tuple[int, int]:
+    """Return after how many cycles those end that stand above their errors, and how many these are.
+
+    Errors are large at the edge of a record where a sensor settles, too: what comes later is not lost by that.
+    """
+    first = int(np.argmax(is_above))
+    below = np.flatnonzero(~is_above[first:])
+    end = first + (int(below[0]) if below.size else is_above.size - first)
+    return end, end - first
+
+
 def _assemble(
     fit: Fit,
     signs: FloatArray,
@@ -255,13 +266,12 @@ def _assemble(
     positive = np.maximum(amplitude, 1e-3 * amplitude.max())
     curve = smooth([index], positive, amplitude_bands, [index], orders=(2, 3), kinks=True)
     smoothed = np.maximum(curve.value, 1e-3 * amplitude.max())
-    floor = np.flatnonzero(smoothed < FLOOR * np.sqrt(amplitude_bands[0]))
-    end = int(floor[0]) if floor.size else n
+    end, held = _end_of_motion(smoothed >= FLOOR * np.sqrt(amplitude_bands[0]))
     if end < n:
         notes.append(f"{specimen}: {n - end} cycle(s) below the noise floor dropped")
-    if end < MINIMUM_CYCLES:
+    if held < MINIMUM_CYCLES:
         raise InputError(
-            f"the record of {specimen!r} must hold at least four cycles above its noise, got {end}; reduce the noise."
+            f"the record of {specimen!r} must hold at least four cycles above its noise, got {held}; reduce the noise."
         )
 
     # derivatives at smoothed values: weights that follow the noise would bias the level values

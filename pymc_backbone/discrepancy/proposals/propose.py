@@ -224,36 +224,44 @@ class _Proposer:
         for k, budget in enumerate(_EFFORTS):
             lowest = min(self._cost(names) for names in self.sets)
             reach = max(_REACH, _REACH_SHARE * (max(known) - lowest))
-            order = sorted(self.sets, key=lambda names: _TRUST * self._cost(names) + self._penalty(names))
-            jobs: list[tuple[Set, int]] = []
-            effort = 0
-            for names in order:
-                for t, start in enumerate(self.points[names]):
-                    is_far = start.cost - lowest > reach and len(names) > 1
-                    is_worse = t > 0 and start.cost > 2.0 * self._cost(names) + 30.0
-                    if (names, t) in tried or names in self.needless or is_far or is_worse:
-                        continue
-                    cost = self._weight(names)
-                    if k == 0 and cost > 1 and len(names) > 1:
-                        continue  # first the smaller ones, from which these may be looked at
-                    if effort + cost > budget:
-                        continue
-                    effort += cost
-                    jobs.append((names, t))
-            tried.update(jobs)
-
-            def work(names: Set, t: int, smaller: Set | None) -> None:
-                if smaller is not None and self._is_needless(names, smaller):
-                    return
-                better = self.fits.improve(names, self.points[names][t].copy(), self.sharp, _CORRECTIONS)
-                if better is not None:
-                    self.points[names][t] = better
-
-            in_threads([partial(work, n, t, self._best_part(n)) for n, t in jobs])
+            jobs = self._next(tried, lowest + reach, budget, smaller_first=k == 0)
+            tried.update((names, t) for names, places in jobs.items() for t in places)
+            parts = {names: self._best_part(names) for names in jobs}
+            in_threads([partial(self._simulate, names, places, parts[names]) for names, places in jobs.items()])
             self._ask_relatives()
         for starts in self.points.values():
             starts.sort(key=lambda item: (not item.is_exact, item.cost))
         self._polish()
+
+    def _next(
+        self, tried: set[tuple[Set, int]], most: float, budget: int, *, smaller_first: bool
+    ) -> dict[Set, list[int]]:
+        """Return sets within reach that were not simulated yet, and which of their points, the likeliest first."""
+        order = sorted(self.sets, key=lambda names: _TRUST * self._cost(names) + self._penalty(names))
+        jobs: dict[Set, list[int]] = {}
+        effort = 0
+        for names in order:
+            for t, start in enumerate(self.points[names]):
+                is_far = start.cost > most and len(names) > 1
+                is_worse = t > 0 and start.cost > 2.0 * self._cost(names) + 30.0
+                if (names, t) in tried or names in self.needless or is_far or is_worse:
+                    continue
+                cost = self._weight(names)
+                is_later = smaller_first and cost > 1 and len(names) > 1  # it may be looked at from smaller ones
+                if is_later or effort + cost > budget:
+                    continue
+                effort += cost
+                jobs.setdefault(names, []).append(t)
+        return jobs
+
+    def _simulate(self, names: Set, places: list[int], smaller: Set | None) -> None:
+        """Fit points of a set by the exact simulator, unless it adds nothing to a smaller one."""
+        if smaller is not None and self._is_needless(names, smaller):
+            return  # one point is left of it, whatever it had
+        for t in places:
+            better = self.fits.improve(names, self.points[names][t].copy(), self.sharp, _CORRECTIONS)
+            if better is not None:
+                self.points[names][t] = better
 
     def _weight(self, names: Set) -> int:
         """Return how much the exact simulation of a set costs, that of a simple one being 1."""
