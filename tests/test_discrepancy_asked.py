@@ -62,8 +62,13 @@ def test_springs_of_two_sides_are_asked_in_the_place_of_contacts_where_no_mid_li
         assert not data_checks.data_terms_check(batch, 50.0, 5.0).passed
 
 
-def test_what_a_linear_step_promises_most_of_is_added_to_simple_sets(rng):
-    """Of three effects two were fitted; the third is found from there, and nothing more is asked once it explains."""
+@pytest.mark.parametrize("is_spent", [False, True])
+def test_what_a_linear_step_promises_most_of_is_added_to_simple_sets(is_spent):
+    """Of three effects two were fitted; the third is found from there, and nothing more is asked once it explains.
+
+    Whatever was spent: of a stop with friction and air drag the stop and the friction had been left at that.
+    """
+    rng = np.random.default_rng(5)
     hidden = ("coulomb_friction", "cubic_stiffness", "quadratic_damping")
     batch = batch_of(make_records(rng, hidden, decibels=62.0))
     candidates = (*hidden, "quadratic_stiffness", "quintic_stiffness")
@@ -72,6 +77,8 @@ def test_what_a_linear_step_promises_most_of_is_added_to_simple_sets(rng):
         search.fit_set(names)
     before = search.fits[("coulomb_friction", "cubic_stiffness")]
     assert 1.5 < search.reduced(before) < 10.0
+    search.budget = 0.0 if is_spent else search.budget
+    assert search._is_spent == is_spent
     search._ask_promised()
     assert set(search.fits) == {(), ("coulomb_friction", "cubic_stiffness"), hidden}
     assert search.reduced(search.fits[hidden]) < 1.2
@@ -86,3 +93,20 @@ def test_nothing_is_added_where_no_effect_promises_most_of_the_rest(rng):
     search.fit_set(("cubic_stiffness",))
     search._ask_promised()
     assert ("cubic_stiffness", "quadratic_stiffness") not in search.fits
+
+
+def test_a_search_that_is_spent_asks_once_what_the_nearest_lack(rng, monkeypatch):
+    batch = batch_of(make_records(rng, ("cubic_stiffness",), decibels=40.0))
+    search = Search(batch, Oscillator(MASS), ("cubic_stiffness", "quadratic_damping"), 3)
+    search.fit_set(())
+    search.fit_set(("cubic_stiffness",))
+    search.budget, asked = 0.0, []
+    monkeypatch.setattr(search, "_is_settled", lambda: False)
+    monkeypatch.setattr(
+        search, "_promised", lambda names: asked.append(names) or ("cubic_stiffness", "quadratic_damping")
+    )
+    search._ask_promised()
+    assert asked == [("cubic_stiffness",)] and ("cubic_stiffness", "quadratic_damping") in search.fits
+    search.budget = np.inf
+    search._ask_promised()  # the first again, then what it led to
+    assert sorted(asked[1:]) == [("cubic_stiffness",), ("cubic_stiffness", "quadratic_damping")]

@@ -148,6 +148,7 @@ class Search(FollowedSets):
         """Add to simple sets near the records what a linear step promises most of, while none leaves noise.
 
         A law of many parameters may come nearer in the backbones than the simple ones of which one is still missing.
+        The nearest are asked whatever was spent: no search ends one effect short of noise for want of effort.
         """
         asked: set[Set] = set()
         for _ in range(self.max_effects - 1):
@@ -156,7 +157,7 @@ class Search(FollowedSets):
                 for names in sorted(self.fits, key=lambda item: self.fits[item].cost)
                 if names and len(names) < self.max_effects and names not in asked and self._is_worth_more(names)
             ][:_PROMISING]
-            if self._is_settled() or self._is_spent or not near:
+            if self._is_settled() or (self._is_spent and asked) or not near:
                 return
             asked.update(near)
             self.progress("what simple sets lack", 0.5)
