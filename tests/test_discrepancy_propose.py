@@ -12,13 +12,13 @@ from pymc_backbone._common.checks import OBSERVABLES
 from pymc_backbone.discrepancy.fitting.batch import Batch, batch_of_backbones
 from pymc_backbone.discrepancy.fitting.curves import fit_on_levels, spread_over
 from pymc_backbone.discrepancy.fitting.layout import make_layout
+from pymc_backbone.discrepancy.fitting.small_systems import solve_in_place
 from pymc_backbone.discrepancy.proposals import looks
 from pymc_backbone.discrepancy.proposals.looks import STIFFNESS, atoms_of, level_data
 from pymc_backbone.discrepancy.proposals.proposal import Proposal
 from pymc_backbone.discrepancy.proposals.propose import _Proposer, propose
 from pymc_backbone.discrepancy.proposals.refine_kernels import observe
 from pymc_backbone.discrepancy.proposals.set_fits import SetFits
-from pymc_backbone.discrepancy.proposals.small_systems import solve_in_place
 from pymc_backbone.discrepancy.sets.question import looked_for
 from pymc_backbone.discrepancy.weighing.evidence import VARIANT, log_prior
 from pymc_backbone.effects import BASE_EFFECTS, LIBRARY

@@ -34,10 +34,10 @@ def compiled_sources_digest() -> str:
 _COMPILED_MODULES = (
     "_common/compiled.py",
     "discrepancy/fitting/fit_kernels.py",
+    "discrepancy/fitting/small_systems.py",
     "discrepancy/proposals/look_kernels.py",
     "discrepancy/proposals/refine_kernels.py",
     "discrepancy/proposals/set_kernels.py",
-    "discrepancy/proposals/small_systems.py",
     "likelihood/density_kernel.py",
     "simulation/by_decay.py",
     "simulation/closing.py",

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..._common.checks import BoolArray, FloatArray, IntArray
 from ..._common.compiled import cached
-from ...simulation.curves import compiled
+from .small_systems import factorise, solve_by
 
 
 @cached
@@ -75,39 +75,6 @@ def put_together(
         row[q + size] = residuals[i]
 
 
-@compiled
-def _factorise(block: FloatArray, n: int) -> float:
-    """Replace a symmetric matrix (n, n) by its Cholesky factor; return the logarithm of its determinant, or nan."""
-    logarithm = 0.0
-    for i in range(n):
-        for j in range(i + 1):
-            total = block[i, j]
-            for k in range(j):
-                total -= block[i, k] * block[j, k]
-            if i > j:
-                block[i, j] = total / block[j, j]
-            elif total > 0.0:
-                block[i, i] = math.sqrt(total)
-                logarithm += math.log(total)
-            else:
-                return math.nan
-    return logarithm
-
-
-@compiled
-def _solve(factor: FloatArray, n: int, right: FloatArray) -> None:
-    """Solve a system (n, n) for each column of ``right`` in place, by its Cholesky factor."""
-    for c in range(right.shape[1]):
-        for i in range(n):
-            for k in range(i):
-                right[i, c] -= factor[i, k] * right[k, c]
-            right[i, c] /= factor[i, i]
-        for i in range(n - 1, -1, -1):
-            for k in range(i + 1, n):
-                right[i, c] -= factor[k, i] * right[k, c]
-            right[i, c] /= factor[i, i]
-
-
 @cached
 def eliminate_own(
     mixed: FloatArray, own: FloatArray, own_gradient: FloatArray, free: BoolArray, damping: float,
@@ -133,10 +100,10 @@ def eliminate_own(
             for j in range(q):
                 reduced[r, i, j] = mixed[r, j, index[i]] * scale[r, i]
             reduced[r, i, q] = own_gradient[r, index[i]] * scale[r, i]
-        logarithms[r] += _factorise(block, n)
+        logarithms[r] += factorise(block, n, 0.0)
         if math.isnan(logarithms[r]):
             return False
-        _solve(block, n, reduced[r])
+        solve_by(block, n, reduced[r])
         for j in range(q):
             for i in range(n):
                 weight = mixed[r, j, index[i]] * scale[r, i]

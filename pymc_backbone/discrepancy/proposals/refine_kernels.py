@@ -14,8 +14,8 @@ from ...simulation.memory import DAMPING as DAMPING_PLACE
 from ...simulation.memory import MASS, N_EFFECTS, TABLE
 from ...simulation.memory import STIFFNESS as STIFFNESS_PLACE
 from ..fitting.layout import MOST_OPPOSED
+from ..fitting.small_systems import solve_in_place
 from .look_kernels import AT_TURN, DAMPING, MIDDLE, N_LOOK, STIFFNESS, averaged
-from .small_systems import solve_in_place
 
 _LONGEST = 1.0  # step of the logarithm of a shape
 _LARGEST_PART = 0.5  # step of any other shape, in parts of its size
