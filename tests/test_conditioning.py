@@ -830,13 +830,21 @@ def test_clipping(side: str, per_cycle: int, rng: np.random.Generator) -> None:
     time, (x, _, _) = simulated("linear", 0.005, 40, per_cycle)
     low, high = {"upper": (-2.0, 0.8), "lower": (-0.8, 2.0), "both": (-0.8, 0.8)}[side]
     noisy = x + 1e-3 * rng.normal(size=x.size)
-    refuses(time, np.clip(noisy, low, high), "clipped at", "start=")
-    with pytest.raises(InputError) as caught:
-        condition(record(time, np.clip(noisy, low, high)))
-    again = float(str(caught.value).rpartition("start=")[2].rstrip(".`"))
-    assert condition(record(time, np.clip(noisy, low, high)), start=again).amplitude < 0.82
+    found = condition(record(time, np.clip(noisy, low, high)))
+    note = next(note for note in found.notes if "peaks are clipped at" in note)
+    limit = "-0.8 (lower" if side == "lower" else "0.8 (upper"
+    assert note.startswith("warning: ") and f"clipped at {limit} limit" in note
+    again = float(note.partition("used from ")[2].partition(" s on")[0])
+    assert found.amplitude < 0.82 and found.time[0] > again - 1e-9
     left = noisy[time >= again]
-    assert low < left.min() and left.max() < high  # no sample that was cut is the first of what is advised
+    assert low < left.min() and left.max() < high  # no sample that was cut is the first of what is used
+    assert left.max() > 0.7  # and no more was left out than that
+
+
+def test_clipping_that_leaves_few_cycles_is_refused(rng: np.random.Generator) -> None:
+    time, (x, _, _) = simulated("linear", 0.005, 40, 40)
+    noisy = np.clip(x + 1e-3 * rng.normal(size=x.size), -0.8, 0.8)[:560]  # of which seven or so are cut off
+    refuses(time[:560], noisy, "peaks are clipped at", "widen the range: only 6.", "expected at least 8")
 
 
 @pytest.mark.parametrize("side", ["upper", "lower", "both"])
@@ -844,7 +852,9 @@ def test_clipping_in_front_of_the_noise(side: str, rng: np.random.Generator) -> 
     """A sensor saturates, and what follows it adds noise: no two tops are equal."""
     time, (x, _, _) = simulated("linear", 0.005, 40, 40)
     low, high = {"upper": (-2.0, 0.8), "lower": (-0.8, 2.0), "both": (-0.8, 0.8)}[side]
-    refuses(time, np.clip(x, low, high) + 3e-3 * rng.normal(size=x.size), "clipped at", "start=")
+    found = condition(record(time, np.clip(x, low, high) + 3e-3 * rng.normal(size=x.size)))
+    assert any("peaks are clipped at" in note for note in found.notes)
+    assert 0.7 < found.amplitude < 0.82
 
 
 @pytest.mark.parametrize("decrement", [1e-3, 0.03])

@@ -197,6 +197,7 @@ ROWS = {
     ),
     "a value held for": "test_held_values_leave_less_than_the_noise_behind",
     "samples lost or written twice": "test_lost_samples_are_noticed_said_and_put_in test_a_doubled_sample_is_taken_out",
+    "peaks clipped": "test_clipping test_clipping_that_leaves_few_cycles_is_refused",
     "samples or frames that repeat": "test_repeated_frames_are_left_out",
     "NaN, empty": "test_a_bad_line_is_named test_arrays_that_are_no_record",
     "a header that promises": (

@@ -15,6 +15,7 @@ from ..._common.checks import BoolArray, FloatArray, IntArray
 from ...measurement.reading.record import Record
 from ..sets.search import Search
 from ..weighing import evidence
+from .edges import between
 
 _OFF = 6.0  # standard deviations of the noise, which one of 5e8 samples is off by
 _ITS_SIDES = 2.5  # and those beside such a sample, to be part of the same event
@@ -24,6 +25,7 @@ _SCALE = 1.2  # of the residuals, robust, up to which the set explains the other
 _NORMAL = 1.4826  # median absolute deviation to standard deviation, for a normal distribution
 _WIDEST = 5  # values of an event
 _FIRST = 2  # values, one of which is off where a record begins with what is no free motion
+_AGAIN = 2  # times as many are left out: what settles rings
 _AT_A_PHASE = 0.01  # p-value of phases that are no chance: what comes at one of them is a law's lack
 
 
@@ -41,19 +43,24 @@ class DropOuts:
         Number of events, but for those with which a record begins.
     jumping : tuple of str
         Specimens with such events.
-    beginnings : tuple of str
-        Specimens whose first samples are off: how they were held and released is in them.
+    begins : mapping of str to float
+        Time [s] from which records are free motion whose first samples are off: how they were held and released is in
+        these, and a filter that settles.
     """
 
     by_specimen: dict[str, tuple[FloatArray, FloatArray]]
     step: dict[str, float]
     events: int
     jumping: tuple[str, ...]
-    beginnings: tuple[str, ...]
+    begins: dict[str, float]
 
     def undisturbed(self, records: Iterable[Record]) -> list[Record]:
-        """Return the records with wild samples put where the set has them."""
-        return [self._mended(record) if record.specimen in self.by_specimen else record for record in records]
+        """Return the records from their free motion on, with wild samples put where the set has them.
+
+        First samples are left out, and not put there: what a wrong set makes of them would speak for that set.
+        """
+        mended = [self._mended(record) if record.specimen in self.by_specimen else record for record in records]
+        return [between(record, self.begins.get(record.specimen, -np.inf), np.inf) for record in mended]
 
     def _mended(self, record: Record) -> Record:
         time, off = self.by_specimen[record.specimen]
@@ -65,11 +72,11 @@ class DropOuts:
     def sentence(self) -> str:
         """What was found, in one sentence."""
         begun = ""
-        if self.beginnings:
-            which = "one record" if len(self.beginnings) == 1 else f"{len(self.beginnings)} records"
+        if self.begins:
+            which = "one record" if len(self.begins) == 1 else f"{len(self.begins)} records"
             begun = (
-                f"the first samples of {which} ({', '.join(self.beginnings)}) are off the free motion by how it was "
-                "held and released, and do not count"
+                f"the first samples of {which} ({', '.join(self.begins)}) are off the free motion by how it was "
+                "held and released, or a filter that settles, and do not count"
             )
         if not self.events:
             return begun
@@ -95,7 +102,7 @@ def drop_outs(search: Search) -> DropOuts | None:
     found: dict[str, tuple[FloatArray, FloatArray]] = {}
     steps: dict[str, float] = {}
     jumping: list[str] = []
-    beginnings: list[str] = []
+    beginning: dict[str, float] = {}
     events, phases = 0, []
     for r, (name, term) in enumerate(zip(batch.specimens, batch.waveform, strict=True)):
         left = evidence.residuals_of(term, best, r)
@@ -111,7 +118,9 @@ def drop_outs(search: Search) -> DropOuts | None:
         near = np.abs(time - instants[_nearest(time, instants)]) <= (0.5 * term.averaged + 1e-6) * step
         found[name], steps[name] = (time[near], plain[near]), step
         is_begun = bool(wild[:_FIRST].any())
-        beginnings += [name] if is_begun else []
+        if is_begun:
+            ringing = _AGAIN * (1 + int(np.argmin(wild[1:])))
+            beginning[name] = float(time[min(ringing * term.averaged, time.size - 1)])
         jumping += [name] if count > is_begun else []
         events += count - is_begun
         turning = batch.cycles[r].turning_times
@@ -119,7 +128,7 @@ def drop_outs(search: Search) -> DropOuts | None:
         phases.append(np.pi * np.interp(begins, turning, np.arange(turning.size)))
     if phases and _come_at_a_phase(np.concatenate(phases)):
         return None
-    return DropOuts(found, steps, events, tuple(jumping), tuple(beginnings)) if found else None
+    return DropOuts(found, steps, events, tuple(jumping), beginning) if found else None
 
 
 def _come_at_a_phase(phases: FloatArray) -> bool:

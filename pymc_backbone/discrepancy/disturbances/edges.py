@@ -48,7 +48,7 @@ class Edges:
     def undisturbed(self, records: Iterable[Record]) -> list[Record]:
         """Return the records where they are free motion."""
         return [
-            _between(record, self.first.get(record.specimen, -np.inf), self.last.get(record.specimen, np.inf))
+            between(record, self.first.get(record.specimen, -np.inf), self.last.get(record.specimen, np.inf))
             for record in records
         ]
 
@@ -81,7 +81,7 @@ def _counted(names: Iterable[str]) -> str:
     return f"{'one record' if len(known) == 1 else f'{len(known)} records'} ({', '.join(known)})"
 
 
-def _between(record: Record, begin: float, end: float) -> Record:
+def between(record: Record, begin: float, end: float) -> Record:
     """Return a record between two instants of free motion."""
     kept = (record.time >= begin) & (record.time <= end)
     if kept.all():
@@ -222,4 +222,4 @@ def _disturbed(left: FloatArray, each: float, most: int, clearly: float = _CLEAR
     return 0
 
 
-__all__ = ["Edges", "edges"]
+__all__ = ["Edges", "between", "edges"]

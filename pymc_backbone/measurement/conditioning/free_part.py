@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from ..._common.text import printable
 from ..reading.record import MINIMUM_SAMPLES, QUANTITIES, Record
 from ..rough_turning import rough_noise
 from .blow import is_struck
+from .clipping import Clipping, find_clipping
 from .decimation import Decimation, design_decimation
 from .filters import check_band
 from .gap_filling import filled
@@ -19,10 +21,10 @@ from .hum import without_hum
 from .lift import end_of_lift
 from .lost_samples import MOST, Jump, find_jump, mended, repeats
 from .noise import quantum
-from .plausibility import check_clipping, check_moves, check_per_cycle
+from .plausibility import check_moves, check_per_cycle
 from .release import end_of_drive, end_of_rest, leading_rest
 from .second_release import earlier_decay
-from .spikes import WIDEST, Spike, without_spikes
+from .spikes import WIDEST, without_spikes
 from .stuck import constant_tail, held_between, is_stuck
 from .time_grid import to_uniform
 from .tracking import dominant_frequency
@@ -30,6 +32,7 @@ from .tracking import dominant_frequency
 _MOST_PLACES = 5
 _MOST_HELD = 0.1  # of a record, that is left out where a value is held: of more, nothing is known
 _SLOWER = 2.0  # frequency of the longest part over that of the whole record, from which missing samples make the latter
+_BEYOND_CLIPPING = 8.0  # cycles that have to follow peaks that are cut off
 _JUMP = 3  # widest spikes after a release within which what stands out is its jump behind a filter against aliases
 
 
@@ -74,6 +77,10 @@ class FreePart:
         What was done, in the order of doing.
     """
 
+    frequency: float
+    rate: float
+    whole: FloatArray
+
     def __init__(
         self, record: Record, band: tuple[float, float] | None, start: float | None, stop: float | None
     ) -> None:
@@ -85,24 +92,9 @@ class FreePart:
             raise InputError(
                 f"{self.name}: is an envelope, which has no waveform to condition; give it to `envelope_cycles`."
             )
-        self.notes: list[str] = list(record.notes)
         self.integrations = QUANTITIES.index(record.quantity)
-        keep = self._chosen(start, stop)
-        time, values = record.time[keep], record.values[keep]
-        check_moves(values, self.name)
-        self.step = quantum(values)
-        # a sensor may read ten thousand times the motion: no filter stops that much
-        self.reading = float(np.median(values))
-        values = values - self.reading
-        time, values = self._without_repeats(time, values)
-        time, values = self._without_held(time, values)
-        self.samples = to_uniform(time, values, self.name)
-        self.notes += self.samples.notes
-        self.whole, spikes = without_spikes(self.samples.values, self.step)
-        check_moves(self.whole, self.name)
-        self.begin, self.rate = self.samples.start, self.samples.sampling_rate
-        self.band = None if band is None else check_band(band, self.rate, self.name)
-        self.frequency = self._dominant(time, values)
+        while (clipped := self._prepare(start, stop, band)) is not None:
+            start = self._beyond(clipped)
         self.whole = filled(self.whole, self.samples.missing, self.rate / self.frequency)
         self.whole, hum = without_hum(self.whole, self.rate, self.frequency)
         self.notes += [] if hum is None else [hum.note]
@@ -112,8 +104,47 @@ class FreePart:
         self.values, self.is_cut = self._released(self.whole)
         self.values, is_lifted = self._let_go(self.values)
         self.is_cut |= is_lifted
-        self._note_spikes(spikes)
+        self._note_spikes()
         self.values = self._clocked(self._decimated(self.values))
+
+    def _prepare(self, start: float | None, stop: float | None, band: tuple[float, float] | None) -> Clipping | None:
+        """Find what is even in time between two instants, without spikes, and its frequency; return clipped peaks."""
+        self.notes = list(self.record.notes)
+        keep = self._chosen(start, stop)
+        time, values = self.record.time[keep], self.record.values[keep]
+        check_moves(values, self.name)
+        self.step = quantum(values)
+        # a sensor may read ten thousand times the motion: no filter stops that much
+        self.reading = float(np.median(values))
+        values = values - self.reading
+        time, values = self._without_repeats(time, values)
+        time, values = self._without_held(time, values)
+        self.samples = to_uniform(time, values, self.name)
+        self.notes += self.samples.notes
+        self.whole, self._spikes = without_spikes(self.samples.values, self.step)
+        check_moves(self.whole, self.name)
+        self.begin, self.rate = self.samples.start, self.samples.sampling_rate
+        self.band = None if band is None else check_band(band, self.rate, self.name)
+        self.frequency = self._dominant()
+        return find_clipping(values, self.reading, time, self.frequency, self.step)
+
+    def _beyond(self, clipped: Clipping) -> float:
+        """Return the instant from which no peak is clipped, or raise where few cycles follow it."""
+        span = self.samples.start + self.whole.size / self.rate - clipped.free
+        if span * self.frequency < _BEYOND_CLIPPING:
+            raise InputError(
+                f"{self.name}: {clipped}; widen the range: only {max(span * self.frequency, 0.0):.2g} cycles follow, "
+                f"expected at least {_BEYOND_CLIPPING:g}."
+            )
+        self.record = replace(
+            self.record,
+            notes=(
+                *self.record.notes,
+                f"warning: {clipped}; the record is used from {clipped.free:.6g} s on, where none is; larger "
+                "amplitudes need a wider range",
+            ),
+        )
+        return clipped.free
 
     def _chosen(self, start: float | None, stop: float | None) -> NDArray[np.bool_]:
         """Return which samples lie between ``start`` and ``stop``."""
@@ -132,7 +163,7 @@ class FreePart:
             )
         return keep
 
-    def _dominant(self, time: FloatArray, values: FloatArray) -> float:
+    def _dominant(self) -> float:
         """Return the frequency of the dominant mode (within the band), after the checks that need it."""
         uniform = self.whole
         lead = leading_rest(uniform)
@@ -150,7 +181,6 @@ class FreePart:
             raise InputError(f"{self.name}: no oscillation stands out of the record; check the column, or give a band.")
         self._check_gaps(frequency)
         check_per_cycle(self.rate, frequency, self.name)
-        check_clipping(values, self.reading, time, frequency, self.step, self.name)
         return frequency
 
     def _check_gaps(self, found: float) -> None:
@@ -194,13 +224,13 @@ class FreePart:
         index = end_of_lift(values, self.rate, self.frequency, rough_noise(values))
         return (values, False) if index is None else (self._without(values, index, "moved by hand"), True)
 
-    def _note_spikes(self, spikes: list[Spike]) -> None:
+    def _note_spikes(self) -> None:
         """Say which spikes of the free decay were bridged.
 
         Where a structure is let go an acceleration jumps: what stands beside that is motion, and is left as it was.
         """
         first = round((self.begin - self.samples.start) * self.rate)
-        for spike in spikes:
+        for spike in self._spikes:
             if spike.first < first:
                 continue
             if self.is_cut and spike.first < first + _JUMP * WIDEST:
