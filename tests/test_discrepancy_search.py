@@ -875,7 +875,7 @@ def test_a_mode_that_is_gone_long_before_the_motion_is_seen_where_it_was(left, s
     named = second_mode_check(batch, best)
     assert named.passed  # beside a name it is no reason to doubt that, and is told where it is looked for
     assert ("too small to speak against" in named.message) == seen
-    check = second_mode_check(batch, best, is_adequate=True)
+    check = second_mode_check(batch, best, is_bare=True)
     assert check.passed != seen
     if seen:
         assert float(check.message.split(" Hz")[0].split()[-1]) == pytest.approx(7.3, rel=0.03)
@@ -910,7 +910,7 @@ def test_a_smaller_line_counts_below_the_frequency_of_the_mode(ratio, share, pas
     check = second_mode_check(batch, best)
     assert check.passed == passes
     # where nothing would be said to be missing, half as much below the mode is enough, though it hides in the noise
-    assert second_mode_check(batch, best, is_adequate=True).passed == (ratio > 1.0)
+    assert second_mode_check(batch, best, is_bare=True).passed == (ratio > 1.0)
     if not passes:
         assert float(check.message.split(" Hz")[0].split()[-1]) == pytest.approx(3.0, rel=0.01)
 
@@ -960,7 +960,7 @@ def test_no_second_mode_is_seen_in_noise_and_harmonics(cubic, linear):
     named = second_mode_check(cubic.batch, cubic.fits[("cubic_stiffness",)])
     assert named.passed and "times the noise" not in named.message
     assert second_mode_check(linear.batch, linear.fits[()]).passed
-    assert second_mode_check(linear.batch, linear.fits[()], is_adequate=True).passed
+    assert second_mode_check(linear.batch, linear.fits[()], is_bare=True).passed
 
 
 @pytest.mark.parametrize("name", ["softer on one side", "hardening by a third"])
@@ -978,7 +978,7 @@ def test_harmonics_that_a_model_lacks_are_no_second_mode(name, rng):
     base = search.fit_set(())
     assert base.cost > 100.0 * search.count
     check = second_mode_check(batch, base)
-    assert check.passed and second_mode_check(batch, base, is_adequate=True).passed
+    assert check.passed and second_mode_check(batch, base, is_bare=True).passed
     assert "times the noise" in check.message and "is not told" in check.message
 
 

@@ -52,6 +52,19 @@ def test_lost_samples_are_noticed_said_and_put_in(lost: list[tuple[int, int]], r
     assert off.max() < 4.5  # of some thirty cycles
 
 
+@pytest.mark.parametrize("kind", ["lost", "doubled"])
+@pytest.mark.parametrize("at", [(820, 850), (820, 838, 852), (300, 412, 1000), (70,), (60, 800)])
+def test_jumps_that_hide_each_other_and_those_of_first_cycles(at, kind, rng: np.random.Generator) -> None:
+    """Within a cycle of each other, within the cycles that tell either, or where too few cycles lie before."""
+    true = decay(rng)
+    values = np.delete(true, at) if kind == "lost" else np.insert(true, at, true[np.array(at) - 1])
+    (note,) = [note for note in clock_notes(values) if "without a trace" in note]
+    assert note.startswith(f"warning: {len(at)} sample{'s are' if len(at) > 1 else ' is'} ")
+    assert ("missing" if kind == "lost" else "too many") in note
+    said = [float(text) for text in note.partition("(at ")[2].partition(" s)")[0].split(",")]
+    np.testing.assert_allclose(said, [place / RATE for place in at], atol=5.0 / RATE)
+
+
 def test_a_clearance_that_is_left_is_no_lost_sample(rng: np.random.Generator) -> None:
     """Where friction brings the motion into a gap, its frequency steps, and the phase by 0.7 sampling intervals."""
     oscillator = Oscillator(1.0, ["freeplay", "coulomb_friction"])

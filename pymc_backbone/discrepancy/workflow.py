@@ -246,8 +246,9 @@ def _decided(known: Undisturbed) -> Outcome:
     base_drifting = drifting[()].fit if () in drifting else None
     second_mode = Check("no second mode", True, "not testable without records")
     if question.batch.has_records:
-        is_adequate = decision.verdict is Verdict.ADEQUATE
-        second_mode = second_mode_check(question.batch, search.fits[decision.model], is_adequate=is_adequate)
+        is_bare = decision.verdict is Verdict.ADEQUATE
+        is_bare |= decision.verdict is Verdict.UNEXPLAINED and not decision.model
+        second_mode = second_mode_check(question.batch, search.fits[decision.model], is_bare=is_bare)
         if not second_mode.passed:
             is_beside = base_drifting is not None and not second_mode_check(question.batch, base_drifting).passed
             decision = mind_second_mode(decision, is_beside_drift=is_beside)

@@ -25,12 +25,12 @@ _TOLD = 0.001  # of the motion, from which a line is told although it is too sma
 _EARLY, _FEWEST_CYCLES = (4, 10), 10.0  # parts of a record, and how many cycles they hold at least
 
 
-def second_mode_check(batch: Batch, best: Fit, *, is_adequate: bool = False) -> Check:
+def second_mode_check(batch: Batch, best: Fit, *, is_bare: bool = False) -> Check:
     """Look for a line beside the harmonics in what the best model leaves, and for one close to a harmonic.
 
-    In the beginning of the records, too, where nothing is said to be missing (``is_adequate``) or where what is leaves
-    more than noise: something has to be there, and a mode of a higher frequency has mostly decayed soon. Where nothing
-    is said to be missing all the same, smaller lines count. Below the frequency of the mode a smaller line counts:
+    In the beginning of the records, too, where nothing is named (``is_bare``) or where what is leaves more than noise:
+    something has to be there, and a mode of a higher frequency has mostly decayed soon. Where nothing is named all the
+    same, smaller lines count. Below the frequency of the mode a smaller line counts:
     a single mode has none there, and a mass that moves along, as of a liquid, bends the backbones. Two modes so close
     that nothing lies between them are looked for where more than noise is left, behind a band-pass as well.
     """
@@ -51,10 +51,10 @@ def second_mode_check(batch: Batch, best: Fit, *, is_adequate: bool = False) -> 
         left = evidence.residuals_as_measured(term, best, r)
         between = frequencies_of(batch.levels[r], batch.records[r].frequency, batch.cycles[r])
         is_left = best.chi_square[r] > _NO_NOISE * term.size
-        least = _SEEN if is_adequate and is_left else _BEATING
-        for part in _parts(left.size, term.cycles if is_adequate or is_left else 0.0):
+        least = _SEEN if is_bare and is_left else _BEATING
+        for part in _parts(left.size, term.cycles if is_bare or is_left else 0.0):
             time, motion = term.time[: left.size][part], float(np.std(term.values[: left.size][part]))
-            below = line_below(time, left[part], between), min(least, _SEEN if is_adequate else _BELOW)
+            below = line_below(time, left[part], between), min(least, _SEEN if is_bare else _BELOW)
             beside = line_beside(time, left[part], between), least
             near = line_near(time, left[part], between), least
             for line, smallest in (below, beside, near):
@@ -71,11 +71,12 @@ def second_mode_check(batch: Batch, best: Fit, *, is_adequate: bool = False) -> 
             "single mode makes: a second mode beats with it; keep one mode with `band`",
         )
     if small[0] > _TOLD:
+        said = "be all that is there" if is_bare else "speak against what was found"
         return Check(
             name,
             True,
             f"what the model leaves of {small[2]} holds a line at {small[1]:.4g} Hz, {per_cent(small[0])} of the "
-            "motion there, as another mode leaves: too small to speak against what was found",
+            f"motion there, as another mode leaves: too small to {said}",
         )
     times = float(np.median([best.chi_square[r] / term.size for r, term in enumerate(batch.waveform)] or [0.0]))
     if times > _NO_NOISE:

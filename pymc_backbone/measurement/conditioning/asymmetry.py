@@ -71,7 +71,7 @@ def beyond_stop(amplitude: FloatArray, gap: float) -> FloatArray:
     """Return the mean over a cycle of ``pi max(A cos - gap, 0)``, which moves the mid-line; zero up to the gap."""
     reached = np.maximum(amplitude, gap)
     touched = np.arccos(gap / reached)  # of half a turn
-    found: FloatArray = np.sqrt(reached**2 - gap**2) - gap * touched
+    found: FloatArray = np.sqrt(np.maximum(reached**2 - gap**2, 0.0)) - gap * touched
     return found
 
 

@@ -7,7 +7,9 @@ force can do.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import combinations_with_replacement
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -29,8 +31,17 @@ _WHOLE = 0.1
 _AS_GOOD = 1.6
 """What may be left with the jump mended, over the geometric mean of what is left on either side: where the motion
 changes its course within a few cycles, as in a gap, one side is rougher than the other."""
+_FAR_WORSE = 15.0
+"""And without it at the least, over the quieter side, at an edge or of jumps that hide each other: less is left where a
+clearance is reached, too."""
 _CONFIRM = 2.25
 _HARMONICS = 3
+_WIDTH = 2 + 2 * 4 + 2 * 2 * (_HARMONICS - 1)
+"""Harmonics that smooth cycles have, and how many columns they and a slope of the zero are."""
+_TOGETHER = 3  # jumps by a sample, closer to each other than the phase tells apart
+_PLACES = 16  # at which each of them is tried
+_NEAR = 8  # samples around these at which they are found ...
+_ALTERNATIONS = 4  # ... one after the other, so many times
 _NORMAL = 1.4826
 
 
@@ -95,12 +106,10 @@ def find_jump(values: FloatArray, sampling_rate: float, frequency: float, interv
         if len(tried) == _TRIES:
             break
         tried.append(float(places[at]))
-        # what is missing lets everything come too early
-        shift = -float(count[at]) * interval
-        jump = _confirmed(values, sampling_rate, path, float(places[at]), shift, interval)
-        if jump is not None:
+        window = _Window(values, sampling_rate, path, float(places[at]))
+        if (jump := _confirmed(window, int(count[at]), interval * sampling_rate)) is not None:
             return jump
-    return None
+    return _at_an_edge(values, sampling_rate, path, interval)
 
 
 def repeats(values: FloatArray, step: float, noise: float) -> IntArray:
@@ -171,84 +180,160 @@ def _steps(path: Track) -> tuple[FloatArray, FloatArray, FloatArray]:
         scaled = residual * amplitude[first:last]
         common = _NORMAL / 0.9 * float(np.median(scaled)) / amplitude[first:last]
         error = np.hypot(residual, common) * float(np.linalg.norm(inverse[-1]))
-        empty = np.isnan(found[first:last])
-        found[first:last][empty], errors[first:last][empty] = steps[empty], error[empty]
+        # another jump within reach makes the cubic rough: a shorter reach leaves it out
+        better = ~(errors[first:last] <= error)
+        found[first:last][better], errors[first:last][better] = steps[better], error[better]
     known = np.isfinite(found)
     return found[known], np.maximum(errors[known], 1e-12 * float(path.time[-1])), time[known]
 
 
-def _confirmed(
-    values: FloatArray, sampling_rate: float, path: Track, place: float, shift: float, interval: float
-) -> Jump | None:
-    """Return the jump near a place that the samples themselves show, or None."""
-    centre, half = round(place * sampling_rate), int(_CONFIRM * sampling_rate / path.frequency)
-    low, high = max(0, centre - half), min(values.size, centre + half + 1)
-    if high - low < 1.5 * half:
-        return None
-    rate = 2.0 * np.pi * path.frequency / sampling_rate
-    window = values[low:high]
-    freedom = window.size - _width()
-    floor = np.finfo(float).eps ** 2 * float(window @ window)
-    # beside it, the same number of cycles without a jump
-    beside: list[float] = []
-    for start in (low - 2 * half, high):
-        part = values[max(start, 0) : max(start, 0) + 2 * half + 1]
-        if start >= 0 and part.size == 2 * half + 1:
-            beside.append(_misfit(part, rate, part.size, 0.0) / (part.size - _width()))
-    without = _misfit(window, rate, window.size, 0.0)
-    if not beside:
-        return None
+def _at_an_edge(values: FloatArray, sampling_rate: float, path: Track, interval: float) -> Jump | None:
+    """Return a jump by a sample in cycles of which too few lie beyond for the phase to tell it."""
+    reach = _CONFIRM / path.frequency
+    for place in (reach, values.size / sampling_rate - reach):
+        window = _Window(values, sampling_rate, path, place)
+        if not window.is_told or not window.is_clear:
+            continue
+        one = interval * sampling_rate
+        for shift in (one, -one):
+            if (jump := window.jump(shift, one)) is not None:
+                return jump
+    return None
+
+
+class _Window:
+    """The samples around a place, and what smooth cycles leave of them with jumps mended.
+
+    ``noise`` is what the quieter of the cycles beside them leaves, ``usual`` their geometric mean, both per sample.
+    """
+
+    def __init__(self, values: FloatArray, sampling_rate: float, path: Track, place: float) -> None:
+        per_cycle = sampling_rate / path.frequency
+        centre, half = round(place * sampling_rate), int(_CONFIRM * per_cycle)
+        self.low, high = max(0, centre - half), min(values.size, centre + half + 1)
+        self.rate = 2.0 * np.pi / per_cycle
+        self.values = values[self.low : high]
+        self.freedom = self.values.size - _WIDTH
+        self.floor = float(np.finfo(float).eps) ** 2 * float(self.values @ self.values)
+        reach = int(1.25 * per_cycle)
+        self.bounds = max(self.low + 4, centre - reach), min(high - 4, centre + reach)
+        # beside it, the same number of cycles without a jump
+        beside: list[float] = []
+        for start in (self.low - 2 * half, high):
+            part = values[max(start, 0) : max(start, 0) + 2 * half + 1]
+            if start >= 0 and part.size == 2 * half + 1:
+                beside.append(_misfit(part, self.rate) / (part.size - _WIDTH))
+        self.is_told = high - self.low >= 1.5 * half and bool(beside)
+        self.without = self.left()
+        quiet = np.maximum(beside or [np.inf], self.floor)
+        self.noise = float(quiet.min()) * max(1.0 - 4.0 * np.sqrt(2.0 / self.freedom), 0.1)
+        self.usual = float(np.exp(np.mean(np.log(quiet))))
+
+    def left(self, *jumps: tuple[int, float]) -> float:
+        """Return what is left with jumps at these samples of the record by so many samples."""
+        return _misfit(self.values, self.rate, *((at - self.low, shift) for at, shift in jumps))
+
+    def gain(self, least: float, other: float) -> float:
+        """Return the logarithm of the likelihood ratio of what is left with jumps over something else."""
+        return 0.5 * self.freedom * float(np.log(max(other, self.floor) / max(least, self.floor)))
+
+    @property
+    def is_clear(self) -> bool:
+        """Return whether far more is left without a jump than of the cycles beside: nothing that bends explains it."""
+        return self.without / self.freedom > _FAR_WORSE * max(self.noise, self.floor)
+
+    def is_as_good(self, least: float) -> bool:
+        """Return whether the cycles are as smooth with jumps mended as those beside them."""
+        return least / self.freedom <= _AS_GOOD * max(self.usual, self.floor)
+
+    def placed(
+        self, shift: float, *others: tuple[int, float], around: int | None = None
+    ) -> tuple[IntArray, FloatArray]:
+        """Return samples at which a jump may be beside others, and what each leaves; closest at the best of them."""
+        first, last = self.bounds
+        stride = max(1, (last - first) // 60)
+        if around is not None:
+            first, last = max(first, around - _NEAR), min(last, around + _NEAR + 1)
+            stride = 1
+        candidates = np.arange(first, last, stride)
+        misfits = np.array([self.left(*others, (int(at), shift)) for at in candidates])
+        for finer in (max(1, stride // 6), 1):
+            best = int(candidates[int(np.argmin(misfits))])
+            if finer < stride:
+                extra = np.arange(max(first, best - stride), min(last, best + stride + 1), finer)
+                extra = np.setdiff1d(extra, candidates)
+                candidates = np.concatenate([candidates, extra])
+                misfits = np.concatenate([misfits, [self.left(*others, (int(at), shift)) for at in extra]])
+                stride = finer
+        return candidates, misfits
+
+    def jump(self, shift: float, one: float, *others: tuple[int, float], around: int | None = None) -> Jump | None:
+        """Return the jump by ``shift`` samples, whole multiples of ``one``, that the samples show beside others."""
+        candidates, misfits = self.placed(shift, *others, around=around)
+        best, least = int(candidates[int(np.argmin(misfits))]), float(misfits.min())
+        either = [self.left(*others, (best, shift + more * one)) for more in (-1.0, 1.0)]
+        if self.gain(least, min(self.without, self.left(*others), *either)) < _GAIN:
+            return None
+        # the parabola through the misfits one interval to either side has its bottom where the shift fits best
+        bend = either[0] + either[1] - 2.0 * least
+        off, error = 0.5 * (either[0] - either[1]) / bend, np.sqrt(2.0 * least / self.freedom / bend)
+        if not abs(off) < _WHOLE + 3.0 * error or not self.is_as_good(least):
+            return None
+        likely = candidates[misfits < least + 4.0 * max(least / self.freedom, self.floor)]
+        return Jump(best, round(shift / one), int(max(likely.max() - best, best - likely.min())))
+
+
+def _confirmed(window: _Window, count: int, one: float) -> Jump | None:
+    """Return the jump in a window that the samples themselves show, the first of some that lie close, or None."""
     # what no jump can gain is not searched for: it leaves the noise of the quieter neighbour, four deviations aside
-    noise = max(min(beside) * max(1.0 - 4.0 * np.sqrt(2.0 / freedom), 0.1), floor)
-    if 0.5 * freedom * np.log(max(without / freedom, floor) / noise) < _GAIN:
+    if not window.is_told or window.gain(window.freedom * window.noise, window.without) < _GAIN:
         return None
-    moved = shift * sampling_rate
-    reach = int(1.25 * sampling_rate / path.frequency)
-    bounds = (max(low + 4, centre - reach), min(high - 4, centre + reach))
-    stride = max(1, (bounds[1] - bounds[0]) // 60)
-    candidates = np.arange(bounds[0], bounds[1], stride)
-    misfits = np.array([_misfit(window, rate, int(at) - low, moved) for at in candidates])
-    for finer in (max(1, stride // 6), 1):
-        best = int(candidates[int(np.argmin(misfits))])
-        if finer < stride:
-            extra = np.arange(max(bounds[0], best - stride), min(bounds[1], best + stride + 1), finer)
-            extra = np.setdiff1d(extra, candidates)
-            candidates = np.concatenate([candidates, extra])
-            misfits = np.concatenate([misfits, [_misfit(window, rate, int(at) - low, moved) for at in extra]])
-            stride = finer
-    best = int(candidates[int(np.argmin(misfits))])
-    least = float(misfits.min())
-    one = interval * sampling_rate
-    others = [_misfit(window, rate, best - low, moved + extra * one) for extra in (-1.0, 1.0)]
-    gain = 0.5 * freedom * np.log(max(min(without, *others), floor) / max(least, floor))
-    if gain < _GAIN:
-        return None
-    # the parabola through the misfits one interval to either side has its bottom where the shift fits best
-    bend = others[0] + others[1] - 2.0 * least
-    off, error = 0.5 * (others[0] - others[1]) / bend, np.sqrt(2.0 * least / freedom / bend)
-    if not abs(off) < _WHOLE + 3.0 * error:
-        return None
-    if least / freedom > _AS_GOOD * max(float(np.exp(np.mean(np.log(np.maximum(beside, floor))))), floor):
-        return None
-    scale = max(least / freedom, floor)
-    likely = candidates[misfits < misfits.min() + 4.0 * scale]
-    return Jump(best, round(shift / interval), int(max(likely.max() - best, best - likely.min())))
+    # what is missing lets everything come too early
+    if (found := window.jump(-count * one, one)) is not None:
+        return found
+    sign = 1 if count > 0 else -1
+    for together in (count, count + sign, count - sign) if window.is_clear else ():
+        if 1 < abs(together) <= _TOGETHER and (found := _first_of_several(window, together, one)) is not None:
+            return found
+    return None
 
 
-def _width() -> int:
-    return 2 + 2 * 4 + 2 * 2 * (_HARMONICS - 1)
+def _first_of_several(window: _Window, count: int, one: float) -> Jump | None:
+    """Return the first of some jumps by a sample that lie closer than the phase tells apart, ``count`` together.
+
+    Each has to be seen beside the others.
+    """
+    first, last = window.bounds
+    grid = range(first, last, max(1, (last - first) // _PLACES))
+    shift = -float(np.sign(count)) * one
+
+    def left(places: Iterable[int]) -> float:
+        return window.left(*((at, shift) for at in places))
+
+    def beside(k: int) -> list[tuple[int, float]]:
+        return [(at, shift) for j, at in enumerate(places) if j != k]
+
+    places = list(min(combinations_with_replacement(grid, abs(count)), key=left))
+    for _ in range(_ALTERNATIONS):
+        for k, at in enumerate(places):
+            tried, misfits = window.placed(shift, *beside(k), around=at)
+            places[k] = int(tried[int(np.argmin(misfits))])
+    found = [window.jump(shift, one, *beside(k), around=at) for k, at in enumerate(places)]
+    jumps = [jump for jump in found if jump is not None]
+    return min(jumps, key=lambda jump: jump.index) if len(jumps) == abs(count) else None
 
 
-def _misfit(window: FloatArray, rate: float, at: int, shift: float) -> float:
-    """Return what a few smooth cycles leave of a window whose samples from ``at`` on come ``shift`` samples later."""
+def _misfit(window: FloatArray, rate: float, *jumps: tuple[int, float]) -> float:
+    """Return what a few smooth cycles leave of a window, from whose samples ``at`` on all come ``shift`` later."""
     place = np.arange(window.size, dtype=np.float64)
-    weight = None
-    if shift < 0.0:
-        # what is too much is not fitted
-        keep = (place < at) | (place >= at - shift)
-        place, window = place[keep], window[keep]
-        weight = keep.size / max(int(np.count_nonzero(keep)), 1)
-    place = np.where(place >= at, place + shift, place)
+    shifted, keep = place.copy(), np.ones(place.size, dtype=np.bool_)
+    for at, shift in jumps:
+        shifted[at:] += shift
+        if shift < 0.0:
+            # what is too much is not fitted
+            keep &= (place < at) | (place >= at - shift)
+    weight = keep.size / max(int(np.count_nonzero(keep)), 1)
+    place, window = shifted[keep], window[keep]
     u = 2.0 * place / max(place[-1], 1.0) - 1.0
     columns = [np.ones_like(u), u]
     for order in range(1, _HARMONICS + 1):
@@ -258,4 +343,4 @@ def _misfit(window: FloatArray, rate: float, at: int, shift: float) -> float:
     design = np.array(columns).T
     q, _ = np.linalg.qr(design)
     left = window - q @ (q.T @ window)
-    return float(left @ left) * (weight or 1.0)
+    return float(left @ left) * weight
