@@ -1290,7 +1290,9 @@ def test_two_rare_laws_are_likelier_one_that_the_library_lacks(names, is_like):
     assert ("like" in said) == is_like
 
 
-@pytest.mark.parametrize(("change", "error", "is_bent"), [(0.4, 0.05, True), (0.4, 0.3, False), (0.05, 0.01, False)])
+@pytest.mark.parametrize(
+    ("change", "error", "is_bent"), [(0.4, 0.05, True), (0.4, 0.3, False), (0.06, 0.005, True), (0.03, 0.005, False)]
+)
 def test_a_law_beside_which_damping_is_to_change_by_much_is_one_like_it(change, error, is_bent):
     names = ("speed_limited_damping",)
     own, variances = np.zeros((3, 20)), np.zeros((3, 20))

@@ -14,7 +14,7 @@ from scipy.signal import butter, sosfilt
 import pymc_backbone as pb
 from pymc_backbone.discrepancy.disturbances import edges as edges_module
 from pymc_backbone.discrepancy.disturbances.disturbance import Disturbance, Disturbed, line_modes, sentences
-from pymc_backbone.discrepancy.disturbances.edges import Edges, edges
+from pymc_backbone.discrepancy.disturbances.edges import Edges, begun_otherwise, edges
 from pymc_backbone.discrepancy.disturbances.mode_lines import hum_of, is_hum
 from pymc_backbone.discrepancy.disturbances.readings import _is_one_line, disturbed, early_line
 from pymc_backbone.discrepancy.sets.promising import is_promising
@@ -39,6 +39,7 @@ from .discrepancy_cases import (
 )
 
 LINE = 2.2 * FREQUENCY
+CONTACTS = ("freeplay", "quadratic_stiffness")
 CANDIDATES = ("cubic_stiffness", "quadratic_stiffness", "quadratic_damping", "displacement_dependent_damping")
 
 
@@ -437,6 +438,31 @@ def test_a_slider_that_slips_in_some_cycles_is_named(rng):
         records.append(noisy(rng, f"specimen {number + 1}", kept, exact, 55.0))
     study = asked(records, ("jenkins", "cubic_stiffness"))
     assert study.missing_effects == ("jenkins",)
+
+
+def test_what_relaxes_in_the_first_cycle_is_told_and_no_clearance(rng):
+    """The arms of a rubber were loaded slowly: its zero creeps for a part of a cycle, as where a gap closes once."""
+    records = []
+    for record in make_records(rng, (), specimens=3, decibels=50.0):
+        kept = record.time >= RELEASE_TIME
+        turns = (record.time[kept] - RELEASE_TIME) * FREQUENCY
+        creep = 0.02 * AMPLITUDE * np.exp(-turns / 0.15)
+        records.append(replace(record, time=record.time[kept], values=record.values[kept] + creep))
+    search = searched(records, CONTACTS)
+    best = search.best()
+    assert best and begun_otherwise(search.batch, search.fits[()], search.fits[best]) is not None
+    study = asked(records, CONTACTS)
+    assert study.verdict == "adequate"
+    (note,) = [note for note in study.notes if "no free motion" in note]
+    assert "freeplay" in note and "which would act in them alone" in note
+
+
+@pytest.mark.parametrize("name", ["one_sided_stiffness", "cubic_stiffness"])
+def test_a_law_is_seen_in_more_than_the_first_cycle(name, rng):
+    is_stop = name == "one_sided_stiffness"
+    search = searched(dragged(rng, drag=0.0, stop=0.3) if is_stop else make_records(rng, (name,), specimens=3), (name,))
+    assert search.best() == (name,)
+    assert begun_otherwise(search.batch, search.fits[()], search.fits[(name,)]) is None
 
 
 def test_a_stop_that_first_cycles_reach_is_named(rng):

@@ -33,7 +33,7 @@ _SMALL = 12.0  # gap that it closes, in standard deviations of the noise, beyond
 _LARGE = 0.01  # share of the motion that this gap is, beyond which that is rarer, too
 _ONE_FORCE = frozenset(("spring", "asymmetry"))  # the odd and the even part of one
 _FAR = 2.0  # reduced chi-square that is far more than noise
-_MOST_FADING = 0.1  # of the damping, that changes with time in one decay at most where a law holds beside that
+_MOST_FADING = 0.04  # of the damping, that changes with time in one decay at most where a law holds beside that
 _WEIGHT_OF_NOISE = 0.1  # how much rarer residuals like noise are where the library lacks what is missing
 
 

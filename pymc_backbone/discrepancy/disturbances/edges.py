@@ -23,6 +23,7 @@ _STEEP = 3.0  # power of the fall of the motion's square by which a law's may fa
 _CLEARLY = 100.0  # and over that of noise ...
 _SEEN = 10.0  # ... or so much in most records, where they are more than any law leaves by which the motion falls:
 _STEEPEST = 10.0  # the square of a force of the fifth power of the amplitude
+_GAINED, _OF_ALL = 10.0, 0.8  # chi-square that a set gains in the first cycle, and share of all that it gains
 _REMAINS, _REMAINS_ALONE = 3.0, 2.0  # the same two where the edge is known to be none, and some of it is left
 
 
@@ -37,7 +38,7 @@ class Edges:
     cycles : int
         How many first cycles are none, in the record of which these are most.
     beside : str
-        An effect that explains these as well, as it acts in them alone; empty for none.
+        Effects that explain these as well, as they act in them alone; empty for none.
     """
 
     first: dict[str, float]
@@ -62,7 +63,9 @@ class Edges:
         parts, causes = [], []
         if self.first:
             parts.append(f"the first cycles of {_counted(self.first)}")
-            causes.append("a hand, a trigger, a second blow or a filter that has to settle is in them")
+            causes.append(
+                "a hand, a trigger, a second blow, a filter that has to settle or a rubber that relaxes is in them"
+            )
         if self.last:
             parts.append(f"the last cycles of {_counted(self.last)}")
             causes.append("a filter that runs both ways meets the end there, or something stops the motion")
@@ -118,6 +121,32 @@ def edges(batch: Batch, found: Fit, known: Edges | None = None) -> Edges | None:
         {item.specimen: float(item.time[-1]) - (cut + _BEYOND) / item.frequency for item, cut in last.items()},
         max(first.values(), default=0),
     )
+
+
+def begun_otherwise(batch: Batch, fewer: Fit, more: Fit) -> Edges | None:
+    """Return the first cycles, where these alone speak for what a set has more than another; None where they do not.
+
+    What acts in all cycles, or bends the phase of those that follow, is seen in all of them. What is gained in the
+    first one and in none after it, in most records and by more than the motion falls, may be a joint or a rubber that
+    relaxes, a filter that settles, or a contact that closes once: one cycle does not tell which.
+    """
+    if not batch.has_open_records:
+        return None
+    speaking = 0
+    for r, (term, record) in enumerate(zip(batch.waveform, batch.records, strict=True)):
+        alone, with_it = (evidence.residuals_of(term, found, r) for found in (fewer, more))
+        seen = _Seen(batch.specimens[r], term, record.frequency, alone)
+        if not seen.is_long_enough:
+            return None
+        motion, each = term.compared(term.values), alone.size / seen.cycles
+        gained = np.cumsum(alone**2 - with_it**2)
+        first, then, last = (float(gained[min(round(k * each), gained.size) - 1]) for k in (1, 2, seen.cycles))
+        least = _FIRST_ALONE * float(_falls(motion, each, 1)[0]) ** _STEEP
+        speaking += first > max(_GAINED, least * (then - first), _OF_ALL * last)
+    if speaking <= len(batch.records) / 2:
+        return None
+    together = zip(batch.specimens, batch.waveform, batch.records, strict=True)
+    return Edges({name: float(term.time[0]) + _BEYOND / record.frequency for name, term, record in together}, cycles=1)
 
 
 def _cut(seen: Mapping[_Seen, _Off], known: Mapping[str, float]) -> dict[_Seen, int]:
@@ -222,4 +251,4 @@ def _disturbed(left: FloatArray, each: float, most: int, clearly: float = _CLEAR
     return 0
 
 
-__all__ = ["Edges", "between", "edges"]
+__all__ = ["Edges", "begun_otherwise", "between", "edges"]

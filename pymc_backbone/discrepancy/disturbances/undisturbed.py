@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import replace
 from itertools import combinations
 from typing import NamedTuple
@@ -26,7 +26,7 @@ from .disturbance import Disturbed, sentences
 from .drifting_zero import drifting_zero
 from .drop_outs import drop_outs
 from .earlier_release import earlier
-from .edges import Edges, edges
+from .edges import Edges, begun_otherwise, edges
 from .filter_search import early_high_pass, sensor_filter, settled
 from .motion_noise import motion_noise
 from .readings import disturbed, early_line
@@ -206,7 +206,8 @@ def _without_edges(changed: Changed, known: Undisturbed) -> Known | None:
     Where what the best set leaves is free motion at the edges, too: what leaves noise, with some effects of that set,
     of records without edges that are off by it. Of a best set that leaves noise itself, that is the first cycle alone,
     and without effects that remember: these hold another force before they first turn, and follow a hand there. A
-    slider that slips in that cycle and never again is told beside it, and not named.
+    slider that slips in that cycle and never again is told beside it, and not named; nor is anything else for which
+    the first cycle alone speaks.
     """
     search = known.search
     best = search.best()
@@ -221,10 +222,30 @@ def _without_edges(changed: Changed, known: Undisturbed) -> Known | None:
         if not (is_needed or _remember(search, idle)) or (cut := _cut_by(changed, search, names)) is None:
             continue
         if evidence.leaves_noise(cut.batch, cut.found) and (is_needed or cut.lost.cycles == 1):
-            beside = "" if is_needed else " and ".join(map(in_words, idle))
+            beside = "" if is_needed else _in_words(idle)
             said = replace(cut.lost, beside=beside)
             return changed.but(said.sentence, records=said.undisturbed(changed.records)).asked()
+    return None if is_needed else _begun_otherwise(changed, search)
+
+
+def _begun_otherwise(changed: Changed, search: Search) -> Known | None:
+    """Return the question of records without their first cycle, where it alone speaks for a part of the best set."""
+    best = search.best()
+    for names in (names for size in range(len(best)) for names in combinations(best, size) if names in search.fits):
+        if (lost := begun_otherwise(search.batch, search.fits[names], search.fits[best])) is None:
+            continue
+        said = replace(lost, beside=_in_words(name for name in best if name not in names))
+        tried = changed.but(said.sentence, records=said.undisturbed(changed.records))
+        batch = tried.posed().batch
+        again = fitted_on(search.fits[names], batch) if batch.specimens == search.batch.specimens else None
+        if again is not None and evidence.leaves_noise(batch, again):
+            return tried.asked()
     return None
+
+
+def _in_words(names: Iterable[str]) -> str:
+    """Return the names of effects, of which none need be there."""
+    return " or ".join(map(in_words, names))
 
 
 def _remember(search: Search, names: Collection[str]) -> bool:

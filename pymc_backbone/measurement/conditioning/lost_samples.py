@@ -240,7 +240,7 @@ class _Window:
     @property
     def is_clear(self) -> bool:
         """Return whether far more is left without a jump than of the cycles beside: nothing that bends explains it."""
-        return self.without / self.freedom > _FAR_WORSE * max(self.noise, self.floor)
+        return bool(self.without / self.freedom > _FAR_WORSE * max(self.noise, self.floor))
 
     def is_as_good(self, least: float) -> bool:
         """Return whether the cycles are as smooth with jumps mended as those beside them."""
