@@ -38,6 +38,7 @@ _CONFIRM = 2.25
 _HARMONICS = 3
 _WIDTH = 2 + 2 * 4 + 2 * 2 * (_HARMONICS - 1)
 """Harmonics that smooth cycles have, and how many columns they and a slope of the zero are."""
+_NOTHING = 1e-300  # where a structure is at rest and a logger has no noise
 _TOGETHER = 3  # jumps by a sample, closer to each other than the phase tells apart
 _PLACES = 16  # at which each of them is tried
 _NEAR = 8  # samples around these at which they are found ...
@@ -213,8 +214,9 @@ class _Window:
         self.low, high = max(0, centre - half), min(values.size, centre + half + 1)
         self.rate = 2.0 * np.pi / per_cycle
         self.values = values[self.low : high]
-        self.freedom = self.values.size - _WIDTH
-        self.floor = float(np.finfo(float).eps) ** 2 * float(self.values @ self.values)
+        self.freedom = max(self.values.size - _WIDTH, 1)
+        # at rest nothing is left of nothing
+        self.floor = max(float(np.finfo(float).eps) ** 2 * float(self.values @ self.values), _NOTHING)
         reach = int(1.25 * per_cycle)
         self.bounds = max(self.low + 4, centre - reach), min(high - 4, centre + reach)
         # beside it, the same number of cycles without a jump
