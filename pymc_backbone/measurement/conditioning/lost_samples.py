@@ -88,6 +88,8 @@ def find_jump(values: FloatArray, sampling_rate: float, frequency: float, interv
     place without the cycle on either side of it, by a cubic and a step. Where the step stands out, the samples
     themselves decide: with so many put in (or taken out) the cycles around must be as smooth as those beside them, much
     smoother than with another number or none, and smoothest with a whole number. This also finds the place.
+    Where far more is left than beside it, a few jumps that lie closer than the phase tells apart are looked for
+    together, and one in first or last cycles, of which too few lie beyond for a step.
     """
     path = track(values, sampling_rate, frequency)
     if path is None or path.cycles < 5.0:
