@@ -490,6 +490,13 @@ def test_mid_lines_are_counted_from_the_zero_that_the_samples_want(cubic):
     middle = level_chi_square(seen, there)
     assert middle == pytest.approx(level_chi_square(batch, off))
     assert middle > 1.5 * level_chi_square(batch, there)
+    # no drift in time moves the mid-line: without it, frequency and damping alone are held against a fit, and are
+    alone = level_chi_square(seen, there, has_mid_line=False)
+    assert alone == pytest.approx(level_chi_square(batch, there, has_mid_line=False), rel=1e-9)
+    assert alone < level_chi_square(batch, there)
+    own = own.copy()
+    own[:, 0] *= 1.01
+    assert level_chi_square(seen, replace(found, state=State(found.state.eta, own)), has_mid_line=False) > 30.0 * alone
     levels, row = batch.backbones["level"].values, 2
     moved = (batch.backbones["value"] - seen.backbones["value"]).values
     np.testing.assert_allclose(moved[1, row], -0.01 * AMPLITUDE / levels, rtol=1e-9)

@@ -957,7 +957,7 @@ def test_a_drift_that_is_not_certain_is_told_beside_the_sets(chance, verdict):
 
 @pytest.mark.parametrize(("left", "is_named"), [(0.9, True), (4.9, True), (5.1, False), (np.inf, False)])
 def test_no_name_is_given_against_the_backbones(left, is_named, monkeypatch):
-    monkeypatch.setattr(decide, "level_chi_square", lambda batch, found: left)
+    monkeypatch.setattr(decide, "level_chi_square", lambda batch, found, *, has_mid_line: left)
     batch = SimpleNamespace(has_records=True, is_behind_filter=False)
     search = SimpleNamespace(batch=batch, fits={("a",): None, ("a", "b"): None})
     named = decision_of("found", named_level=NamedLevel.LAW, ranked=(("a", "b"), ("a",)), drifts=(("a", "b"),))
@@ -1314,6 +1314,11 @@ def test_a_law_that_wants_another_of_its_mechanism_below_the_tolerance_is_one_li
     assert not decide._is_inexact_alone(search, replace(decision, below=("quadratic_damping",)))
     assert not decide._is_inexact_alone(search, replace(decision, below=("freeplay",)))
     assert not decide._is_inexact_alone(search, replace(decision, probabilities={power: 0.81, both: 0.12}))
+    # a damper that weakens with the displacement and rises at another is one law, and none that falls
+    falling, two = ("mid_stroke_damping",), ("dead_band_damping", "mid_stroke_damping")
+    damper = replace(decision, best=falling, probabilities={falling: 0.12, two: 0.81}, below=("dead_band_damping",))
+    assert decide._is_inexact_alone(search, damper)
+    assert not decide._is_inexact_alone(search, replace(damper, below=("cubic_stiffness",)))
 
 
 @pytest.mark.parametrize(
@@ -1453,7 +1458,7 @@ def test_what_imitates_a_law_from_outside_is_mostly_of_the_mechanism_that_closes
 )
 def test_exact_sets_that_agree_on_the_mechanism_only_name_it(chances, options, level, monkeypatch):
     monkeypatch.setattr(decide, "estimates_of", lambda fit: {})
-    monkeypatch.setattr(decide, "level_chi_square", lambda batch, fit: 30.0)
+    monkeypatch.setattr(decide, "level_chi_square", lambda batch, fit, *, has_mid_line: 30.0)
     costs = {(): 250.0, ("iwan",): 180.0, ("jenkins",): 181.0, ("cubic_stiffness",): 181.0}  # the noise is louder
     search = SimpleNamespace(
         count=100, variants=(), batch=SimpleNamespace(is_behind_filter=False),

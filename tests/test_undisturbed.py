@@ -261,6 +261,45 @@ def test_everything_is_asked_anew_where_a_line_is_not_all_that_disturbs_records(
     assert known.search is (anew if explains and not is_bent else first)
 
 
+@pytest.mark.parametrize(("plain", "is_kept"), [(1e-3, False), (1.5e-3, True)])
+def test_a_filter_that_straightened_records_do_not_need_is_taken_back(plain, is_kept, monkeypatch):
+    """The second harmonic of a bent sensor had been that of a spring that a high-pass turns."""
+    for name in ("drop_outs", "drifting_zero", "earlier", "edges", "motion_noise"):
+        monkeypatch.setattr(module, name, lambda *_: None)
+    monkeypatch.setattr(module, "sensor_filter", lambda _: SensorFilter(1, 0.5, "high-pass"))
+    monkeypatch.setattr(module, "gains", lambda *_: True)
+    left = {"base": 1.0, "behind": 0.1, "straight behind": 1e-3, "straight": plain}
+    monkeypatch.setattr(changed.evidence, "lack_of_fit", lambda _, found: SimpleNamespace(share=left[found], p_value=0))
+    monkeypatch.setattr(changed.evidence, "leaves_noise", lambda _, found: found.startswith("straight"))
+    for place in (module, changed):
+        monkeypatch.setattr(place, "over_motion", lambda _, found: left[found])
+    bent = module.Disturbed({"one": SimpleNamespace(bent=0.01, frequency=1.0)}, ())
+    monkeypatch.setattr(module, "disturbed", lambda _: bent)
+    monkeypatch.setattr(changed, "sentences", lambda found: [])
+    monkeypatch.setattr(module, "sentences", lambda found: ["straightened"])
+    monkeypatch.setattr(module.Disturbed, "undisturbed", lambda _self, records: ["straight"])
+    monkeypatch.setattr(SensorFilter, "passed", lambda _self, batch: {**batch, "is_behind": True})
+    monkeypatch.setattr(SensorFilter, "undone", lambda _self, records, _batch: records)
+    monkeypatch.setattr(SensorFilter, "sentence", lambda *_: "behind a filter")
+
+    @dataclass
+    class Question:
+        batch: dict
+
+        def of_records(self, records, measuring, said):
+            return Question({"is_straight": records == ["straight"]})
+
+    def searched(question, *early):
+        said = " ".join(word for word, key in (("straight", "is_straight"), ("behind", "is_behind")) if key in
+                        {name for name, value in question.batch.items() if value})  # fmt: skip
+        return SimpleNamespace(halted=None, is_told=False, batch=question.batch, fits={(): said}, best=tuple)
+
+    first = SimpleNamespace(halted=None, is_told=False, batch={}, fits={(): "base"}, best=tuple)
+    known = module.undisturbed(Question({}), first, [], None, searched, lambda _: {})
+    assert known.is_bent
+    assert known.search.fits[()] == ("straight behind" if is_kept else "straight")
+
+
 @pytest.mark.parametrize("explains", [True, False])
 def test_a_high_pass_that_what_was_found_behind_it_needs_not_is_taken_back(explains, monkeypatch):
     """The search without it is taken to its end; where that leaves more than noise, the one behind it stands."""

@@ -32,6 +32,7 @@ _STANDS_IN = 0.2  # how probable it is that the weakest of several effects stand
 _SMALL = 12.0  # gap that it closes, in standard deviations of the noise, beyond which that is rarer
 _LARGE = 0.01  # share of the motion that this gap is, beyond which that is rarer, too
 _ONE_FORCE = frozenset(("spring", "asymmetry"))  # the odd and the even part of one
+_FALLING, _RISING = "falling_damping", frozenset(("drag", "displacement_damping"))  # the same damper, at other places
 _FAR = 2.0  # reduced chi-square that is far more than noise
 _MOST_FADING = 0.04  # of the damping, that changes with time in one decay at most where a law holds beside that
 _WEIGHT_OF_NOISE = 0.1  # how much rarer residuals like noise are where the library lacks what is missing
@@ -286,10 +287,12 @@ def _is_one_curve(search: Search, decision: Decision) -> bool:
 def _is_inexact_alone(search: Search, decision: Decision) -> bool:
     """Return whether what is named is likelier with something of its own mechanism that is below the tolerance.
 
-    Then it is a law like that one. A spring that differs a little between the two sides is none of a symmetric law.
+    Then it is a law like that one. A spring that differs a little between the two sides is none of a symmetric law, and
+    a damper that weakens and rises again at another place is none of a law that falls.
     """
     kinds = {search.mechanism_of(name) for name in decision.best}
     kinds |= _ONE_FORCE if kinds & _ONE_FORCE else set()
+    kinds |= _RISING if _FALLING in kinds else set()
     alone = decision.probabilities.get(decision.best, 0.0)
     return alone < 0.5 * decision.probability and any(search.mechanism_of(name) in kinds for name in decision.below)
 
@@ -377,14 +380,17 @@ def _mind_backbones(search: Search, decision: Decision) -> Decision:
         return decision
     if not _backbones_disagree(search, decision.ranked[0]):
         return decision
-    left = level_chi_square(search.batch, search.fits[decision.ranked[0]])
+    left = level_chi_square(search.batch, search.fits[decision.ranked[0]], has_mid_line=False)
     return replace(decision, verdict=Verdict.AMBIGUOUS, named_level=None, listed=(decision.best,), against=left)
 
 
 def _backbones_disagree(search: Search, names: Set) -> bool:
-    """Return whether a set leaves the backbones far off; behind a filter they are not those of the motion."""
+    """Return whether a set leaves the backbones far off; behind a filter they are not those of the motion.
+
+    Of frequency and damping, which a drift beside it may have bent: none moves the mid-line.
+    """
     batch = search.batch
-    return not batch.is_behind_filter and level_chi_square(batch, search.fits[names]) >= AGREE
+    return not batch.is_behind_filter and level_chi_square(batch, search.fits[names], has_mid_line=False) >= AGREE
 
 
 def _complete(search: Search) -> None:

@@ -35,6 +35,7 @@ from .sensor_filter import SensorFilter
 _RARE = 0.05  # p-value of noise up to which a few samples are looked at
 _PASSES = 2  # times that bent sensors and lines are looked for
 _EDGES = 4  # and edges
+_AS_QUIET = 1.02  # noise over the motion, with and without a filter in front of straightened records
 _QUIETER = 0.8  # of the noise that a drift leaves over the motion, up to which straightened records explain more
 
 
@@ -107,8 +108,10 @@ def _one_by_one(first: Known) -> Undisturbed:
     """Return the question and search of records without what disturbs them, asked one after the other."""
     drifts, now = first.changed.drifts, first
     # releases before first samples are left out, which say how what remembers was released
-    for without in (_eased, _without_drop_outs, _filtered):
+    for without in (_eased, _without_drop_outs):
         now = without(*now) or now
+    unfiltered = now
+    now = _filtered(*now) or now
     if now.changed.is_of_rates and (steady := _steadied(now)) is not None:
         return steady
     now = _released_earlier(*now) or now
@@ -127,8 +130,21 @@ def _one_by_one(first: Known) -> Undisturbed:
     straight = _straightened(now)
     if straight is None:
         return known
+    if straight.is_bent and now.changed.sensor_filter is not None:
+        straight = _as_quiet(_straightened(unfiltered), straight) or straight
     noise = over_motion(straight.search, straight.search.fits[straight.search.best()])
     return straight if noise < _QUIETER * known.noise_beside_drift else known
+
+
+def _as_quiet(plain: Undisturbed | None, straight: Undisturbed) -> Undisturbed | None:
+    """Return straightened records without a filter if no more is left of them than with it, which they do not need.
+
+    The harmonics that a bent sensor makes are imitated by those of a law that a filter turns.
+    """
+    if plain is None:
+        return None
+    noise, other = (over_motion(item.search, item.search.fits[item.search.best()]) for item in (plain, straight))
+    return plain if noise < _AS_QUIET * other else None
 
 
 def _halted(changed: Changed, search: Search) -> tuple[Undisturbed | None, bool]:

@@ -193,11 +193,12 @@ def measured(batch: Batch) -> tuple[FloatArray, FloatArray]:
     return np.asarray(chosen["value"]), np.asarray(chosen["standard_error"])
 
 
-def level_chi_square(batch: Batch, found: Fit, *, is_apart: bool = False) -> float:
+def level_chi_square(batch: Batch, found: Fit, *, is_apart: bool = False, has_mid_line: bool = True) -> float:
     """Return the reduced chi-square of the backbones at a fit, a drift in time that it holds in them.
 
     Of all values together; or, where ``is_apart``, of each by its own error. The errors of one curve go together, and
-    how two of its values differ is said to be known many times better than either.
+    how two of its values differ is said to be known many times better than either. ``has_mid_line`` tells whether the
+    mid-line counts beside frequency and damping.
     The zero of the sensor is where the samples want it: what remembers may come to rest off the middle, and the mean of
     the last samples, from which the mid-line was counted, with it.
     """
@@ -212,12 +213,20 @@ def level_chi_square(batch: Batch, found: Fit, *, is_apart: bool = False) -> flo
         if batch.has_records and not batch.waveform[r].order:  # that of a rate is no displacement
             zero = found.state.own[r, ZERO] / term.levels[term.rows[:, 1]]
             left = left - term.whitening @ np.where(term.rows[:, 0] == _OFFSET, zero, 0.0)
-        if is_apart:
+        if is_apart or not has_mid_line:
             root = np.linalg.inv(term.whitening)
-            left = (root @ left) / np.sqrt((root**2).sum(axis=1))
+            held = slice(None) if has_mid_line else np.flatnonzero(term.rows[:, 0] != _OFFSET)
+            left, root = (root @ left)[held], root[held]
+            left = left / np.sqrt((root**2).sum(axis=1)) if is_apart else _whitened(left, root)
         total += float(left @ left)
-        count += term.size
+        count += left.size
     return total / max(count - 2 * len(batch.levels), 1)
+
+
+def _whitened(left: FloatArray, root: FloatArray) -> FloatArray:
+    """Return some values (n,) whitened, whose covariance is a root (n, m) times its transpose."""
+    whitened: FloatArray = np.linalg.solve(np.linalg.cholesky(root @ root.T), left)
+    return whitened
 
 
 def about_zero(batch: Batch, found: Fit) -> Batch:
