@@ -961,6 +961,7 @@ def test_no_name_is_given_against_the_backbones(left, is_named, monkeypatch):
     batch = SimpleNamespace(has_records=True, is_behind_filter=False)
     search = SimpleNamespace(batch=batch, fits={("a",): None, ("a", "b"): None})
     named = decision_of("found", named_level=NamedLevel.LAW, ranked=(("a", "b"), ("a",)), drifts=(("a", "b"),))
+    monkeypatch.setattr(decide, "departing", lambda _, decision: replace(decision, verdict=Verdict.UNEXPLAINED))
     heeded = decide._mind_backbones(search, named)
     assert (heeded.verdict == "found") == (heeded.named_level == "law") == is_named
     if not is_named:
@@ -971,12 +972,19 @@ def test_no_name_is_given_against_the_backbones(left, is_named, monkeypatch):
     assert decide._mind_backbones(search, by_mechanism) is by_mechanism
     alone = replace(named, drifts=(("a",),))  # what the backbones of a set without a drift say may be their own fault
     assert decide._mind_backbones(search, alone) is alone
+    several = replace(named, verdict=Verdict.AMBIGUOUS, named_level=None, listed=(("a", "b"), ("a",)))
+    assert decide._mind_backbones(search, several) is several
+    # no set is exact then: mechanisms are named, of one set or of several, where backbones tell these apart
+    monkeypatch.setattr(decide, "departing", lambda _, decision: replace(by_mechanism, is_approximate=True))
+    for open_or_named in (named, several):
+        told = decide._mind_backbones(search, open_or_named)
+        assert (told.named_level == "mechanism" and told.is_approximate) == (not is_named)
 
 
 @pytest.mark.parametrize(("against", "asked"), [(30.0, False), (np.nan, True)])
 def test_what_the_backbones_speak_against_names_no_mechanism_either(against, asked, monkeypatch):
     known = decision_of("ambiguous", best=("a",), listed=(("a",),), against=against)
-    for name in ("_complete", "_weighed", "_judged", "_mind_backbones"):
+    for name in ("_complete", "_weighed", "_judged", "_mind_backbones", "_fit_parts"):
         monkeypatch.setattr(decide, name, lambda *_: known)
     monkeypatch.setattr(decide, "_by_mechanism", lambda search, decision: replace(decision, mechanisms=(HYSTERESIS,)))
     assert bool(decide.decide(SimpleNamespace(), {}, {}).mechanisms) == asked
@@ -1338,7 +1346,7 @@ def test_a_law_of_free_shape_that_needs_a_drift_too_small_to_matter_is_one_like_
     for name, given in [
         ("_complete", lambda search: None), ("_weighed", lambda *_: None), ("_judged", lambda *_: decision),
         ("_mind_backbones", lambda search, decision: decision), ("estimates_of", lambda fit: {}),
-        ("_backbones_disagree", lambda *_: False),
+        ("_backbones_disagree", lambda *_: False), ("_fit_parts", lambda *_: None),
     ]:  # fmt: skip
         monkeypatch.setattr(decide, name, given)
     search = SimpleNamespace(

@@ -58,6 +58,7 @@ def decide(search: Search, drifting: Mapping[Set, Drifting], tolerance: Mapping[
         return decision
     if not np.isnan(decision.against):  # what does not hold at every amplitude names no mechanism either
         return decision
+    _fit_parts(search, decision.model)  # the best with a drift may be another than that without one
     return _by_mechanism(search, decision)
 
 
@@ -368,17 +369,23 @@ def doubted(search: Search, evidences: Mapping[Set, Evidence]) -> dict[Set, Evid
 
 
 def _mind_backbones(search: Search, decision: Decision) -> Decision:
-    """Return no name where a set explains the samples by a drift beside it, and leaves the backbones far off.
+    """Return no law where a set explains the samples by a drift beside it, and leaves the backbones far off.
 
     An explanation of the samples has to hold at every amplitude; with a drift in time beside it, it may hold nowhere.
-    Without one, backbones that disagree may be at fault: their errors are small and their mid-line may be lost.
+    Without one, backbones that disagree may be at fault: their errors are small and their mid-line may be lost. No set
+    is exact then, and mechanisms are named where backbones with a departure tell them apart.
     """
     is_name = decision.named_level is NamedLevel.LAW
-    # where nothing else remains, what is too improbable for a name is told as the explanation all the same
-    is_only = decision.verdict is Verdict.AMBIGUOUS and not decision.is_approximate and len(decision.listed) < 2
-    if not (is_name or is_only) or decision.ranked[0] not in decision.drifts:
+    is_open = decision.verdict is Verdict.AMBIGUOUS and not decision.is_approximate
+    if not (is_name or is_open) or decision.ranked[0] not in decision.drifts:
         return decision
     if not _backbones_disagree(search, decision.ranked[0]):
+        return decision
+    inexact = departing(search, decision)
+    if inexact.verdict is Verdict.FOUND:
+        return inexact
+    # where nothing else remains, what is too improbable for a name is told as the explanation all the same
+    if is_open and len(decision.listed) > 1:
         return decision
     left = level_chi_square(search.batch, search.fits[decision.ranked[0]], has_mid_line=False)
     return replace(decision, verdict=Verdict.AMBIGUOUS, named_level=None, listed=(decision.best,), against=left)
@@ -398,6 +405,11 @@ def _complete(search: Search) -> None:
     best: Set | None = None
     while best != search.best():
         best = search.best()
-        for size in range(0 if search.is_refuted(best) else len(best)):
-            for rest in combinations(best, size):
-                search.fit_set(rest)
+        _fit_parts(search, best)
+
+
+def _fit_parts(search: Search, names: Set) -> None:
+    """Fit every subset of a set, unless it lost the phase."""
+    for size in range(0 if search.is_refuted(names) else len(names)):
+        for rest in combinations(names, size):
+            search.fit_set(rest)
