@@ -27,7 +27,8 @@ class Unmeasured:
 
 @pytest.fixture(autouse=True)
 def _as_released(monkeypatch):
-    """No release without force, and every early high-pass needed, unless a test says otherwise."""
+    """No release without force, no step of the clock, every early high-pass needed, unless a test says otherwise."""
+    monkeypatch.setattr(module, "clock_steps", lambda *_: None)
     monkeypatch.setattr(module, "is_relaxed_at_release", lambda *_: False)
     monkeypatch.setattr(module, "settled", lambda _search, _behind, chosen: chosen)
 
@@ -301,6 +302,26 @@ def test_a_filter_that_straightened_records_do_not_need_is_taken_back(plain, is_
 
 
 @pytest.mark.parametrize("explains", [True, False])
+def test_everything_is_asked_anew_of_records_whose_clock_was_set_right(explains, monkeypatch):
+    """Where that explains more: else the records are as they were, and everything else is asked of these."""
+    asked = []
+    for name in ("drop_outs", "drifting_zero", "sensor_filter", "earlier", "edges", "motion_noise", "disturbed"):
+        monkeypatch.setattr(module, name, lambda *_, name=name: asked.append(name))
+    steps = SimpleNamespace(sentence="set right", undisturbed=lambda records: ["right"])
+    monkeypatch.setattr(module, "clock_steps", lambda search, records: steps if records == ["wrong"] else None)
+    monkeypatch.setattr(changed.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
+    monkeypatch.setattr(changed.evidence, "leaves_noise", lambda _, found: found == "explained")
+    monkeypatch.setattr(changed.Changed, "is_of_rates", False)
+    before = SimpleNamespace(halted=None, is_told=False, batch=None, fits={(): "base"}, best=tuple)
+    after = SimpleNamespace(
+        halted=None, is_told=False, batch=None, fits={(): "explained" if explains else "base"}, best=tuple
+    )
+    known = module.undisturbed(Unmeasured(), before, ["wrong"], None, lambda _: after, lambda _: {})
+    assert known.search is (after if explains else before)
+    assert ("drifting_zero" in asked) == (not explains)
+
+
+@pytest.mark.parametrize("explains", [True, False])
 def test_a_high_pass_that_what_was_found_behind_it_needs_not_is_taken_back(explains, monkeypatch):
     """The search without it is taken to its end; where that leaves more than noise, the one behind it stands."""
     for name in ("drop_outs", "drifting_zero", "sensor_filter", "earlier", "edges", "motion_noise", "disturbed"):
@@ -347,6 +368,7 @@ def test_nothing_else_is_asked_where_a_drift_explains_the_records_by_itself(is_d
     monkeypatch.setattr(module, "over_motion", lambda *_: 0.01)
     monkeypatch.setattr(module, "_one_by_one", lambda *_: "asked")
     monkeypatch.setattr(module, "_steadied", lambda *_: None)
+    monkeypatch.setattr(module, "_on_time", lambda *_: None)
     found = module.undisturbed(SimpleNamespace(batch=None), search, (), None, None, lambda _: drifting)
     assert bool(resumed) != is_drifting
     assert found == "asked" if resumed else (found.search is search and found.drifting is drifting)

@@ -22,6 +22,7 @@ from ..sets.relaxed_release import is_relaxed_at_release
 from ..sets.search import Search
 from ..weighing import evidence
 from .changed import LESS, Changed, Drifts, Known, Undisturbed, gains, is_better, is_exact, left, over_motion
+from .clock_steps import clock_steps
 from .disturbance import Disturbed, sentences
 from .drifting_zero import drifting_zero
 from .drop_outs import drop_outs
@@ -94,6 +95,8 @@ def _undisturbed(known: Known) -> Undisturbed:
 def _without_filter_at_first(known: Known) -> Undisturbed:
     """Return the question and search of records without what disturbs them, if that is no filter that is seen early."""
     changed, search = known.changed, known.search
+    if (on_time := _on_time(known)) is not None:
+        return _undisturbed(on_time)
     if search.is_told:
         told = with_drifts(known.found, changed.drifts)
         if told.is_drifting:
@@ -145,6 +148,14 @@ def _as_quiet(plain: Undisturbed | None, straight: Undisturbed) -> Undisturbed |
         return None
     noise, other = (over_motion(item.search, item.search.fits[item.search.best()]) for item in (plain, straight))
     return plain if noise < _AS_QUIET * other else None
+
+
+def _on_time(known: Known) -> Known | None:
+    """Return the question of records whose clock was set right, where that is clearly better; None without steps."""
+    changed, search = known.changed, known.search
+    if is_exact(search) or (steps := clock_steps(search, changed.records)) is None:
+        return None
+    return _if_better(changed.but(steps.sentence, records=steps.undisturbed(changed.records)).asked(), search)
 
 
 def _halted(changed: Changed, search: Search) -> tuple[Undisturbed | None, bool]:
