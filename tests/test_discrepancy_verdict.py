@@ -1143,7 +1143,9 @@ def test_unfinished_are_sets_that_explain_the_backbones_and_were_weighed(monkeyp
     dahl, undone, both = ("dahl_friction",), ("iwan", "jenkins"), ("cubic_damping", "iwan")
     open_sets = {("iwan",), ("jenkins",), dahl, ("bouc_wen", "freeplay"), undone, both}
     chances = {("freeplay",): 0.5, ("jenkins",): 0.3, ("iwan",): 0.1, dahl: 0.001, (): 0.01}
-    search = SimpleNamespace(is_open=lambda names: names in open_sets, fits=chances)
+    asked = []
+    batch = SimpleNamespace(levels=[None] * 9, subset=lambda some: asked.append(some) or "some")
+    search = SimpleNamespace(is_open=lambda names: names in open_sets, fits=chances, batch=batch)
     weighed = SimpleNamespace(
         gaps={("iwan",): 0.05, dahl: 0.1, ("jenkins",): 0.6, ("freeplay",): 0.0},
         probabilities=chances, ranked=lambda: sorted(chances, key=lambda names: -chances[names]),
@@ -1153,8 +1155,9 @@ def test_unfinished_are_sets_that_explain_the_backbones_and_were_weighed(monkeyp
     unfinished = inexact._unfinished(search, weighed, ranked)
     assert unfinished == (("iwan",), dahl)
     # effects that undo each other on the backbones draw any curve
-    monkeypatch.setattr(inexact, "_on_backbones", lambda search, names, weighed: names)
-    monkeypatch.setattr(inexact, "compensation", lambda search, names, found: 60.0 if found == undone else 1.5)
+    monkeypatch.setattr(inexact, "_on_backbones", lambda search, names, weighed, batch: (names, batch))
+    undo = {(undone, "some"): 60.0}
+    monkeypatch.setattr(inexact, "compensation", lambda search, names, found, batch: undo.get((*found[:1], batch), 1.5))
     weighed.gaps |= {undone: 0.0, both: 0.0}
     more = weighed.probabilities | {undone: 0.2, both: 0.05}
     wide = SimpleNamespace(gaps=weighed.gaps, ranked=lambda: sorted(more, key=lambda names: -more[names]))
@@ -1167,6 +1170,7 @@ def test_unfinished_are_sets_that_explain_the_backbones_and_were_weighed(monkeyp
     chances.update(dict.fromkeys(many, 0.2))
     assert len(inexact._with_unfinished(many, unfinished, weighed)) == inexact.MOST_LISTED
     assert {*unfinished} < {*inexact._with_unfinished(many, unfinished, weighed)}
+    assert asked and all(some == [0, 4, 8] for some in asked)
 
 
 def test_what_a_mechanism_explains_is_the_mean_over_the_orders():

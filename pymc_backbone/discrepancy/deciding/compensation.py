@@ -15,16 +15,17 @@ _OBSERVABLES = 2  # frequency and damping
 _LEAST_LEVELS = 4
 
 
-def compensation(search: Search, names: Set, found: Fit | None = None) -> float:
+def compensation(search: Search, names: Set, found: Fit | None = None, batch: Batch | None = None) -> float:
     """Return how many times what an effect of a set does to the backbones exceeds what the set does; 1 at least.
 
     Of frequency and damping, the changes over amplitude count: their means are each specimen's own stiffness and
     damper. What a set does is no less than the levels' errors. Effects of structures that hold several of them do not
     know of each other, and seldom take back most of what another does: more than twice as much as is left in 7 of 106
     sets of two and three that were drawn independently, more than five times in none. What is no effect of the library,
-    and is imitated by several, has no such bound. ``found`` is another fit of the set than that to the records.
+    and is imitated by several, has no such bound. ``found`` is another fit of the set than that to the records, and
+    ``batch`` that of some specimens, of which it is one.
     """
-    found, batch = search.fits[names] if found is None else found, search.batch
+    found, batch = found or search.fits[names], batch or search.batch
     return max(_of_specimen(search, found, names, batch, r) for r in spread_over(len(batch.levels), found.layout))
 
 

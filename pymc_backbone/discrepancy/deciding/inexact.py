@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from ...effects import EITHER
+from ..fitting.batch import Batch
 from ..fitting.curves import fit_on_levels
 from ..fitting.joint_fit import Fit
 from ..results.entries import MissingMechanism
@@ -26,6 +27,7 @@ _NEAR = 3.0  # reduced chi-square up to which the samples say so
 _ALL_BUT_NOTHING = 0.9  # of what the base leaves of the samples, that what explains none of them leaves
 _NOTHING = 0.7  # of the gap, that a set leaves which explains next to nothing
 _MOST_UNFINISHED = 5  # sets that did not come to rest, listed although others are more probable
+_SOME = 3  # specimens that say so
 _UNDONE = 5.0  # times as much as a set does, that an effect in it does, beyond which it is no explanation
 _MUCH_LESS = 0.3  # of what the base leaves of the samples, over which a set comes nowhere near them
 _LESS, _NEEDED = 0.5, 3.0  # times what the best set leaves, and of which a set leaves more without an effect it needs
@@ -78,7 +80,7 @@ def departing(search: Search, decision: Decision) -> Decision:
         remainder=remainder_of(weighed, best),
         is_approximate=True,
         is_single_valued=weighed.is_law,
-        on_backbones=_on_backbones(search, best, weighed) if search.is_refuted(best) else None,
+        on_backbones=_on_backbones(search, best, weighed, search.batch) if search.is_refuted(best) else None,
     )
     if not weighed.is_law or weighed.drift_probability > 0.5:
         return replace(known, verdict=Verdict.UNEXPLAINED)
@@ -172,12 +174,13 @@ def _is_kept(search: Search, weighed: Weighed, names: Set) -> bool:
     return search.fit_set(names) is not None
 
 
-def _on_backbones(search: Search, best: Set, weighed: Weighed) -> Fit | None:
-    """Return a set fitted to the backbones of all specimens: from its proposals, and where it departs least."""
+def _on_backbones(search: Search, best: Set, weighed: Weighed, batch: Batch) -> Fit | None:
+    """Return a set fitted to the backbones of a batch: from its proposals, and where it departs least."""
     begun = [(weighed.departing[best].state.eta, search.fits[best].state.own[:, :2])]
     if best in search.proposals:
         begun += [(eta, own) for _, eta, own in search.proposals[best].starts]
-    return fit_on_levels(search.batch, search.layout(best), begun)
+    chosen = [search.batch.specimens.index(name) for name in batch.specimens]
+    return fit_on_levels(batch, search.layout(best), [(eta, own[chosen]) for eta, own in begun])
 
 
 def _told(search: Search, weighed: Weighed, best: Set) -> tuple[MissingMechanism, ...]:
@@ -245,9 +248,15 @@ def _unfinished(search: Search, weighed: Weighed, ranked: Sequence[Set]) -> tupl
 
 
 def _undo_each_other(search: Search, weighed: Weighed, names: Set) -> bool:
-    """Return whether effects of a set take back of each other, on the backbones, what no two of one structure do."""
-    found = _on_backbones(search, names, weighed)
-    return found is not None and compensation(search, names, found) > _UNDONE
+    """Return whether effects of a set take back of each other, on the backbones, what no two of one structure do.
+
+    What they do in all specimens they do in some, which are spread over the batch.
+    """
+    count = len(search.batch.levels)
+    some = np.unique(np.linspace(0, count - 1, min(count, _SOME)).round().astype(int))
+    batch = search.batch.subset(some.tolist())
+    found = _on_backbones(search, names, weighed, batch)
+    return found is not None and compensation(search, names, found, batch) > _UNDONE
 
 
 def is_told_apart(mechanisms: Sequence[MissingMechanism]) -> bool:
