@@ -29,7 +29,7 @@ from pymc_backbone.discrepancy.results.verdict import AdequateBy, NamedLevel, St
 from pymc_backbone.discrepancy.sets.question import TOLERANCE
 from pymc_backbone.discrepancy.sets.search import Search
 from pymc_backbone.discrepancy.weighing.evidence import Evidence, LackOfFit
-from pymc_backbone.discrepancy.wording import candidate_table, verdict_words, words
+from pymc_backbone.discrepancy.wording import candidate_table, scatter_words, verdict_words, words
 from pymc_backbone.effects import BASE_EFFECTS, LIBRARY
 from pymc_backbone.reporting.words import candidate_name, verdict_means
 from pymc_backbone.simulation.backbones import simulate_population
@@ -263,8 +263,10 @@ def test_of_a_mid_line_that_is_not_measured_no_damping_is_told(quantity, rng):
 
 def test_a_scatter_that_is_not_seen_is_told_by_its_bound():
     seen, unseen = ScatterOfEffects(0.06, 0.04, 0.1), ScatterOfEffects(0.013, 0.0105, 0.027)
-    assert words.scatter_sentence(seen, 1).endswith("by 6 % of their value (standard deviation; 4 to 10 % with 90 %).")
-    assert words.scatter_sentence(unseen, 2) == (
+    assert scatter_words.scatter_sentence(seen, 1).endswith(
+        "by 6 % of their value (standard deviation; 4 to 10 % with 90 %)."
+    )
+    assert scatter_words.scatter_sentence(unseen, 2) == (
         "Their parameters differ between specimens by 2.7 % of their value at most (standard deviation, with 95 %)."
     )
 
@@ -394,6 +396,20 @@ def test_a_base_that_only_the_tolerance_saves_is_not_adequate_by_statistics(p_va
 def test_the_library_does_not_contradict_what_was_measured(summary, measured, told):
     """'Frequency rises' was measured: 'frequency unchanged' must not follow."""
     assert words._said_by_the_library(summary, measured) == told
+
+
+@pytest.mark.parametrize(
+    ("name", "strength", "is_against"),
+    [("mid_stroke_damping", -2.0, True), ("mid_stroke_damping", 2.0, False), ("cubic_stiffness", -2.0, False)],
+)
+def test_a_damper_that_takes_back_damping_is_not_called_by_where_it_acts(name, strength, is_against):
+    """Of a damper that is weakest in mid-stroke 'damper that acts in mid-stroke' was said; a spring may soften."""
+    oscillator = pb.Oscillator(MASS, [name])
+    vector = np.ones(len(oscillator.parameter_names))
+    first = next(item.name for item in LIBRARY[name].parameters if item.role == "strength")
+    vector[oscillator.index(first)] = strength
+    found = SimpleNamespace(layout=SimpleNamespace(oscillator=oscillator), parameters=lambda _: vector)
+    assert words._is_against_its_name(found, name) == is_against
 
 
 def test_no_summary_of_the_library_says_what_an_effect_does_before_its_colon():

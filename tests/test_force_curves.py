@@ -327,6 +327,14 @@ def test_hysteresis_is_said_where_a_law_with_memory_leaves_less(outside):
     assert "A smooth force of displacement and speed is not" in said and "remembers" in said and "60 %" in said
 
 
+def test_what_no_smooth_force_explains_is_said_with_what_the_best_leaves():
+    said = sentence(Judgement(False, 0.91, 7e-35, ""), (), "m", beside=("freeplay",))
+    assert said == (
+        "No smooth force of displacement and speed was found that is what the named effects leave: the best of them "
+        "still leave 91 % of that rest (p = 7e-35), and that is more than noise."
+    )
+
+
 @pytest.mark.parametrize("left", [3.96, float("nan")])
 def test_a_fit_that_is_lost_leaves_all_of_the_gap(left):
     said = sentence(Judgement(False, left, 1e-9, "hysteresis"), (), "m", beside=("freeplay",))

@@ -51,6 +51,7 @@ from .sets.search import Search
 from .weighing.evidence import UNEXPLAINED, Drifting, leaves_noise
 from .wording import plan_words, verdict_words, words
 from .wording.candidate_table import candidates_of
+from .wording.scatter_words import scatter_of
 
 _QUICK_BUDGET = 0.5
 _LEFT = 0.3  # of the gap, that force curves leave at most where they are said to explain the records
@@ -279,7 +280,7 @@ def _study(
     batch, search, decision, extended = question.batch, outcome.search, outcome.decision, outcome.extended
     checks, is_found = checks_of(question, outcome, verification), decision.verdict is Verdict.FOUND
     before = simulate(batch, verification.before)
-    scatter = None if extended is None or decision.is_approximate else words.scatter_of(extended)
+    scatter = None if extended is None or decision.is_approximate else scatter_of(extended)
     shown = extended if np.isnan(decision.against) else None  # what the backbones speak against, they do not show
     # what a run took is told as it was: fewer draws where the model is heavy
     drawn = {key: inference.convergence[key] for key in ("draws", "tune") if key in inference.convergence}

@@ -35,7 +35,7 @@ WHY = {
         "a drift with time explains more of the rest than any such force (a kink, as of another stop, is not smooth)"
     ),
     "hysteresis": "a force that remembers the way explains more of the rest",
-    "": "what they leave is no noise either",
+    "": "that is more than noise",
 }
 
 
@@ -73,10 +73,12 @@ def sentence(
         gap = "that rest" if beside else "the gap"
         # a fit that is lost leaves more than it began with
         left = f"{per_cent(judged.share_left)} of {gap}" if judged.share_left < 1.0 else f"all of {gap}"
-        left = f"the best of them leave {left} (p = {judged.p_value:.1g})"
+        still = "leave" if judged.why else "still leave"
+        left = f"the best of them {still} {left} (p = {judged.p_value:.1g})"
         what = "what the named effects leave" if beside else "what is missing"
         # where nothing else explains more, it may be a force that no smooth curve follows, as a second stop
-        could = "A smooth force of displacement and speed is not" if judged.why else "No smooth force was found that is"
+        force = "smooth force of displacement and speed"
+        could = f"A {force} is not" if judged.why else f"No {force} was found that is"
         said = f"{could} {what}: {left}, and {WHY[judged.why]}."
         return said + ("" if has_even else _ONE_SIDE)
     if judged.share_left > _BESIDE:

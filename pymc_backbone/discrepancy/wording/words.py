@@ -17,17 +17,17 @@ from ..fitting.curves import curve, measured, on_levels
 from ..fitting.estimates import estimates_of, without
 from ..fitting.joint_fit import Fit, parameters_of
 from ..fitting.normal_equations import State
-from ..fitting.scatter import NARROWEST
 from ..results.entries import Detectable, ScatterOfEffects
 from ..sets.question import Question
 from ..sets.search import Search, Set
 from ..weighing.evidence import DETECTED
+from .scatter_words import scatter_sentence
 from .verdict_words import is_drift_possible, named
 
 _FEWEST_LEVELS = 3  # that stand out, from which a power of the amplitude is told
 _VANISHING = 0.3  # power of the amplitude below which a departure does not vanish with it
 _OWN = 0.3  # of a departure, that the effect itself brings about as the model has it, from which it is told
-_AT_BOUND = 1.2  # times the narrowest scatter, up to which it is none that is seen
+_DAMPERS = ("drag", "displacement_damping", "falling_damping")  # mechanisms that a negative strength turns round
 _NINETY_FIVE = 1.96  # standard errors
 _ODD = 1e-9  # of the largest force: what rounding leaves of the sum of both sides
 _SEPARATED = 5.0  # logarithm of the odds that decides
@@ -71,11 +71,21 @@ def reasons(
         ]
         unseen = "the waveforms show it" if batch.has_records else "all levels together show it"
         text = "; ".join(parts) if parts else f"not to be told from single levels; {unseen}"
-        said = _said_by_the_library(summaries[name], bool(parts)) if len(together) == 1 else ""
+        is_said = len(together) == 1 and not _is_against_its_name(brought, name)
+        said = _said_by_the_library(summaries[name], bool(parts)) if is_said else ""
         sentences.append(f"{capitalised(' and '.join(in_words(one) for one in together))}: {text}.{said}")
     if scatter is not None and names:
         sentences.append(scatter_sentence(scatter, len(names)))
     return (*sentences, *([] if asked is None else _unseen_in(asked.base, found)))
+
+
+def _is_against_its_name(found: Fit, name: str) -> bool:
+    """Return whether a damper takes back damping: one that acts in mid-stroke, of negative strength, acts elsewhere."""
+    effect = next(item for item in found.layout.oscillator.effects if item.name == name)
+    strengths = [parameter.name for parameter in effect.parameters if parameter.role == "strength"]
+    if effect.mechanism not in _DAMPERS or not strengths:
+        return False
+    return bool(found.parameters(0)[found.layout.oscillator.index(strengths[0])] < 0.0)
 
 
 def _of_one_mechanism(found: Fit, names: Set, asked: Question | None) -> list[list[str]]:
@@ -141,24 +151,6 @@ def _unseen_in(base: Oscillator, found: Fit) -> list[str]:
             most = f"its {in_words(strength)} is at most {abs(value) + _NINETY_FIVE * error:.2g} {unit} (95 %)"
             sentences.append(f"The model's {in_words(effect.name)} is not seen in these records: {most}.")
     return sentences
-
-
-def scatter_of(found: Fit) -> ScatterOfEffects | None:
-    """Return how much the effects differ between specimens; None where nothing is known of it.
-
-    Where no law is exact the question has no answer: what the law cannot follow is taken for differences.
-    """
-    value, low, high, _ = found.scatter
-    return ScatterOfEffects(value, low, high) if np.isfinite(value) else None
-
-
-def scatter_sentence(scatter: ScatterOfEffects, effects: int) -> str:
-    """Say how much effects differ between specimens; where records say little, what the prior allows is the answer."""
-    whose = "Its parameters differ" if effects == 1 else "Their parameters differ"
-    low, middle, high = (f"{100.0 * share:.2g}" for share in (scatter.low, scatter.median, scatter.high))
-    if scatter.low < _AT_BOUND * NARROWEST:  # what is smaller was not looked for
-        return f"{whose} between specimens by {high} % of their value at most (standard deviation, with 95 %)."
-    return f"{whose} between specimens by {middle} % of their value (standard deviation; {low} to {high} % with 90 %)."
 
 
 def _said_by_the_library(summary: str, is_measured: bool) -> str:
