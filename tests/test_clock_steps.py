@@ -51,8 +51,8 @@ def searched(records, candidates=()):
 
 @pytest.mark.parametrize("count", [1, 2, -1])
 def test_a_sample_lost_or_doubled_late_is_found_and_the_clock_set_right(count, rng):
-    clean = make_records(rng, specimens=3, decibels=38.0)
-    records = [clean[0], jumping(clean[1], LATE, count=count), clean[2]]
+    clean = make_records(rng, specimens=2, decibels=38.0)
+    records = [clean[0], jumping(clean[1], LATE, count=count)]
     search = searched(records)
     assert evidence.lack_of_fit(search.batch, search.fits[()]).p_value < 1e-6
     found = clock_steps(search, records)
@@ -61,7 +61,7 @@ def test_a_sample_lost_or_doubled_late_is_found_and_the_clock_set_right(count, r
     assert step.count == count and abs(step.time - TIME[LATE]) < 12 * STEP
     assert f"specimen 2: {abs(count)} at" in found.sentence and ("lost" in found.sentence) == (count > 0)
     mended = found.undisturbed(records)
-    assert mended[0] is records[0] and mended[2] is records[2]
+    assert mended[0] is records[0]
     gone = max(-count, 0)
     after = mended[1].time[LATE + 20 :], mended[1].values[LATE + 20 :]
     assert after[0] == pytest.approx(TIME[LATE + 20 + max(count, 0) :][: after[0].size], abs=1e-9)
@@ -93,10 +93,9 @@ def test_the_set_that_leaves_least_beside_the_steps_tells_them(rng):
 @pytest.mark.parametrize("effect", ["cubic_stiffness", "coulomb_friction", "quadratic_damping"])
 def test_what_a_law_lacks_is_no_step(effect, rng):
     """Negative control: the phase bends away from that of a linear structure, and does not step."""
-    for decibels in (35.0, 50.0):
-        for share in (0.2, 1.0):
-            records = make_records(rng, (effect,), specimens=2, decibels=decibels, share=share)
-            assert clock_steps(searched(records), records) is None
+    for decibels, share in ((35.0, 0.2), (50.0, 0.5)):
+        records = make_records(rng, (effect,), specimens=1, decibels=decibels, share=share)
+        assert clock_steps(searched(records), records) is None
 
 
 def test_a_step_by_a_part_of_a_sample_is_no_clock(rng):
