@@ -17,8 +17,9 @@ from pymc_backbone._common.text import per_cent
 from pymc_backbone.discrepancy.checks import data_checks, rivals, verify
 from pymc_backbone.discrepancy.checks.second_mode import second_mode_check
 from pymc_backbone.discrepancy.deciding.compensation import compensation
-from pymc_backbone.discrepancy.deciding.decide import decide, doubted, is_none_other
+from pymc_backbone.discrepancy.deciding.decide import decide
 from pymc_backbone.discrepancy.deciding.decision import NAMED
+from pymc_backbone.discrepancy.deciding.imitations import doubted, is_none_other
 from pymc_backbone.discrepancy.deciding.tolerance import is_drift_small
 from pymc_backbone.discrepancy.disturbances.lines import line_beside, line_near
 from pymc_backbone.discrepancy.disturbances.undisturbed import Undisturbed, with_drifts

@@ -17,7 +17,7 @@ from scipy.integrate import solve_ivp
 import pymc_backbone as pb
 from pymc_backbone._common.text import capitalised, in_words
 from pymc_backbone.discrepancy.checks import rivals
-from pymc_backbone.discrepancy.deciding import decide, inexact, mechanisms, minded, shares
+from pymc_backbone.discrepancy.deciding import decide, imitations, inexact, mechanisms, minded, shares
 from pymc_backbone.discrepancy.deciding.decision import Decision, as_one
 from pymc_backbone.discrepancy.disturbances import left_beside
 from pymc_backbone.discrepancy.fitting.batch import batch_of_backbones
@@ -1114,8 +1114,8 @@ def test_least_bayes_factor_is_the_least_over_decreasing_densities(p_value):
     """Under the alternative p has the density s p^(s - 1), s at most 1; the null's is 1. Found by trying every s."""
     shape = np.linspace(1e-3, 1.0, 400_001)
     least = 1.0 / (shape * p_value ** (shape - 1.0)).max()
-    assert decide.least_bayes_factor(p_value) == pytest.approx(least, rel=1e-6)  # the steps of s, squared
-    assert decide.least_bayes_factor(0.0) > 0.0
+    assert imitations.least_bayes_factor(p_value) == pytest.approx(least, rel=1e-6)  # the steps of s, squared
+    assert imitations.least_bayes_factor(0.0) > 0.0
 
 
 def test_verdicts_are_plain_text_in_files():

@@ -25,8 +25,9 @@ from .checks import rivals
 from .checks.ambient import ambient_check
 from .checks.second_mode import second_mode_check
 from .checks.verify import MOST_HELD_OUT, Verification, verify
-from .deciding.decide import decide, is_none_other
+from .deciding.decide import decide
 from .deciding.decision import Decision
+from .deciding.imitations import is_none_other
 from .deciding.inexact import certain_sets
 from .deciding.minded import mind_bent_sensor, mind_second_mode, mind_what_moves_on
 from .disturbances.undisturbed import Undisturbed, in_the_way, undisturbed, with_drifts

@@ -20,22 +20,16 @@ from ..weighing.evidence import DRIFT, UNEXPLAINED, Drifting, Evidence, is_unexp
 from .as_good import odds_of_as_good
 from .compensation import compensation
 from .decision import AGREE, DRIFT_POSSIBLE, NAMED, Decision, as_one, listed
+from .imitations import COMPENSATED, doubted, is_none_other, library_holds
 from .inexact import departing, is_told_apart, leaves_the_samples
 from .shares import missing_mechanisms
 from .tolerance import damping_drift, is_drift_small, prune
 
-_IMITATES = (0.0, 0.03, 0.06, 0.15)  # how probable it is that a set of so many effects imitates what the library lacks
-_HARDLY = 200.0  # gap in standard deviations of the noise beyond which that is rarer, in proportion
 _ASKED = 0.01  # probability of a set from which it is asked whether its effects compensate each other
-_COMPENSATED = 2.0  # times as much as is left, beyond which an imitation is more probable, with the square
-_STANDS_IN = 0.2  # how probable it is that the weakest of several effects stands in for what the library lacks
-_SMALL = 12.0  # gap that it closes, in standard deviations of the noise, beyond which that is rarer
-_LARGE = 0.01  # share of the motion that this gap is, beyond which that is rarer, too
 _ONE_FORCE = frozenset(("spring", "asymmetry"))  # the odd and the even part of one
 _FALLING, _RISING = "falling_damping", frozenset(("drag", "displacement_damping"))  # the same damper, at other places
 _FAR = 2.0  # reduced chi-square that is far more than noise
 _MOST_FADING = 0.04  # of the damping, that changes with time in one decay at most where a law holds beside that
-_WEIGHT_OF_NOISE = 0.1  # how much rarer residuals like noise are where the library lacks what is missing
 
 
 def decide(search: Search, drifting: Mapping[Set, Drifting], tolerance: Mapping[str, float]) -> Decision:
@@ -218,18 +212,6 @@ def _either(first: Evidence, second: Evidence) -> Evidence:
     )
 
 
-def least_bayes_factor(p_value: float) -> float:
-    """Return the least Bayes factor for the null hypothesis that a p-value allows: ``-e p ln p``, 1 from 1/e on."""
-    p = min(max(p_value, 1e-300), float(np.exp(-1.0)))
-    return float(-np.exp(1.0) * p * np.log(p))
-
-
-def library_holds(p_value: float) -> float:
-    """Return the probability that the library holds what is missing, by the p-value of the best set's residuals."""
-    none = evidence.PRIOR_NONE * _WEIGHT_OF_NOISE / least_bayes_factor(p_value)
-    return (1.0 - evidence.PRIOR_NONE) / (1.0 - evidence.PRIOR_NONE + none)
-
-
 def _pruned(search: Search, weighed: Decision, tolerance: Mapping[str, float]) -> Decision:
     """Return the decision on the effects above the tolerance; ``adequate`` where there are none."""
     if search.is_refuted(weighed.best):
@@ -282,7 +264,7 @@ def _is_one_curve(search: Search, decision: Decision) -> bool:
     Then it is the sum that the records tell, and whether it is of these two laws they do not.
     """
     kinds = [search.mechanism_of(name) for name in decision.model]
-    return len(set(kinds)) < len(kinds) and compensation(search, decision.model) > _COMPENSATED
+    return len(set(kinds)) < len(kinds) and compensation(search, decision.model) > COMPENSATED
 
 
 def _is_inexact_alone(search: Search, decision: Decision) -> bool:
@@ -329,43 +311,6 @@ def without_laws(decision: Decision) -> Decision:
     if is_told_apart(decision.mechanisms):
         return replace(decision, named_level=NamedLevel.MECHANISM, is_like=True)
     return replace(decision, verdict=Verdict.AMBIGUOUS, named_level=None, listed=(decision.best,))
-
-
-def is_none_other(search: Search, names: Set, has_drift: bool = False, compensated: float = 1.0) -> float:
-    """Return the probability that a set which leaves noise is not the imitation of something the library lacks.
-
-    The more effects a set has, the less probable it is beforehand, and the more it can imitate; but what explains a gap
-    of thousands of standard deviations to the noise is hardly ever an imitation. A drift beside it counts as one more.
-    Effects that are ``compensated`` by each other (`compensation`) imitate more often.
-    """
-    size = min(len(names) + has_drift, len(_IMITATES) - 1)
-    gap = float(np.sqrt(max(search.fits[()].cost - search.fits[names].cost, 0.0)))
-    imitates = _IMITATES[size] * min(1.0, _HARDLY / max(gap, 1.0))
-    imitates = min(imitates * max(compensated / _COMPENSATED, 1.0) ** 2, 1.0)
-    prior = evidence.PRIOR_OF_SIZE[size]
-    return prior / (prior + evidence.PRIOR_NONE * imitates)
-
-
-def doubted(search: Search, evidences: Mapping[Set, Evidence]) -> dict[Set, Evidence]:
-    """Return the evidences where the weakest of several effects may stand in for something small of another kind.
-
-    Beside what dominates, every structure holds things that no library describes, and of some twenty effects one often
-    makes up for a small one down to the noise. So much of the probability of a set goes to the set without its weakest
-    effect, by the gap that this one closes in standard deviations of the noise, and as a share of the motion.
-    """
-    known = dict(evidences)
-    motion = evidence.size_of_motion(search.batch)
-    for names, found in sorted(search.fits.items(), key=lambda item: -len(item[0])):
-        parents = [parent for parent in combinations(names, max(len(names) - 1, 0)) if parent in search.fits]
-        if len(names) < 2 or not parents:
-            continue
-        parent = min(parents, key=lambda item: search.fits[item].cost)
-        gap = float(np.sqrt(max(search.fits[parent].cost - found.cost, 0.0)))
-        stands_in = _STANDS_IN * min(1.0, _SMALL / max(gap, 1.0)) ** 1.5 * min(1.0, _LARGE * motion / max(gap, 1.0))
-        moved = known[names].probability * stands_in / (1.0 + stands_in)
-        for item, change in ((names, -moved), (parent, moved)):
-            known[item] = replace(known[item], probability=known[item].probability + change)
-    return known
 
 
 def _mind_backbones(search: Search, decision: Decision) -> Decision:

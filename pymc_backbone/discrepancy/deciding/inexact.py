@@ -10,7 +10,7 @@ import numpy as np
 
 from ...effects import EITHER
 from ..fitting.batch import Batch
-from ..fitting.curves import fit_on_levels
+from ..fitting.curves import fit_on_levels, spread
 from ..fitting.joint_fit import Fit
 from ..results.entries import MissingMechanism
 from ..results.verdict import MECHANISM_NAMED, NamedLevel, Verdict
@@ -252,9 +252,7 @@ def _undo_each_other(search: Search, weighed: Weighed, names: Set) -> bool:
 
     What they do in all specimens they do in some, which are spread over the batch.
     """
-    count = len(search.batch.levels)
-    some = np.unique(np.linspace(0, count - 1, min(count, _SOME)).round().astype(int))
-    batch = search.batch.subset(some.tolist())
+    batch = search.batch.subset(spread(len(search.batch.levels), _SOME))
     found = _on_backbones(search, names, weighed, batch)
     return found is not None and compensation(search, names, found, batch) > _UNDONE
 

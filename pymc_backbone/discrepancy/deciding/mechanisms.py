@@ -14,6 +14,7 @@ from scipy.special import logsumexp
 from ..._common.checks import FloatArray
 from ..._common.threads import in_threads
 from ..fitting import starts
+from ..fitting.curves import spread
 from ..fitting.descent import is_heavy
 from ..fitting.joint_fit import parameters_of
 from ..fitting.normal_equations import NUISANCES, State, start_state
@@ -306,9 +307,8 @@ def _specimens(search: Search) -> list[int]:
     """Return specimens that tell enough: of several release amplitudes, not more turning points than it takes."""
     batch = search.batch
     order = np.argsort([-term.levels[-1] for term in batch.levels])
-    spread = np.unique(np.linspace(0, order.size - 1, min(order.size, _MOST_SPECIMENS)).round().astype(int))
     chosen: list[int] = []
-    for k in spread:
+    for k in spread(order.size, _MOST_SPECIMENS):
         size = sum(batch.turning[r].times.size for r in (*chosen, order[k])) if batch.turning else 0
         if len(chosen) < 2 or size <= _MOST_TURNS:
             chosen.append(int(order[k]))

@@ -78,7 +78,11 @@ def _of_levels(
 
 def spread_over(count: int, layout: Layout) -> list[int]:
     """Return which of so many specimens say enough of a model: all, or some where each simulation takes long."""
-    most = _MOST_HEAVY if layout.simulator.has_own_equation else count
+    return spread(count, _MOST_HEAVY if layout.simulator.has_own_equation else count)
+
+
+def spread(count: int, most: int) -> list[int]:
+    """Return which of so many, the first and the last among them, are spread evenly over all; all where few are."""
     return [int(r) for r in np.unique(np.linspace(0, count - 1, min(count, most)).round())]
 
 

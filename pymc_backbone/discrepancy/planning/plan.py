@@ -12,8 +12,8 @@ from ..._common.checks import FloatArray, InputError
 from ..._common.threads import with_one_thread
 from ...effects import LIBRARY, Effect
 from ...oscillator import Oscillator
-from ..deciding.decide import library_holds
 from ..deciding.decision import NAMED
+from ..deciding.imitations import library_holds
 from ..fitting.joint_fit import Fit
 from ..fitting.layout import Layout, make_layout
 from ..results.design import Affordable, Contender, Design, Plan, PlannedTest
