@@ -991,10 +991,13 @@ def test_no_name_is_given_against_the_backbones(left, is_named, monkeypatch):
     several = replace(named, verdict=Verdict.AMBIGUOUS, named_level=None, listed=(("a", "b"), ("a",)))
     assert decide._mind_backbones(search, several) is several
     # no set is exact then: mechanisms are named, of one set or of several, where backbones tell these apart
-    monkeypatch.setattr(decide, "departing", lambda _, decision: replace(by_mechanism, is_approximate=True))
+    monkeypatch.setattr(
+        decide, "departing", lambda _, known: replace(by_mechanism, is_approximate=True, listed=known.listed)
+    )
     for open_or_named in (named, several):
         told = decide._mind_backbones(search, open_or_named)
         assert (told.named_level == "mechanism" and told.is_approximate) == (not is_named)
+        assert is_named or told.listed == ()  # else the report says that the sets listed leave no more than noise
 
 
 @pytest.mark.parametrize(("against", "asked"), [(30.0, False), (np.nan, True)])

@@ -326,7 +326,7 @@ def _mind_backbones(search: Search, decision: Decision) -> Decision:
         return decision
     if not _backbones_disagree(search, decision.ranked[0]):
         return decision
-    inexact = departing(search, decision)
+    inexact = departing(search, replace(decision, listed=()))  # what is listed of exact sets was weighed otherwise
     if inexact.verdict is Verdict.FOUND:
         return inexact
     # where nothing else remains, what is too improbable for a name is told as the explanation all the same
