@@ -10,7 +10,7 @@ import numpy as np
 
 from ..._common.text import per_cent
 from ..._common.threads import in_threads
-from ..drift.drift_fits import Settled, drift_fit, settled, weighed
+from ..drift.drift_fits import Settled, drift_fit, likeliest, settled, weighed
 from ..drift.drift_proposals import sets_beside_drifts, single_beside_drifts
 from ..fitting import starts
 from ..fitting.descent import is_heavy
@@ -127,16 +127,11 @@ def _plainest(search: Search, found: dict[Set, Drifting]) -> list[Set]:
 
 def _is_likeliest(search: Search, found: dict[Set, Drifting], names: Set, with_time: Settled) -> bool:
     """Return whether a set with a drift that settles is the most probable, with steady drifts or without."""
-    beside = {(*other, *evidence.DRIFT): item for other, item in found.items() if other != names}
-    asked = (*names, *evidence.DRIFT)
-    beside[asked] = with_time.drifting(search.fits[names])
-    fits = {**search.fits, **{other: item.fit for other, item in beside.items()}}
+    beside = {**found, names: with_time.drifting(search.fits[names])}
+    fits = [*search.fits.values(), *(item.fit for item in beside.values())]
     # the residuals of what leaves least say how much the samples tell
-    batch = with_time.batch if fits[asked].cost <= min(item.cost for item in fits.values()) else search.batch
-    posterior = evidence.probabilities(
-        fits, batch, len(search.candidates), {other: item.bonus for other, item in beside.items()}, search.variants
-    )
-    return max(posterior, key=lambda other: posterior[other].log_posterior) == asked
+    batch = with_time.batch if beside[names].fit.cost <= min(item.cost for item in fits) else search.batch
+    return likeliest(search, beside, batch) == (*names, *evidence.DRIFT)
 
 
 def _ask_plain(search: Search, found: dict[Set, Drifting], limit: float) -> None:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from ..._common.text import in_words
 from ...measurement.options import Measuring
 from ...measurement.reading.record import Record
-from ..drift.drift_fits import drift_alone
+from ..drift.drift_fits import drift_alone, likeliest
 from ..fitting.batch import Batch
 from ..fitting.joint_fit import Fit
 from ..proposals.set_fits import Set
@@ -99,9 +99,9 @@ def _without_filter_at_first(known: Known) -> Undisturbed:
         return _undisturbed(on_time)
     if search.is_told:
         told = with_drifts(known.found, changed.drifts)
-        if told.is_drifting:
+        if told.is_drifting and likeliest(search, told.drifting or {}) == evidence.DRIFT:
             return told
-        search.resume()
+        search.resume()  # where an effect beside the drift is likelier, another may explain the records without one
     if not changed.is_of_rates and (steady := _steadied(known)) is not None:
         return steady
     return _one_by_one(known)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ from ..fitting.descent import first_limit, is_heavy
 from ..fitting.joint_fit import Fit, fit
 from ..fitting.layout import Layout
 from ..fitting.normal_equations import DRIFTS, State
+from ..proposals.set_fits import Set
 from ..sets.fitted_sets import FittedSets
 from ..sets.followed_sets import NOISE
 from ..weighing import evidence
@@ -77,6 +79,22 @@ def drift_alone(search: FittedSets) -> Drifting | None:
         return None
     search.batch = with_time.batch
     return with_time.drifting(base)
+
+
+def likeliest(search: FittedSets, drifting: Mapping[Set, Drifting], batch: Batch | None = None) -> Set:
+    """Return the most probable set, with `DRIFT` among its names where that is with a drift in time beside it.
+
+    The residuals of ``batch``, which is that of the search by default, say how much the samples tell.
+    """
+    beside = {(*names, *evidence.DRIFT): item for names, item in drifting.items()}
+    posterior = evidence.probabilities(
+        {**search.fits, **{names: item.fit for names, item in beside.items()}},
+        search.batch if batch is None else batch,
+        len(search.candidates),
+        {names: item.bonus for names, item in beside.items()},
+        search.variants,
+    )
+    return max(posterior, key=lambda names: posterior[names].log_posterior)
 
 
 def _is_of_time(batch: Batch, drifting: Fit, share: float) -> bool:
@@ -179,4 +197,4 @@ def _is_noise_left(search: FittedSets) -> bool:
     return not is_heavy(lowest.layout) and evidence.lack_of_fit(search.batch, lowest).p_value > NOISE
 
 
-__all__ = ["Settled", "drift_alone", "drift_fit", "settled", "weighed"]
+__all__ = ["Settled", "drift_alone", "drift_fit", "likeliest", "settled", "weighed"]
