@@ -69,8 +69,8 @@ class VariedSets(RevisitedSets):
         if not (is_new and is_akin(name, variant)) or (self._is_costly(names) and not self._is_costly(varied)):
             return
         is_overdrawn = self._is_overdrawn and not (name in self.variants and variant in LIBRARY[name].reduces_to)
-        if self._is_spent and (self._is_costly(names) or not self.explains(self.fits[varied]) or is_overdrawn):
-            return  # of what explains the records, the few that are soon fitted are asked all the same
+        if self._is_spent and (self._is_costly(names) or (is_overdrawn and self._is_explained())):
+            return  # the few that are soon fitted are asked all the same, where nothing explains the records whatever
         self.progress("variants of effects", 0.5)
         found = self._fit_varied(names)
         if self._is_needed(names) and found is not None and self.explains(found):
