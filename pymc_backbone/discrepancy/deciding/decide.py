@@ -131,9 +131,7 @@ def _weighed(search: Search, drifting: Mapping[Set, Drifting]) -> Decision:
        The American Statistician 55(1), 62-71. doi:10.1198/000313001300339950
     """
     p_missing = evidence.p_nothing_missing(search.fits, search.batch)
-    fits, bonus = dict(search.fits), {}
-    for names, item in drifting.items():
-        fits[(*names, *DRIFT)], bonus[(*names, *DRIFT)] = item.fit, item.bonus
+    fits, bonus = evidence.beside_drifts(search.fits, drifting)
     odds = odds_behind_bands(search.batch, fits)
     arguments = (fits, search.batch, len(search.candidates), bonus, search.variants, odds)
     evidences = evidence.probabilities(*arguments)

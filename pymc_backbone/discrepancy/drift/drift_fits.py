@@ -86,14 +86,9 @@ def likeliest(search: FittedSets, drifting: Mapping[Set, Drifting], batch: Batch
 
     The residuals of ``batch``, which is that of the search by default, say how much the samples tell.
     """
-    beside = {(*names, *evidence.DRIFT): item for names, item in drifting.items()}
-    posterior = evidence.probabilities(
-        {**search.fits, **{names: item.fit for names, item in beside.items()}},
-        search.batch if batch is None else batch,
-        len(search.candidates),
-        {names: item.bonus for names, item in beside.items()},
-        search.variants,
-    )
+    fits, bonus = evidence.beside_drifts(search.fits, drifting)
+    known = search.batch if batch is None else batch
+    posterior = evidence.probabilities(fits, known, len(search.candidates), bonus, search.variants)
     return max(posterior, key=lambda names: posterior[names].log_posterior)
 
 

@@ -104,11 +104,8 @@ class FollowedSets(VariedSets):
         self._ask_drift()
         if self.drift_alone is None or not self._is_explained():
             return self.is_told
-        drift, bonus = self.drift_alone
-        weighed = evidence.probabilities(
-            {**self.fits, evidence.DRIFT: drift}, self.batch, len(self.candidates), {evidence.DRIFT: bonus},
-            self.variants,
-        )  # fmt: skip
+        fits, bonus = evidence.beside_drifts(self.fits, {(): self.drift_alone})
+        weighed = evidence.probabilities(fits, self.batch, len(self.candidates), bonus, self.variants)
         return weighed[evidence.DRIFT].probability > _TOLD
 
     def _is_followed(self, names: Set, proposal: Proposal, so_far: _Followed) -> bool:

@@ -44,7 +44,7 @@ class VariedSets(RevisitedSets):
 
     @property
     def _is_overdrawn(self) -> bool:
-        """Return whether variants took so much beyond the budget that no more are asked."""
+        """Return whether variants took so much beyond the budget that no more are asked beside what explains."""
         return self.descent.effort > _OVERDRAWN * self.budget
 
     def _promised_variants(self) -> list[Set]:
@@ -70,7 +70,7 @@ class VariedSets(RevisitedSets):
             return
         is_overdrawn = self._is_overdrawn and not (name in self.variants and variant in LIBRARY[name].reduces_to)
         if self._is_spent and (self._is_costly(names) or (is_overdrawn and self._is_explained())):
-            return  # the few that are soon fitted are asked all the same, where nothing explains the records whatever
+            return  # the few that are soon fitted are asked all the same: beyond the budget where nothing explains yet
         self.progress("variants of effects", 0.5)
         found = self._fit_varied(names)
         if self._is_needed(names) and found is not None and self.explains(found):

@@ -84,6 +84,17 @@ class Drifting(NamedTuple):
     bonus: float
 
 
+def beside_drifts(
+    fits: Mapping[tuple[str, ...], Fit], drifting: Mapping[tuple[str, ...], Drifting]
+) -> tuple[dict[tuple[str, ...], Fit], dict[tuple[str, ...], float]]:
+    """Return fits with those beside a drift among them, `DRIFT` at the end of their names, and what these gain."""
+    beside = {(*names, *DRIFT): item for names, item in drifting.items()}
+    return (
+        {**fits, **{names: item.fit for names, item in beside.items()}},
+        {names: item.bonus for names, item in beside.items()},
+    )
+
+
 def log_prior(size: int, candidates: int) -> float:
     """Return the logarithm of the prior probability of one set of this size."""
     share = PRIOR_OF_SIZE[min(size, len(PRIOR_OF_SIZE) - 1)]
