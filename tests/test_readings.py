@@ -15,8 +15,9 @@ import pymc_backbone as pb
 from pymc_backbone.discrepancy.disturbances import edges as edges_module
 from pymc_backbone.discrepancy.disturbances.disturbance import Disturbance, Disturbed, line_modes, sentences
 from pymc_backbone.discrepancy.disturbances.edges import Edges, begun_otherwise, edges
+from pymc_backbone.discrepancy.disturbances.left_beside import LeftBeside, left_beside
 from pymc_backbone.discrepancy.disturbances.mode_lines import hum_of, is_hum
-from pymc_backbone.discrepancy.disturbances.readings import _is_one_line, disturbed, early_line
+from pymc_backbone.discrepancy.disturbances.readings import _is_one_line, _is_one_sensor, disturbed, early_line
 from pymc_backbone.discrepancy.sets.promising import is_promising
 from pymc_backbone.discrepancy.sets.search import Search
 from pymc_backbone.discrepancy.weighing import evidence
@@ -572,6 +573,43 @@ def test_a_bent_sensor_alone_is_asked_where_a_rare_law_or_two_leave_noise():
         search.fit_set(some)
     assert search.best() == names[:1] and evidence.leaves_noise(search.batch, search.fits[names[:1]])
     assert disturbed(search) is None
+
+
+def test_sensors_that_bend_differently_are_no_reason_for_a_plainer_law():
+    """A cubic spring behind odd curves moves as an inertia that changes; by the curves, no one sensor read both."""
+    names = ("cubic_stiffness", "nonlinear_inertia")
+    rng, inertia, records = np.random.default_rng(3), pb.Oscillator(MASS, names[1:]), []
+    values = dict(zip(inertia.parameter_names, (STIFFNESS, DAMPING, -0.05 * MASS / AMPLITUDE**2), strict=True))
+    for release, even in ((AMPLITUDE, 0.002), (0.7 * AMPLITUDE, -0.002), (0.8 * AMPLITUDE, 0.0)):
+        motion = simulate_waveform(inertia, values, TIME - RELEASE_TIME, release).displacement
+        exact = np.where(TIME < RELEASE_TIME, release, motion)
+        records.append(noisy(rng, f"from {release}", TIME, exact * (1.0 + even * exact / release), 55.0))
+    search = Search(batch_of(records), pb.Oscillator(MASS), names[:1], 2, variants=names[1:])
+    for some in ((), *((name,) for name in names)):
+        search.fit_set(some)
+    assert search.best() == names[1:] and evidence.leaves_noise(search.batch, search.fits[names[1:]])
+    bent = left_beside(search.batch, search.fits[names[:1]], np.inf, has_line=False, is_bent=True)
+    assert bent.is_noise and bent.cost < search.fits[names[1:]].cost - 24.0  # more than its coefficients must be worth
+    assert disturbed(search) is None
+
+
+@pytest.mark.parametrize(
+    ("curves", "is_one"),
+    [
+        ([(0.01, 0.002), (0.0105, 0.0015)], True),  # of the reading's range
+        ([(0.01, 0.02), (0.005, 0.005)], True),  # of the motion, half as large in the second record
+        ([(0.0, 0.02), (0.001, 0.019)], True),
+        ([(0.01, 0.004), (0.005, 0.004)], False),
+        ([(0.001, 0.02), (0.0005, 0.02), (-0.001, 0.008)], False),
+        ([(0.01, 0.0), (-0.01, 0.0)], False),
+    ],
+)
+def test_one_sensor_has_one_curve(curves, is_one):
+    items = [
+        Disturbance(0.0, 1.0, 0.0, scale, even=even, odd=odd)
+        for scale, (even, odd) in zip((1.0, 0.5, 0.7), curves, strict=False)
+    ]
+    assert _is_one_sensor(LeftBeside(0.0, items, True)) is is_one
 
 
 def test_of_a_spring_behind_a_bent_sensor_the_mechanism_is_named():

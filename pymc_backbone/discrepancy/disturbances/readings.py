@@ -77,7 +77,9 @@ def disturbed(search: Search) -> Disturbed | None:
             whole = partial(left_beside, batch, start, limit, has_line=has_line, is_bent=is_bent)
             jobs.append(whole if has_line else partial(_bent_beside, part, few, whole))
             both = _CHANCE if has_line and is_bent else 0.0
+            # a law in the place of another that leaves noise is no gain: only one sensor is likelier than a rare law
             dear = search.fits[best].cost - price if is_exact and is_one else np.inf
+            dear = -np.inf if names in plain else dear
             laws = _COST * (len(names) + start.layout.free.size)
             priced.append((names, price + both + laws, dear))
     found: list[tuple[float, Disturbed]] = []
@@ -89,10 +91,14 @@ def disturbed(search: Search) -> Disturbed | None:
 
 
 def _is_one_sensor(beside: LeftBeside) -> bool:
-    """Return whether one bent sensor may have read all records: by the same even curve, of the motion or its peak."""
-    shares = np.array([item.even for item in beside.items])
-    curves = shares / np.array([item.scale for item in beside.items])
-    return any(np.all(np.abs(of - np.median(of)) < _AS_BENT * abs(np.median(of))) for of in (shares, curves))
+    """Return whether one bent sensor may have read all records: by the same curve, of the motion or of its peak."""
+    curves = np.array([(item.even, item.odd) for item in beside.items])
+    scales = np.array([item.scale for item in beside.items])[:, None]
+    for of in (curves, curves / scales ** np.array([1.0, 2.0]) * np.median(scales) ** np.array([1.0, 2.0])):
+        usual = np.median(of, axis=0)
+        if np.all(np.hypot(*(of - usual).T) < _AS_BENT * np.hypot(*usual)):
+            return True
+    return False
 
 
 def early_line(search: FittedSets) -> Disturbed | None:
