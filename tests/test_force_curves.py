@@ -20,7 +20,8 @@ from pymc_backbone.discrepancy.fitting.layout import make_layout
 from pymc_backbone.discrepancy.fitting.normal_equations import start_state
 from pymc_backbone.discrepancy.force_curves import curve_laws, families, force_curve
 from pymc_backbone.discrepancy.force_curves.curve_bands import bands_of, simultaneous
-from pymc_backbone.discrepancy.force_curves.curve_fit import CurveFit, Known, fit_curves
+from pymc_backbone.discrepancy.force_curves.curve_fit import CurveFit, fit_curves
+from pymc_backbone.discrepancy.force_curves.curve_known import Known
 from pymc_backbone.discrepancy.force_curves.curve_laws import with_laws
 from pymc_backbone.discrepancy.force_curves.curve_words import Judgement, sentence
 from pymc_backbone.discrepancy.force_curves.families import FAMILIES, Shape, _curve, judged, places, proposals

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..._common.checks import FloatArray
+from ..._common.unit_diagonal import unit_diagonal
 from .data_term import DataTerm
 from .layout import Layout
 from .limits import MOST_SCATTER, is_trusted, leans, recentred, within
@@ -32,6 +33,7 @@ from .normal_equations import (
 )
 from .scatter import NO_SCATTER, Scatter, infer_scatter
 
+_RIDGE = 1e-12  # on the diagonal of ones of the shared system
 _FIRST_DAMPING = 1e-3
 _LARGEST_DAMPING = 1e8
 _CONVERGED = 0.01
@@ -258,9 +260,8 @@ def _followed(state: State, system: System, active: Any) -> State | None:
     own = state.own.copy()
     for r in range(own.shape[0]):
         block, slope = system.own[r][np.ix_(index, index)], system.own_gradient[r, index]
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(block), 1e-300))
         try:
-            own[r, index] += scale * np.linalg.solve(block * np.outer(scale, scale), slope * scale)
+            own[r, index] += unit_diagonal(block).solve(slope)
         except np.linalg.LinAlgError:
             return None
     own[:, 1] = np.maximum(own[:, 1], 0.0)
@@ -283,10 +284,8 @@ def _step(layout: Layout, system: System, state: State, active: Any, damping: fl
     step = np.zeros(q)
     if free.size:
         block = shared[np.ix_(free, free)]
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(block), 1e-300))
-        scaled = block * np.outer(scale, scale) + 1e-12 * np.eye(free.size)
         try:
-            step[free] = scale * np.linalg.solve(scaled, gradient[free] * scale)
+            step[free] = unit_diagonal(block, _RIDGE).solve(gradient[free])
         except np.linalg.LinAlgError:
             return None
     own = np.zeros_like(state.own)
@@ -303,9 +302,8 @@ def _finish(layout: Layout, system: System, state: State, active: Any, converged
     own_covariance = np.full((state.own.shape[0], NUISANCES), np.nan)
     index = np.flatnonzero(active)
     for r in range(state.own.shape[0]):
-        block = system.own[r][np.ix_(index, index)]
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(block), 1e-300))
-        inverse = np.linalg.pinv(block * np.outer(scale, scale)) * np.outer(scale, scale)
+        block = unit_diagonal(system.own[r][np.ix_(index, index)])
+        inverse = block.scaled(np.linalg.pinv(block.matrix))
         for place, column in enumerate(index):
             if column < NUISANCES:
                 own_covariance[r, column] = inverse[place, place]

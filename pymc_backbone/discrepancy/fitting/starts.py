@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..._common.checks import BoolArray, FloatArray
+from ..._common.unit_diagonal import unit_diagonal
 from ...effects import BASE_EFFECTS, Effect
 from . import normal_equations
 from .batch import Batch
@@ -107,8 +108,7 @@ def by_score(layout: Layout, effect: str, parent: Fit, batch: Batch) -> list[Sco
         shared, gradient, solved = eliminated
         free = [where[0], *(here for here, _ in others)]
         information, slope = shared[np.ix_(free, free)], gradient[free]
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
-        step = scale * np.linalg.lstsq(information * np.outer(scale, scale), slope * scale, rcond=1e-10)[0]
+        step = unit_diagonal(information).least_squares(slope, 1e-10)
         # what was put in costs a little, more than a step may gain by it
         gain = max(float(slope @ step) + parent.cost - system.cost, 0.0)
         strength = trial[where[0]] + step[0]

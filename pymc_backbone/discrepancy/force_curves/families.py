@@ -16,8 +16,10 @@ import numpy as np
 from scipy.special import logsumexp
 
 from ..._common.checks import FloatArray
+from ..._common.unit_diagonal import unit_diagonal
 from ..results.curve_records import NONE, NOTHING, Proposal
-from .curve_fit import CurveFit, Known
+from .curve_fit import CurveFit
+from .curve_known import Known
 from .tabulated import DAMPING, NODES, STIFFNESS
 
 Law = Callable[[FloatArray, float], FloatArray]
@@ -209,12 +211,10 @@ class _Curve:
     def log_free(self) -> float:
         """Return what the curve itself gains over no curve, its bends integrated out."""
         known = self.known
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(known.precision + known.prior), 1e-300))
-        both = (known.precision + known.prior) * np.outer(scale, scale)
-        pull = known.pull * scale
-        prior = known.prior * np.outer(scale, scale)
+        both = unit_diagonal(known.precision + known.prior)
+        prior = both.scaled(known.prior)
         return 0.5 * float(
-            pull @ np.linalg.solve(both, pull) + np.linalg.slogdet(prior)[1] - np.linalg.slogdet(both)[1]
+            known.pull @ both.solve(known.pull) + np.linalg.slogdet(prior)[1] - np.linalg.slogdet(both.matrix)[1]
         )
 
 
@@ -380,8 +380,7 @@ def _weighed(family: _Family, known: _Curve) -> _Weighed | None:
 def _evidence(known: Known, shape: FloatArray, sign: float) -> tuple[float, FloatArray]:
     """Return the logarithm of a shape's evidence against no curve, its sizes integrated out, and the sizes."""
     weight, slope = shape.T @ known.precision @ shape, shape.T @ known.pull
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(weight), 1e-300))
-    size = scale * np.linalg.lstsq(weight * np.outer(scale, scale), slope * scale, rcond=1e-9)[0]
+    size = unit_diagonal(weight).least_squares(slope, 1e-9)
     if not (np.diag(weight) > 0.0).all() or size[0] * sign < 0.0:
         return -np.inf, size
     width = np.maximum(_WIDTH * np.abs(size), 1e-300)

@@ -10,13 +10,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import log_ndtr
 
 from ..._common.checks import FloatArray
 from ..._common.threads import in_threads
+from ..._common.unit_diagonal import unit_diagonal
 from ..fitting.data_term import DataTerm
 from ..fitting.joint_fit import Fit
 from ..fitting.normal_equations import DRIFTS, NUISANCES, derivatives, parameters_at, prior_width, symmetric
@@ -24,6 +25,7 @@ from ..fitting.normal_equations import DRIFTS, NUISANCES, derivatives, parameter
 _MOST_STEPS = 4
 _NEAR = 0.5  # fall of minus twice the log-likelihood that a further step promises, up to which its promise is kept
 _LOST = 4.0  # the same, above which it is not
+_RIDGE = 1e-12  # on the diagonal of ones of a matrix that is inverted
 _DAMPING = 1  # place of the specimen's damping, which is not negative
 
 
@@ -127,9 +129,7 @@ class Conditional:
         precision = jacobian.T @ jacobian / variance + np.diag(self.prior)
         unseen = np.flatnonzero(np.diag(precision) <= 0.0)  # an offset behind a band-pass: it stays where it is
         precision[unseen, unseen] = 1.0
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(precision), 1e-300))
-        scaled = precision * np.outer(scale, scale) + 1e-12 * np.eye(scale.size)
-        inverse = symmetric(np.linalg.inv(scaled)) * np.outer(scale, scale)
+        inverse = _inverse(precision)
         mixed = jacobian.T @ known.shared / variance
         slope = jacobian.T @ known.residuals / variance - self.prior * own[self.index]
         held = (self.index == _DAMPING) & (own[self.index] <= 0.0) & (slope < 0.0)
@@ -138,7 +138,7 @@ class Conditional:
         within[np.ix_(free, free)] = _inverse(precision[np.ix_(free, free)])
         gradient = known.shared.T @ known.residuals / variance - mixed.T @ within @ slope
         left = known.shared.T @ known.shared / variance - mixed.T @ within @ mixed
-        log_determinant = float(np.linalg.slogdet(scaled)[1]) - 2.0 * float(np.log(scale).sum())
+        log_determinant = unit_diagonal(precision, _RIDGE).log_determinant()
         specimen = _Specimen(
             term, own, jacobian, variance, size, floor, precision, inverse, -within @ mixed, log_determinant
         )
@@ -223,9 +223,8 @@ class Conditional:
 
 def _inverse(matrix: FloatArray) -> FloatArray:
     """Return the inverse of a positive definite matrix whose entries differ by orders of magnitude."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    inverse: Any = np.linalg.inv(matrix * np.outer(scale, scale) + 1e-12 * np.eye(scale.size))
-    return symmetric(inverse) * np.outer(scale, scale)
+    known = unit_diagonal(matrix, _RIDGE)
+    return known.scaled(symmetric(np.linalg.inv(known.matrix)))
 
 
 __all__ = ["Conditional", "Proposal"]
