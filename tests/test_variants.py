@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 from pymc_backbone import Oscillator, Record, find_missing_effect
-from pymc_backbone.discrepancy.sets.question import looked_for
+from pymc_backbone.discrepancy.sets.question import ask, looked_for
+from pymc_backbone.discrepancy.sets.search import Search
 from pymc_backbone.effects import BASE_EFFECTS, LIBRARY
+from pymc_backbone.measurement.options import Measuring
 
 from .decay_oracles import Decay
+from .discrepancy_cases import batch_of
 
 MASS, OMEGA, AMPLITUDE = 1.2, 2.0 * np.pi * 7.0, 0.008
 STIFFNESS, DAMPING = MASS * OMEGA**2, 2.0 * 0.004 * MASS * OMEGA
@@ -65,6 +68,32 @@ def test_variants_and_what_one_mode_does_not_show_are_not_looked_for_by_themselv
     assert set(LIBRARY) - set(looked_for("rad")) == {*BASE_EFFECTS, *TRUTHS, *DAHL, *OTHERS}
     assert set(TRUTHS) == {name for name, effect in LIBRARY.items() if effect.variant_of}
     assert {*DAHL, *OTHERS} == {name for name, effect in LIBRARY.items() if effect.only_if_named}
+
+
+@pytest.mark.parametrize(("loss", "effects"), [(0.03, ("structural_damping",)), (0.002, ())])
+def test_what_backbones_do_not_show_is_asked_where_nothing_else_explains_the_samples(loss, effects):
+    """Its force jumps at the turning points; where the noise hides that, the viscous damper stands for it."""
+    batch = batch_of(records_of("structural_damping", (loss * STIFFNESS,)), MASS)
+    search = Search(
+        batch, Oscillator(MASS), ("cubic_stiffness", "quadratic_damping"), 2,
+        reserved=("structural_damping", "maxwell_element"),
+    )  # fmt: skip
+    search.run()
+    assert search.best() == effects and search.explains(search.fits[effects])
+    assert search.variants == effects
+    assert all("structural_damping" not in names for names in search.fits if names != ("structural_damping",))
+
+
+def test_what_is_reserved_is_asked_unless_candidates_are_named():
+    def asked(model, candidates):
+        return ask(
+            model, records_of("structural_damping", (0.002 * STIFFNESS,)), candidates=candidates, max_effects=1,
+            tolerance=None, measuring=Measuring(),
+        ).reserved  # fmt: skip
+
+    assert asked(Oscillator(MASS), None) == ("dahl_friction", "maxwell_element", "structural_damping")
+    assert asked(Oscillator(MASS, "structural_damping"), None) == ("dahl_friction", "maxwell_element")
+    assert asked(Oscillator(MASS), ["cubic_stiffness"]) == ()
 
 
 @pytest.mark.slow

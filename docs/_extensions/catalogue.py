@@ -78,8 +78,11 @@ def page(effect: Effect) -> str:
             f": {original}; `diagnose` looks for it in the place of these, and by itself when it is named",
             "",
         ]
-    if effect.only_if_named:
-        lines += ["Not looked for", ": unless it is named: records do not tell it from other effects", ""]
+    if effect.with_role("ordinate"):
+        lines += ["Not looked for", ": it is drawn where no law explains the records", ""]
+    elif effect.only_if_named:
+        when = "unless it is named, or nothing else explains the records"
+        lines += ["Not looked for", f": {when}: backbones do not tell it from others", ""]
     if signature.resembles:
         links = ", ".join(f"[{title(LIBRARY[name])}]({name}.md)" for name in signature.resembles)
         lines += ["Easily taken for", f": {links}", ""]

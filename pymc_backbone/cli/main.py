@@ -301,8 +301,11 @@ def _effect_text(effect: Any) -> str:
     if effect.variant_of:
         where = "`diagnose` looks for it in the place of these, and by itself when it is named"
         lines += ["", f"  variant of {', '.join(effect.variant_of)}: {where}"]
-    if effect.only_if_named:
-        lines += ["", "  `diagnose` looks for it only when it is named: records do not tell it from other effects"]
+    if effect.with_role("ordinate"):
+        lines += ["", "  no candidate: `diagnose` draws such a curve where no law explains the records"]
+    elif effect.only_if_named:
+        when = "only when it is named, or where nothing else explains the records"
+        lines += ["", f"  `diagnose` looks for it {when}: backbones do not tell it from others"]
     if effect.references:
         lines += ["", "  references:", *(f"    {reference}" for reference in effect.references)]
     return "\n".join(lines)

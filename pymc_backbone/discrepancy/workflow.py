@@ -91,8 +91,8 @@ def find_missing_effect(
         samples tell apart what backbones cannot.
     candidates : sequence of str or Effect, optional
         Effects that may be missing, by name or, of your own, as `Effect`; by default all of the library that fit the
-        unit of the motion, but for variants (`Effect.variant_of`) and what one mode does not show
-        (`Effect.only_if_named`).
+        unit of the motion, but for variants (`Effect.variant_of`) and what backbones do not show
+        (`Effect.only_if_named`), which are looked for where these explain less or nothing.
     max_effects : int, default 3
         Largest number of effects that may be missing together.
     tolerance : mapping of str to float, or 0, optional
@@ -230,7 +230,8 @@ def _searched(
     search = Search(
         question.batch, question.base, question.candidates, question.max_effects, say,
         budget=BUDGET * (_QUICK_BUDGET if quick else 1.0), own=question.own,
-        variants=question.variants, tolerance=question.tolerance, is_disturbed=is_disturbed, is_drifting=is_drifting,
+        variants=question.variants, reserved=question.reserved, tolerance=question.tolerance,
+        is_disturbed=is_disturbed, is_drifting=is_drifting,
     )  # fmt: skip
     search.run()
     if () not in search.fits:

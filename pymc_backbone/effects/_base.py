@@ -239,9 +239,9 @@ class Effect:
         Names of variants with fewer parameters that this one is at an end of its range, as a play is a stop on one side
         where its other side is never reached: where it explains no more than these, they are named.
     only_if_named : bool
-        Whether the effect is looked for only when it is named as a candidate: because the free decay of one mode does
-        not tell it from the linear spring and the viscous damper that every oscillator has, or because it is a case of
-        another effect that is looked for.
+        Whether the effect is looked for only when it is named as a candidate, or where nothing else explains the
+        samples: because the backbones of one mode do not tell it from the linear spring and the viscous damper that
+        every oscillator has, or because it is a case of another effect that is looked for.
 
     See Also
     --------

@@ -1,7 +1,8 @@
 """Structural damping (Reid): a loss in proportion to the displacement, whatever the frequency.
 
-Beside the viscous damper that every oscillator has, the decay of one mode hardly tells it apart: both take the same
-share of every cycle. It is in the library to be put into a model, and looked for in data only when it is named.
+Beside the viscous damper that every oscillator has, the backbones of one mode do not tell it apart: both take the same
+share of every cycle. Its force jumps at the turning points, which samples may show: it is looked for in data when it is
+named, or where nothing else explains them.
 """
 
 from __future__ import annotations

@@ -50,6 +50,8 @@ class KnownSets:
         Candidates that the library does not hold, by name.
     variants : tuple of str
         Effects that are looked for in the place of the candidates that they are variants of.
+    reserved : tuple of str
+        Effects that backbones do not show, asked where nothing else explains the samples.
     tolerance : mapping of str to float
         Relative change of frequency and damping that does not matter.
     drift_alone : Drifting, optional
@@ -77,6 +79,7 @@ class KnownSets:
     costly_beyond: int = 0
     own: Mapping[str, Effect] = field(default_factory=dict)
     variants: tuple[str, ...] = ()
+    reserved: tuple[str, ...] = ()
     tolerance: Mapping[str, float] = field(default_factory=dict)
     asked: dict[tuple[Set, int], object] = field(default_factory=dict)
     varied: dict[Set, Proposal] = field(default_factory=dict)

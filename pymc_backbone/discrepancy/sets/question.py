@@ -48,6 +48,8 @@ class Question:
         Effects that may be missing, the costly ones last.
     variants : tuple of str
         Variants of these, which are looked for in their place; none where the candidates were named.
+    reserved : tuple of str
+        What is asked where nothing else explains the samples; none where the candidates were named.
     own : mapping of str to Effect
         Those that the library does not hold.
     max_effects : int
@@ -62,6 +64,7 @@ class Question:
     batch: Batch
     candidates: tuple[str, ...]
     variants: tuple[str, ...]
+    reserved: tuple[str, ...]
     own: Mapping[str, Effect]
     max_effects: int
     tolerance: Mapping[str, float]
@@ -103,6 +106,7 @@ def ask(
         batch=batch,
         candidates=chosen,
         variants=() if candidates is not None else variants_of(chosen, oscillator),
+        reserved=() if candidates is not None else reserved_effects(oscillator),
         own=own_effects(candidates),
         max_effects=int(max_effects),
         tolerance=limits,
@@ -248,6 +252,16 @@ def variants_of(candidates: Sequence[str], oscillator: Oscillator) -> tuple[str,
     held = {effect.name for effect in oscillator.effects}
     return tuple(
         name for name, effect in LIBRARY.items() if set(effect.variant_of) & set(candidates) and name not in held
+    )
+
+
+def reserved_effects(oscillator: Oscillator) -> tuple[str, ...]:
+    """Return the laws of the library that are looked for by name, and not in the model already: no drawn curves."""
+    held = {effect.name for effect in oscillator.effects}
+    return tuple(
+        name
+        for name, effect in LIBRARY.items()
+        if effect.only_if_named and not effect.with_role("ordinate") and name not in held
     )
 
 

@@ -62,6 +62,7 @@ class Search(FollowedSets):
                 if min(item.cost for item in self.fits.values()) > _NEAR * self.count:
                     self._look_back()
                     self._vary()
+                    self._ask_reserved()
                     return
             self._follow_backbones(_MOST_FOLLOWED)
             if self.halted is not None or self._is_drift_likelier():
@@ -76,6 +77,7 @@ class Search(FollowedSets):
             return
         self._enlarge()
         self._vary()
+        self._ask_reserved()
         if self.is_cut:
             self._complete()
         self._ask_kindred()

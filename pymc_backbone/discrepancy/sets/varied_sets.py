@@ -42,6 +42,26 @@ class VariedSets(RevisitedSets):
         for names in [names for names in self.fits if not self._is_needed(names)]:
             del self.fits[names]
 
+    def _ask_reserved(self) -> None:
+        """Where nothing explains the records, fit what is otherwise looked for by name only, alone and in the best set.
+
+        The backbones of one mode do not show such a law; what its force does within a cycle may be all that is left.
+        It is as rare as a variant, and kept where it explains the records.
+        """
+        if self._is_explained() or not self.batch.has_records:
+            return
+        best = self.best()
+        for name in self.reserved:
+            for names in dict.fromkeys([(name,), tuple(sorted({*best, name}))]):
+                if len(names) > self.max_effects or names in self.fits or self._is_costly(names):
+                    continue
+                self.progress("what backbones do not show", 0.5)
+                found = self.fit_set(names)
+                if found is not None and self.explains(found):
+                    self.variants = tuple(dict.fromkeys((*self.variants, name)))
+                else:
+                    self.fits.pop(names, None)
+
     @property
     def _is_overdrawn(self) -> bool:
         """Return whether variants took so much beyond the budget that no more are asked beside what explains."""
