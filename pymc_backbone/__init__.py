@@ -25,9 +25,10 @@ if TYPE_CHECKING:
     from .inference.fit_verdict import GoodnessOfFit
     from .inference.goodness import goodness_of_fit
     from .inference.hierarchical import build_hierarchical_model, unidentified_parameters
-    from .inference.model import backbone_deterministic, backbone_likelihood, build_model
+    from .inference.model import build_model
     from .inference.predictions import add_log_likelihood, add_predictions
     from .inference.sampling import sample
+    from .inference.terms import backbone_deterministic, backbone_likelihood
     from .likelihood.data_consistent import fit_data_consistent
     from .likelihood.density import Density
     from .likelihood.density_fit import fit_density
@@ -90,7 +91,8 @@ _WHERE = {
     "effects": ("LIBRARY", "Effect", "Parameter", "Signature", "get_effect"),
     "inference.hierarchical": ("build_hierarchical_model", "unidentified_parameters"),
     "measurement.reading.measured_backbones": ("read_backbones",),
-    "inference.model": ("backbone_likelihood", "build_model", "backbone_deterministic"),
+    "inference.terms": ("backbone_likelihood", "backbone_deterministic"),
+    "inference.model": ("build_model",),
     "likelihood.op": ("BackboneLogLikelihood", "BackboneOp"),
     "oscillator": ("Oscillator",),
     "measurement.reading.record": ("Record",),

@@ -20,10 +20,10 @@ from pymc_backbone import (
     simulate_backbone,
 )
 from pymc_backbone.inference.hierarchical import unidentified_parameters
-from pymc_backbone.inference.model import backbone_deterministic
 from pymc_backbone.inference.starts import StartFinder
 from pymc_backbone.inference.store.fingerprint import describe_model
 from pymc_backbone.inference.targets import is_differentiable, targets_of
+from pymc_backbone.inference.terms import backbone_deterministic
 
 from .test_hierarchical import LINEAR, LINEAR_BOUNDS, linear_batch
 from .test_model import BOUNDS, DUFFING, LEVELS, TRUTH, batch, noisy

@@ -8,7 +8,8 @@ from scipy.signal import bilinear, lfilter
 
 from pymc_backbone._common.checks import InputError
 from pymc_backbone.discrepancy.workflow import find_missing_effect
-from pymc_backbone.inference.model import build_model, prior_intervals
+from pymc_backbone.inference.intervals import prior_intervals
+from pymc_backbone.inference.model import build_model
 from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.measurement.cycles import extract_cycles
 from pymc_backbone.measurement.extraction import ALIKE, LEFT_OUT, extract_all, levels_for, measure_batch

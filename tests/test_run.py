@@ -14,7 +14,7 @@ import xarray as xr
 from pymc_backbone._common.checks import InputError
 from pymc_backbone._common.options import names_of, pick
 from pymc_backbone.inference import goodness  # noqa: F401  it needs the model that the fixture replaces
-from pymc_backbone.inference.model import likelihood_of  # before the fixture takes the place of its module
+from pymc_backbone.inference.measured import likelihood_of  # before the fixture takes the place of its module
 from pymc_backbone.inference.options import Comparing, Keeping, Modelling, Sampling
 from pymc_backbone.inference.store import run_folder  # noqa: F401  it needs the model that the fixture replaces
 from pymc_backbone.likelihood.density_fit import fit_density

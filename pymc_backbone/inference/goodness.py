@@ -29,7 +29,7 @@ from ..oscillator import Oscillator
 from ..simulation.response import Response, make_response
 from .fit_verdict import P_LIMIT, ExcludedBy, GoodnessOfFit, SpecimenFit
 from .level_values import LevelValues, compare_values, find_displaced, find_narrow
-from .model import likelihood_of, select_observables
+from .measured import likelihood_of, select_observables
 from .options import LIKELIHOODS
 from .refit import Refit, refit
 from .squared_distance import SquaredDistance

@@ -14,10 +14,12 @@ from pytensor.tensor import TensorVariable as Tensor
 from .._common.checks import FloatArray, InputError, check_choice, check_positive
 from ..oscillator import Oscillator
 from ..simulation.response import make_response
-from .model import backbone_likelihood, prior_intervals, select_observables
+from .intervals import prior_intervals
+from .measured import select_observables
 from .population import Coordinate, cut_moments, edge_ranges, normal_specimens, uniform_specimens
 from .specimen_fits import SpecimenFits, fit_specimens
 from .start_hint import StartHint, give_hint, start_hint_of
+from .terms import backbone_likelihood
 
 POPULATIONS = ("normal", "uniform")
 MINIMUM_SPECIMENS = 3

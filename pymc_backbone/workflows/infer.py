@@ -52,7 +52,7 @@ def infer(
     tell = progress or (lambda _stage, _fraction: None)
     tell("building the model", float("nan"))
     from ..inference.goodness import goodness_of_fit
-    from ..inference.model import likelihood_of
+    from ..inference.measured import likelihood_of
     from ..inference.sampling import sample
     from ..inference.targets import targets_of
 
