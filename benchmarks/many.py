@@ -26,7 +26,7 @@ import numpy as np
 
 import pymc_backbone as pb
 from pymc_backbone._common.processes import Processes
-from pymc_backbone.reporting.output_folder import plain
+from pymc_backbone.reporting.portable import plain
 from pymc_backbone.survey.structure import prepare_worker
 
 MASS, FREQUENCY, AMPLITUDE = 1.3, 5.0, 0.01

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from .measurement.reading.records import read_records
     from .measurement.reading.writing import write_records
     from .oscillator import Oscillator
-    from .reporting.output_folder import write_backbones
+    from .reporting.backbone_files import write_backbones
     from .reporting.study_files import write_study
     from .simulation.backbones import simulate_population
     from .simulation.decay import simulate_backbone, simulate_decay, simulate_waveform
@@ -98,7 +98,7 @@ _WHERE = {
     "measurement.reading.record": ("Record",),
     "measurement.reading.records": ("read_records",),
     "measurement.reading.writing": ("write_records",),
-    "reporting.output_folder": ("write_backbones",),
+    "reporting.backbone_files": ("write_backbones",),
     "inference.predictions": ("add_log_likelihood", "add_predictions"),
     "inference.sampling": ("sample",),
     "survey.structure": ("Structure",),

@@ -32,7 +32,7 @@ from pymc_backbone.discrepancy.results.verdict import NamedLevel, Verdict
 from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.oscillator import Oscillator
 from pymc_backbone.reporting.curve_plots import plot_force
-from pymc_backbone.reporting.output_folder import plain
+from pymc_backbone.reporting.portable import plain
 from pymc_backbone.reporting.report import report_html
 from pymc_backbone.reporting.study_files import force_curve_entries, write_study
 from pymc_backbone.reporting.study_plots import study_figures

@@ -15,7 +15,7 @@ from pymc_backbone._common.backbone_dataset import backbone_dataset
 from pymc_backbone.inference.fit_verdict import ExcludedBy, FitEntry, GoodnessOfFit, SpecimenFit
 from pymc_backbone.inference.refit import refit
 from pymc_backbone.measurement.extraction import measure_batch
-from pymc_backbone.reporting.output_folder import plain
+from pymc_backbone.reporting.portable import plain
 from pymc_backbone.simulation.response import make_response
 
 MASS = 1.0

@@ -15,7 +15,8 @@ import pytest
 from pymc_backbone import InputError, demo_folder, read_records
 from pymc_backbone.cli.common import visible
 from pymc_backbone.cli.main import main
-from pymc_backbone.reporting.output_folder import RESULT, prepare_output, read_result, write_results
+from pymc_backbone.reporting.claimed_folder import prepare_output
+from pymc_backbone.reporting.output_folder import RESULT, read_result, write_results
 
 from . import format_files as files
 

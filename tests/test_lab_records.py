@@ -22,7 +22,7 @@ from pymc_backbone.measurement.options import Measuring
 from pymc_backbone.measurement.reading.record import Record
 from pymc_backbone.measurement.reading.records import read_record_files, read_records
 from pymc_backbone.measurement.reading.writing import write_records
-from pymc_backbone.reporting.output_folder import claimed_output
+from pymc_backbone.reporting.claimed_folder import claimed_output
 from pymc_backbone.workflows.measure import measure
 
 from .test_cli import is_one_sentence, run_cli
@@ -224,7 +224,7 @@ def test_a_comma_between_cells_is_no_decimal_comma(tmp_path: Path) -> None:
 
 HOLD = """
 import sys
-from pymc_backbone.reporting.output_folder import claimed_output
+from pymc_backbone.reporting.claimed_folder import claimed_output
 with claimed_output(sys.argv[1]):
     print("held", flush=True)
     sys.stdin.readline()
@@ -270,7 +270,7 @@ def test_a_run_that_died_does_not_keep_its_folder(tmp_path: Path) -> None:
 
 def test_surveys_and_cases_keep_other_runs_out_of_their_folder(tmp_path):
     from pymc_backbone.paper.run_cases import run_cases
-    from pymc_backbone.reporting.output_folder import claimed_output
+    from pymc_backbone.reporting.claimed_folder import claimed_output
     from pymc_backbone.survey.files import begun_survey
 
     with begun_survey(tmp_path / "survey", False, False, 1) as folder:

@@ -16,7 +16,8 @@ import pytest
 import pymc_backbone as pb
 from pymc_backbone._common.checks import InputError
 from pymc_backbone._common.processes import MEGABYTES_PER_PROCESS, Processes
-from pymc_backbone.reporting.output_folder import plain, read_result
+from pymc_backbone.reporting.output_folder import read_result
+from pymc_backbone.reporting.portable import plain
 from pymc_backbone.survey import workflow
 from pymc_backbone.survey.files import stored_seed
 from pymc_backbone.survey.names import folder_names, seed_of, structures_of

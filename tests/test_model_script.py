@@ -13,8 +13,9 @@ import pytest
 import xarray as xr
 
 from pymc_backbone import Effect, InputError, Oscillator, Parameter, read_backbones
+from pymc_backbone.reporting.claimed_folder import prepare_output
 from pymc_backbone.reporting.model_script import model_script
-from pymc_backbone.reporting.output_folder import prepare_output, write_results
+from pymc_backbone.reporting.output_folder import write_results
 
 from .study_cases import make_study
 

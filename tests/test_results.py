@@ -14,13 +14,9 @@ from matplotlib.figure import Figure
 
 from pymc_backbone._common.checks import InputError
 from pymc_backbone.measurement.reading.measured_backbones import read_backbones
-from pymc_backbone.reporting.output_folder import (
-    RESULT_KEYS,
-    prepare_output,
-    read_result,
-    write_backbones,
-    write_results,
-)
+from pymc_backbone.reporting.backbone_files import write_backbones
+from pymc_backbone.reporting.claimed_folder import prepare_output
+from pymc_backbone.reporting.output_folder import RESULT_KEYS, read_result, write_results
 
 
 @pytest.fixture

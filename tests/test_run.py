@@ -21,7 +21,8 @@ from pymc_backbone.likelihood.density_fit import fit_density
 from pymc_backbone.measurement.options import Measuring
 from pymc_backbone.measurement.reading.options import Reading
 from pymc_backbone.oscillator import Oscillator
-from pymc_backbone.reporting.output_folder import RESULT_KEYS, backbone_table, read_result
+from pymc_backbone.reporting.backbone_files import backbone_table
+from pymc_backbone.reporting.output_folder import RESULT_KEYS, read_result
 from pymc_backbone.reporting.terminal import _row, compare, damping_ratio_words, describe_measured
 from pymc_backbone.simulation.backbones import simulate_population
 from pymc_backbone.workflows import demo, infer

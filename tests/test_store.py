@@ -612,7 +612,7 @@ def test_kills_at_random_moments_change_no_draw(tmp_path, random_seed):
 
 @pytest.mark.slow
 def test_command_line_survives_a_kill(tmp_path, rng):
-    from pymc_backbone.reporting.output_folder import backbone_table
+    from pymc_backbone.reporting.backbone_files import backbone_table
 
     from .test_run import make_backbones
 

@@ -16,7 +16,7 @@ from pymc_backbone.inference.model import build_model
 from pymc_backbone.inference.options import Comparing, Modelling, Sampling
 from pymc_backbone.measurement.reading.options import Reading
 from pymc_backbone.oscillator import Oscillator
-from pymc_backbone.reporting.output_folder import backbone_table
+from pymc_backbone.reporting.backbone_files import backbone_table
 from pymc_backbone.simulation.decay import simulate_backbone
 from pymc_backbone.workflows.diagnose import command_line, with_uncertain_mass
 from pymc_backbone.workflows.update import update

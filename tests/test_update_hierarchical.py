@@ -14,7 +14,8 @@ from pymc_backbone._common.checks import InputError
 from pymc_backbone.inference.options import Comparing, Modelling, Sampling
 from pymc_backbone.inference.population_summary import population_of
 from pymc_backbone.measurement.reading.options import Reading
-from pymc_backbone.reporting.output_folder import RESULT_KEYS, backbone_table, read_result
+from pymc_backbone.reporting.backbone_files import backbone_table
+from pymc_backbone.reporting.output_folder import RESULT_KEYS, read_result
 from pymc_backbone.workflows.update import update
 
 # Asked for by PyMC's LKJCorr; the command line keeps it from the user.

@@ -59,7 +59,7 @@ def test_no_sentence_of_the_library_names_an_option():
 def test_a_folder_in_use_in_both_languages(capsys, tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "thesis.tex").write_text("years of work")
-    from pymc_backbone.reporting.output_folder import prepare_output
+    from pymc_backbone.reporting.claimed_folder import prepare_output
 
     with pytest.raises(pymc_backbone.InputError, match="give `overwrite=True`") as raised:
         prepare_output(tmp_path / "out")

@@ -53,6 +53,7 @@ from pymc_backbone import (  # noqa: E402
 from pymc_backbone.cli import main as cli  # noqa: E402
 from pymc_backbone.measurement.reading.formats import isolation  # noqa: E402
 from pymc_backbone.reporting import output_folder as results  # noqa: E402
+from pymc_backbone.reporting.claimed_folder import prepare_output  # noqa: E402
 from pymc_backbone.workflows import extract as run_extract  # noqa: E402
 from pymc_backbone.workflows import update as run  # noqa: E402
 from tests.format_files import WRITERS  # noqa: E402
@@ -207,7 +208,7 @@ def read(path: Path) -> str:
         try:
             results.read_result(path.parent)
         finally:  # a second run into the same folder goes on, whatever the first one's says
-            results.write_results(results.prepare_output(path.parent, overwrite=True), {"command": "extract"})
+            results.write_results(prepare_output(path.parent, overwrite=True), {"command": "extract"})
             path.unlink()
         return "read"
     if path.name in ("backbones.nc", "table.csv"):

@@ -29,7 +29,7 @@ def _one(task: tuple[Path, float | None, str, bool]) -> str:
         return folder.name
     from pymc_backbone import InputError, Oscillator, read_records
     from pymc_backbone.discrepancy import workflow
-    from pymc_backbone.reporting.output_folder import plain
+    from pymc_backbone.reporting.portable import plain
     from pymc_backbone.reporting.study_files import study_entries
 
     truth = json.loads((folder / "truth.json").read_text())

@@ -58,7 +58,7 @@ def shown_progress(
 def print_result(given: argparse.Namespace, result: Any) -> None:
     """Print a result as JSON where the options ask for it."""
     if given.json:
-        from ..reporting.output_folder import plain
+        from ..reporting.portable import plain
 
         print(json.dumps(plain(result), allow_nan=False), flush=True)
 

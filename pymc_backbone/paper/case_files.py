@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from .._common.checks import OBSERVABLE_UNITS
-from ..reporting.output_folder import plain, write_files
+from ..reporting.output_folder import write_files
+from ..reporting.portable import plain
 from .case_comparison import Comparison, describe_gap
 from .case_study import CaseResult
 from .cases import Case

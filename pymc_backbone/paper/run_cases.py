@@ -12,7 +12,7 @@ from typing import Any
 from .._common.checks import InputError, check_choice
 from .._common.processes import Processes, WorkerDied
 from .._common.quiet import hush_libraries
-from ..reporting.output_folder import claimed_output
+from ..reporting.claimed_folder import claimed_output
 from .case_files import describe_case, describe_refusal, write_cases, write_figures
 from .case_study import LIKELIHOODS, refused_records, run_case
 from .cases import CASES, get_case

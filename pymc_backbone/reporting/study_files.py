@@ -28,9 +28,10 @@ from ..discrepancy.results.curve_records import ForceCurves
 from ..discrepancy.results.design import Contender, Plan
 from ..discrepancy.results.entries import Estimate, HeldOut
 from ..discrepancy.results.study import Study
+from .claimed_folder import prepare_output
 from .curve_script import curve_script
 from .model_script import model_script
-from .output_folder import CURVE_SCRIPT, REPORT, SCRIPT, package_version, prepare_output, write_results
+from .output_folder import CURVE_SCRIPT, REPORT, SCRIPT, package_version, write_results
 from .pictures import draw_all
 from .report import report_html
 from .study_plots import study_figures

@@ -24,7 +24,9 @@ from pathlib import Path
 from typing import Any
 
 from .._common.atomic_files import remove_leftovers, replacing
-from ..reporting.output_folder import PROGRAM, REPORT, claimed_output, package_version, plain, write_files
+from ..reporting.claimed_folder import claimed_output
+from ..reporting.output_folder import PROGRAM, REPORT, package_version, write_files
+from ..reporting.portable import plain
 from .survey import Survey
 
 PAGE, SUMMARY, TABLE, STRUCTURES = "summary.html", "summary.json", "summary.csv", "structures"

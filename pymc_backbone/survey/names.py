@@ -116,7 +116,7 @@ def seed_of(seed: int, name: str) -> int:
 
 def request_digest(source: Any, settings: Mapping[str, Any], version: str) -> str:
     """Return a digest of all that the result of a structure depends on: settings, version, records."""
-    from ..reporting.output_folder import plain
+    from ..reporting.portable import plain
 
     digest = hashlib.sha256(json.dumps([version, plain(settings)], sort_keys=True).encode())
     for part in _parts(source):

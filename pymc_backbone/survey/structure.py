@@ -260,7 +260,7 @@ def summary_of(result: Mapping[str, Any]) -> dict[str, Any]:
 
 def write_entries(folder: Path, entries: Mapping[str, Any], request: str) -> None:
     """Keep a finished record in its folder: the sign that everything else there is written."""
-    from ..reporting.output_folder import plain
+    from ..reporting.portable import plain
 
     text = json.dumps({"request": request, **plain(entries)}, indent=1, allow_nan=False)
     with replacing(folder / STRUCTURE_FILE) as temporary:

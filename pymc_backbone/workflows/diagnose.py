@@ -20,7 +20,9 @@ from ..discrepancy.options import Searching
 from ..inference.options import Sampling
 from ..measurement.options import Measuring
 from ..measurement.reading.options import Reading
-from ..reporting.output_folder import REPORT, claimed_output, package_version, plain, read_result
+from ..reporting.claimed_folder import claimed_output
+from ..reporting.output_folder import REPORT, package_version, read_result
+from ..reporting.portable import plain
 from ..reporting.terminal import aligned, describe_reading, measured_damping_words, short
 from .measure import Progress, Say, measure, say_warnings
 

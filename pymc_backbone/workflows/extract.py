@@ -10,7 +10,8 @@ from typing import Any
 from .._common.options import settings_of
 from ..measurement.options import Measuring
 from ..measurement.reading.options import Reading
-from ..reporting.output_folder import claimed_output, package_version, write_results
+from ..reporting.claimed_folder import claimed_output
+from ..reporting.output_folder import package_version, write_results
 from ..reporting.terminal import describe_measured
 from .measure import Progress, Say, measure, say_reading, say_warnings
 

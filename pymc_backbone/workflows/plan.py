@@ -74,7 +74,7 @@ def plan(
     from ..discrepancy.planning.plan import plan_tests
     from ..discrepancy.wording.plan_words import describe, name_of, percent, sentences
     from ..oscillator import Oscillator
-    from ..reporting.output_folder import plain
+    from ..reporting.portable import plain
     from ..reporting.study_files import plan_entries
 
     unit = str(result.get("amplitude_unit", "m"))

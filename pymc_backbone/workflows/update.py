@@ -17,7 +17,8 @@ from .._common.options import settings_of
 from ..inference.options import Comparing, Keeping, Modelling, Sampling
 from ..measurement.options import Measuring
 from ..measurement.reading.options import Reading
-from ..reporting.output_folder import REPORT, claimed_output, read_result, write_results
+from ..reporting.claimed_folder import claimed_output
+from ..reporting.output_folder import REPORT, read_result, write_results
 from ..reporting.terminal import describe_batch, describe_result
 from .infer import check_comparing, infer, oscillator_of
 from .measure import Progress, Say, measure, say_reading, say_warnings
