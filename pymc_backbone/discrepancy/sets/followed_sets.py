@@ -31,9 +31,13 @@ _TOLD = 0.9  # probability of a drift in time beside the base, from which larger
 
 @dataclass
 class _Followed:
-    """What following the backbones has come to: sets fitted and left, those that explain, and the reach of these."""
+    """What following the backbones has come to: sets fitted and left, those that explain, and the reach of these.
+
+    ``is_drifting`` says that the model as it is explains the records with a drift in time, more likely than they do.
+    """
 
     fitted: int = 0
+    is_drifting: bool = False
     reach: float = -np.inf
     likeliest: float = -np.inf
     explained: list[Set] = field(default_factory=list)
@@ -68,7 +72,8 @@ class FollowedSets(VariedSets):
             fit_side_by_side(self, few)
             if so_far.fitted >= _FIRST and self._is_halted():
                 return
-            most = min(most, FEW_FOLLOWED) if self._is_drift_told() else most
+            so_far.is_drifting = self._is_drift_leading(so_far.fitted)
+            most = min(most, FEW_FOLLOWED) if so_far.is_drifting else most
             for names in few:
                 if names not in self.fits:
                     continue
@@ -87,11 +92,12 @@ class FollowedSets(VariedSets):
             self.halted = asked(self)
         return self.halted is not None
 
-    def _is_drift_told(self) -> bool:
-        """Return whether nothing explained the records but the model as it is with a drift in time."""
-        if not self._is_explained():
-            self._ask_drift()
-        return self.is_told
+    def _is_drift_leading(self, fitted: int) -> bool:
+        """Return whether the model as it is explains the records with a drift in time, and nothing that does rivals it.
+
+        Of such records many laws come near. Asked where nothing explains, or once a few were ``fitted``.
+        """
+        return (fitted >= _FIRST or not self._is_explained()) and self._is_drift_likelier()
 
     def _ask_drift(self) -> None:
         """Ask, once, whether the model as it is explains the records with a drift in time."""
@@ -117,8 +123,8 @@ class FollowedSets(VariedSets):
             return False
         if proposal.log_evidence < so_far.likeliest - REACH and self._is_floor():
             return False
-        if self.is_told and self._is_costly(names):
-            return False
+        if so_far.is_drifting and self._is_costly(names) and (len(names) > 1 or not so_far.explained):
+            return False  # where a simple law explains as well, one that costs much by itself may be what it imitates
         if so_far.fitted >= _LEAST_FOLLOWED and not self._is_affordable(names):
             return False
         explained = [self.proposals[known].log_evidence for known in so_far.explained]

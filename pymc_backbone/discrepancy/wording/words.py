@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..._common.checks import OBSERVABLES, BoolArray, FloatArray, IntArray
+from ..._common.checks import OBSERVABLES, BoolArray, FloatArray
 from ..._common.text import amplitude, capitalised, in_a_sentence, in_words, per_cent, span
 from ...effects import BASE_EFFECTS
 from ...oscillator import Oscillator
@@ -193,7 +193,7 @@ def _power_law(batch: Batch, without_it: FloatArray, brought: FloatArray, row: i
     own = np.where(held & np.isfinite(brought[:, row]), brought[:, row] * weight, 0.0).sum(axis=0)[good] / total[good]
     if not float(total[good] @ (own * mean[good])) > _OWN * float(total[good] @ mean[good] ** 2):
         return ""
-    alike = _of_the_same(held[:, good])
+    at_good = held[:, good], gap[:, good], spread[:, good], brought[:, row][:, good]
     unit, length = " Hz" if row == 0 else "", str(batch.backbones.attrs.get("amplitude_unit", "m"))
     units, sign = (unit, length), np.sign(np.median(mean[good]))
     if good.sum() < _FEWEST_LEVELS:  # a contact that closes at the highest amplitudes alone
@@ -201,14 +201,14 @@ def _power_law(batch: Batch, without_it: FloatArray, brought: FloatArray, row: i
         where = amplitude(float(levels[most]), length)
         return f"{OBSERVABLES[row]} {_verb(row, mean[most])} by {abs(mean[most]):.3g}{unit} at {where}"
     if (mean[good] * sign < 0.0).any():  # no power of the amplitude changes its sign
-        return _change(OBSERVABLES[row], mean[good][alike], error[good][alike], own[alike], levels[good][alike], units)
+        return _change(OBSERVABLES[row], *_of_the_same(*at_good, levels[good]), units)
     x, y = np.log(levels[good]), np.log(mean[good] * sign)
     w = (mean[good] / error[good]) ** 2
     centre = np.average(x, weights=w)
     slope = float(np.average((x - centre) * y, weights=w) / np.average((x - centre) ** 2, weights=w))
     slope_error = max(float(1.0 / np.sqrt(np.sum(w * (x - centre) ** 2))), 0.01)  # two digits are told: never as 0.00
     if row < 2 and slope < _VANISHING and (row == 0 or slope > -_VANISHING):
-        return _change(OBSERVABLES[row], mean[good][alike], error[good][alike], own[alike], levels[good][alike], units)
+        return _change(OBSERVABLES[row], *_of_the_same(*at_good, levels[good]), units)
     at = int(np.flatnonzero(good)[-1 if slope > 0.0 else 0])  # where it is largest but for the noise
     trend = "grows with amplitude" if slope > 0.0 else "grows as amplitude falls"
     return (
@@ -224,11 +224,21 @@ def _verb(row: int, change: float) -> str:
     return "rises" if change > 0.0 else "falls"
 
 
-def _of_the_same(held: BoolArray) -> IntArray:
-    """Return the levels that the same specimens reach, of (specimen, level): how these differ is no change."""
+def _of_the_same(
+    held: BoolArray, gap: FloatArray, spread: FloatArray, brought: FloatArray, levels: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return mean, error, what the effect brings, and the levels that most of the same specimens reach (of r, l).
+
+    How specimens differ is no change with amplitude: each counts as much at one level as at the next.
+    """
     patterns, which = np.unique(held, axis=1, return_inverse=True)
     most = int(np.argmax([np.count_nonzero(which == k) for k in range(patterns.shape[1])]))
-    return np.flatnonzero(which == most)
+    rows, at = np.flatnonzero(patterns[:, most]), np.flatnonzero(which == most)
+    there = np.ix_(rows, at)
+    weight = 1.0 / spread[there].mean(axis=1)
+    weight /= weight.sum()
+    error = np.sqrt(weight**2 @ spread[there])
+    return weight @ gap[there], error, weight @ np.nan_to_num(brought[there]), levels[at]
 
 
 def _change(
