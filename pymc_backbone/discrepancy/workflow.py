@@ -52,6 +52,7 @@ from .sets.search import Search
 from .weighing.evidence import UNEXPLAINED, Drifting, leaves_noise
 from .wording import plan_words, verdict_words, words
 from .wording.candidate_table import candidates_of
+from .wording.detectable import detectable
 from .wording.scatter_words import scatter_of
 
 _QUICK_BUDGET = 0.5
@@ -307,7 +308,7 @@ def _study(
         shrink_high=verification.shrink[2],
         adequate_by=decision.adequate_by,
         tolerance=question.tolerance,
-        detectable=words.detectable(search) if decision.verdict is Verdict.ADEQUATE else (),
+        detectable=detectable(search) if decision.verdict is Verdict.ADEQUATE else (),
         checks=checks,
         backbones=batch.backbones.sel(specimen=list(batch.specimens)),
         before=before,

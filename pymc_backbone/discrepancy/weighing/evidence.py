@@ -241,9 +241,10 @@ def lack_of_fit(batch: Batch, found: Fit, *, is_local: bool = False) -> LackOfFi
     """Return whether residuals hold more along the motion's slowly varying harmonics than beside them.
 
     The noise level comes from the residuals beside, so that an error in its estimate does not matter: from all of them,
-    or midway between the harmonics if there is more of it, for noise often grows towards low frequencies. There it is
-    as in most parts of the record: of strongly damped motion a small model error is found midway, too, but fades with
-    the motion, and noise does not. Where ``is_local``, all of what is midway counts.
+    or, where ``is_local``, midway between the harmonics if there is more of it. Noise often grows towards low
+    frequencies; but of strongly damped motion a small model error is found midway, too. Of a measured velocity or
+    acceleration, which hold less of what is slow, that level counts always, as it is in most parts of the record: a
+    model error fades with the motion, and noise does not.
     """
     fitted = found.layout.free.size / max(len(batch.specimens), 1) + len(batch.nuisances)
     z, ratios, shares = [], [], []
@@ -256,7 +257,7 @@ def lack_of_fit(batch: Batch, found: Fit, *, is_local: bool = False) -> LackOfFi
             rest = residuals.size - degrees - fitted
             noise = outside / max(rest, 1.0)
             level, lines = _between(residuals, term.beside, in_most=not is_local)
-            if level > noise:
+            if (is_local or term.order) and level > noise:
                 noise, rest = level, lines
             ratio = inside / max(degrees, 1.0) / max(noise, 1e-300)
             p = float(fdtrc(max(degrees, 1.0), max(rest, 1.0), ratio))

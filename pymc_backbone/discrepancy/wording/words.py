@@ -15,12 +15,10 @@ from ..fitting import starts
 from ..fitting.batch import Batch
 from ..fitting.curves import curve, measured, on_levels
 from ..fitting.estimates import estimates_of, without
-from ..fitting.joint_fit import Fit, parameters_of
-from ..fitting.normal_equations import State
-from ..results.entries import Detectable, ScatterOfEffects
+from ..fitting.joint_fit import Fit
+from ..results.entries import ScatterOfEffects
 from ..sets.question import Question
 from ..sets.search import Search, Set
-from ..weighing.evidence import DETECTED
 from .scatter_words import scatter_sentence
 from .verdict_words import is_drift_possible, named
 
@@ -133,7 +131,7 @@ def _that_matter(
         scale = 1.0 if OBSERVABLES[row] == "offset" else np.abs(with_it[:, row])
         with np.errstate(invalid="ignore", divide="ignore"):
             change = np.abs(with_it[:, row] - without_it[:, row]) / scale
-        if _largest(change) >= tolerance.get(OBSERVABLES[row], 0.0):
+        if largest(change) >= tolerance.get(OBSERVABLES[row], 0.0):
             kept.append(row)
     return tuple(kept) or (() if or_none else rows)
 
@@ -266,49 +264,8 @@ def _change(
     return f"{observable} {verb} by {abs(change[at]):.3g}{units[0]} from {between}"
 
 
-def detectable(search: Search) -> tuple[Detectable, ...]:
-    """Return the smallest strength of each single effect that these data would have shown."""
-    batch, rows = search.batch, []
-    levels = np.asarray(batch.backbones["level"])
-    for name in search.candidates:
-        found = search.fits.get((name,))
-        if found is None or not np.isfinite(found.covariance).all():
-            continue
-        where = starts.positions(found.layout, name)
-        error = float(np.sqrt(max(found.covariance[where[0], where[0]], 0.0)))
-        if not error > 0.0 or error > 2.0 * found.layout.width[where[0]]:
-            rows.append(Detectable(name, found.layout.names[where[0]], float("nan"), "", float("nan"), float("nan")))
-            continue
-        eta = found.state.eta.copy()
-        eta[where[0]] = DETECTED * error
-        strong = State(eta, found.state.own)
-        values, _ = found.layout.physical(eta, np.zeros(eta.size), 0.0)
-        release = search.batch.levels[search.reference].release
-        on = curve(found, parameters_of(found.layout, strong, search.reference), levels, release)
-        eta_off = eta.copy()
-        eta_off[where[0]] = 0.0
-        weak = State(eta_off, found.state.own)
-        off = curve(found, parameters_of(found.layout, weak, search.reference), levels, release)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            change = np.abs(on / off - 1.0)
-        place = where[0]
-        for stiffness, force in found.layout.slips:
-            place = force if stiffness == where[0] else place
-        parameter = search.layout((name,)).oscillator.parameters[int(found.layout.free[place])]
-        rows.append(
-            Detectable(
-                effect=name,
-                parameter=parameter.name,
-                value=float(values[place]),
-                unit=parameter.unit,
-                frequency=_largest(change[0]),
-                damping=_largest(change[1]),
-            )
-        )
-    return tuple(rows)
-
-
-def _largest(change: FloatArray) -> float:
+def largest(change: FloatArray) -> float:
+    """Return the largest of some changes; nan where none is known."""
     return float(np.nanmax(change)) if np.isfinite(change).any() else float("nan")
 
 
