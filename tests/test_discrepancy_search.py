@@ -43,6 +43,7 @@ from pymc_backbone.discrepancy.fitting.normal_equations import DRIFTS, RELEASE_I
 from pymc_backbone.discrepancy.fitting.scatter import SCATTER
 from pymc_backbone.discrepancy.results.entries import HeldOut
 from pymc_backbone.discrepancy.results.locate import mean_gap, where_different
+from pymc_backbone.discrepancy.sets.followed_sets import FEW_FOLLOWED
 from pymc_backbone.discrepancy.sets.question import Question, check_one_batch
 from pymc_backbone.discrepancy.sets.search import Search
 from pymc_backbone.discrepancy.weighing import evidence
@@ -698,6 +699,37 @@ def test_a_look_that_was_lost_among_many_is_repeated_alone(cubic):
     search.fit_set(("cubic_stiffness",))
     search._fit_varied(names)
     assert names not in search.varied
+
+
+@pytest.mark.parametrize("is_likelier", [True, False])
+def test_a_drift_is_asked_although_a_set_explains_the_records(monkeypatch, is_likelier):
+    """Once a few sets were followed; where it is likelier than these few more are, and nothing that costs much."""
+    batch = batch_of(drifting_records(np.random.default_rng(3), 0.1))
+    candidates = ("bilinear_stiffness", *CANDIDATES, "freeplay", "jenkins", "quadratic_stiffness", "quintic_stiffness")
+    asked: list[int] = []
+
+    def alone(search):
+        asked.append(len(search.fits) - 1)
+        return drift_fits.drift_alone(search) if is_likelier else None
+
+    search = Search(batch, Oscillator(MASS), candidates, 2, is_drifting=alone)
+    search.fit_set(())
+    monkeypatch.setattr(Search, "_is_explained", lambda self: len(self.fits) > 1)
+    search._follow_backbones(24)
+    assert 3 <= asked[0] <= 5 and len(asked) == 1  # not before, two at a time are followed
+    assert (len(search.fits) - 1 <= FEW_FOLLOWED + 1) == is_likelier
+    assert search.is_told == is_likelier
+
+
+def test_beside_a_drift_that_explains_the_records_no_law_that_remembers_is_asked():
+    batch = batch_of(drifting_records(np.random.default_rng(3), 0.1))
+    search = Search(batch, Oscillator(MASS), ("cubic_stiffness", "jenkins"), 2)
+    search.fit_set(())
+    best = ("cubic_stiffness", "jenkins")
+    assert rivals._is_simple(search, ("jenkins",), best) and rivals._is_simple(search, ("cubic_stiffness",), best)
+    search.drift_alone = drift_fits.drift_alone(search)
+    assert search.is_told
+    assert not rivals._is_simple(search, ("jenkins",), best) and rivals._is_simple(search, ("cubic_stiffness",), best)
 
 
 def test_a_drift_that_explains_the_records_by_itself_ends_the_search_early():

@@ -94,7 +94,7 @@ def _is_one_sensor(beside: LeftBeside) -> bool:
     """Return whether one bent sensor may have read all records: by the same curve, of the motion or of its peak."""
     curves = np.array([(item.even, item.odd) for item in beside.items])
     scales = np.array([item.scale for item in beside.items])[:, None]
-    for of in (curves, curves / scales ** np.array([1.0, 2.0]) * np.median(scales) ** np.array([1.0, 2.0])):
+    for of in (curves, curves / (scales / np.median(scales)) ** np.array([1.0, 2.0])):
         usual = np.median(of, axis=0)
         if np.all(np.hypot(*(of - usual).T) < _AS_BENT * np.hypot(*usual)):
             return True

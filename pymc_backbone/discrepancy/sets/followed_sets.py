@@ -33,11 +33,11 @@ _TOLD = 0.9  # probability of a drift in time beside the base, from which larger
 class _Followed:
     """What following the backbones has come to: sets fitted and left, those that explain, and the reach of these.
 
-    ``is_drifting`` says that the model as it is explains the records with a drift in time, more likely than they do.
+    ``drift_leads`` says that the model as it is explains the records with a drift in time, more likely than they do.
     """
 
     fitted: int = 0
-    is_drifting: bool = False
+    drift_leads: bool = False
     reach: float = -np.inf
     likeliest: float = -np.inf
     explained: list[Set] = field(default_factory=list)
@@ -72,8 +72,8 @@ class FollowedSets(VariedSets):
             fit_side_by_side(self, few)
             if so_far.fitted >= _FIRST and self._is_halted():
                 return
-            so_far.is_drifting = self._is_drift_leading(so_far.fitted)
-            most = min(most, FEW_FOLLOWED) if so_far.is_drifting else most
+            so_far.drift_leads = self._is_drift_leading(so_far.fitted)
+            most = min(most, FEW_FOLLOWED) if so_far.drift_leads else most
             for names in few:
                 if names not in self.fits:
                     continue
@@ -123,7 +123,7 @@ class FollowedSets(VariedSets):
             return False
         if proposal.log_evidence < so_far.likeliest - REACH and self._is_floor():
             return False
-        if so_far.is_drifting and self._is_costly(names) and (len(names) > 1 or not so_far.explained):
+        if so_far.drift_leads and self._is_costly(names) and (len(names) > 1 or not so_far.explained):
             return False  # where a simple law explains as well, one that costs much by itself may be what it imitates
         if so_far.fitted >= _LEAST_FOLLOWED and not self._is_affordable(names):
             return False
