@@ -10,9 +10,10 @@ from pymc_backbone._common.checks import InputError
 from pymc_backbone.discrepancy.workflow import find_missing_effect
 from pymc_backbone.inference.intervals import prior_intervals
 from pymc_backbone.inference.model import build_model
+from pymc_backbone.measurement.batch_levels import levels_for
 from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.measurement.cycles import extract_cycles
-from pymc_backbone.measurement.extraction import ALIKE, LEFT_OUT, extract_all, levels_for, measure_batch
+from pymc_backbone.measurement.extraction import ALIKE, LEFT_OUT, extract_all, measure_batch
 from pymc_backbone.measurement.levels import default_levels
 from pymc_backbone.measurement.options import Measuring
 from pymc_backbone.measurement.reading.record import Record

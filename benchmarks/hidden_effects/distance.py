@@ -22,7 +22,7 @@ from pymc_backbone.discrepancy.fitting.batch import Batch, batch_of_records
 from pymc_backbone.discrepancy.fitting.starts import embedded
 from pymc_backbone.discrepancy.sets.question import possible_effects
 from pymc_backbone.discrepancy.sets.search import Search
-from pymc_backbone.measurement.extraction import levels_for
+from pymc_backbone.measurement.batch_levels import levels_for
 from pymc_backbone.measurement.levels import backbones_at_levels
 
 

@@ -213,10 +213,8 @@ def make_response(
         Any of frequency, damping, offset.
     parameter_names : sequence of str, optional
         For a function: the names of its parameters, in order.
-    release_amplitude : float, optional
-        For an oscillator: run the whole decay from here [m or rad].
-    virgin : bool, default True
-        For an oscillator: whether hysteretic states start loaded from rest.
+    release_amplitude, virgin
+        For an oscillator: as in `simulate_backbone`.
 
     Returns
     -------
