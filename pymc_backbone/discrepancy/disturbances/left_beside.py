@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..._common.checks import FloatArray
+from ..._common.unit_diagonal import unit_diagonal
 from ..fitting.batch import Batch
 from ..fitting.joint_fit import Fit, fit
 from ..fitting.normal_equations import DRIFTS, State, derivatives
@@ -105,8 +106,7 @@ def _linear(without: Batch, found: Fit, items: list[Disturbance], *, is_bent: bo
         matrix[own, own] += prior
         right[own] -= prior * state.own[r, kept]
         squares += float(known.residuals @ known.residuals) + float(prior @ state.own[r, kept] ** 2)
-    unit = np.sqrt(np.where(np.diag(matrix) > 0.0, np.diag(matrix), 1.0))
-    step = np.linalg.lstsq(matrix / np.outer(unit, unit), right / unit, rcond=1e-12)[0] / unit
+    step = unit_diagonal(matrix).least_squares(right, 1e-12)
     if not np.isfinite(step).all():
         return None
     own, each = state.own.copy(), step[q:].reshape(count, width)

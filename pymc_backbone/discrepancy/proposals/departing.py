@@ -90,6 +90,16 @@ class Point:
     choice: Choice
     log_evidence: float = -np.inf
 
+    @property
+    def in_widths(self) -> FloatArray:
+        """Derivatives (n, m) with respect to the unknowns in units of their priors."""
+        return self.jacobian * self.widths
+
+    def normal(self, products: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return information (..., m, m) and downhill slope (..., m) from products of these and the residuals."""
+        m = self.widths.size
+        return products[..., :m, :m] + np.eye(m), products[..., :m, m] - self.pull
+
 
 class DepartingSets(Departures):
     """Sets of effects fitted to the backbones of some specimens with departures of every size beside them."""
@@ -225,7 +235,7 @@ class DepartingSets(Departures):
     def _products(self, point: Point, o: int, inverse: FloatArray) -> FloatArray:
         """Return products (g, m + 1, m + 1) of derivatives and residuals of one observable for some inverses."""
         rows = self.rows[o]
-        whole = np.concatenate([point.jacobian[rows] * point.widths, point.residuals[rows, None]], axis=1)
+        whole = np.concatenate([point.in_widths[rows], point.residuals[rows, None]], axis=1)
         products: FloatArray = whole.T @ (inverse @ whole)
         return products
 
@@ -308,9 +318,8 @@ class DepartingSets(Departures):
 
     def _step(self, point: Point) -> tuple[FloatArray, FloatArray] | None:
         """Return the step of the shared coordinates, and that of stiffness, damping and deviations of each specimen."""
-        products = self._chosen(point, point.choice)
         q, m = point.layout.free.size, point.widths.size
-        right = products[:m, m] - point.pull
+        information, right = point.normal(self._chosen(point, point.choice))
         low = (point.state.eta <= point.layout.low) & (right[:q] <= 0.0)
         high = (point.state.eta >= point.layout.high) & (right[:q] >= 0.0)
         moved = np.concatenate([~(low | high), np.ones(m - q, dtype=bool)])
@@ -319,7 +328,6 @@ class DepartingSets(Departures):
             delta, wanted = point.state.own[r, NUISANCES:], right[columns]
             moved[columns] = ~(((delta <= edges[0]) & (wanted < 0.0)) | ((delta >= edges[1]) & (wanted > 0.0)))
         try:
-            information = products[:m, :m] + np.eye(m)
             solved = np.linalg.solve(information[np.ix_(moved, moved)], right[moved])
         except np.linalg.LinAlgError:
             return None
@@ -331,14 +339,12 @@ class DepartingSets(Departures):
 
     def _curves(self, point: Point, choice: Choice) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return mean and standard deviation of the common departure, and the covariance of the shared coordinates."""
-        q, m = point.layout.free.size, point.widths.size
+        q = point.layout.free.size
         curves, errors = np.zeros((2, 3, self.levels.size))
-        products = self._chosen(point, choice)
-        information = products[:m, :m] + np.eye(m)
-        right = products[:m, m] - point.pull
+        information, right = point.normal(self._chosen(point, choice))
         inverse = np.linalg.inv(information)
         # residuals once every unknown is where it is most probable
-        rest = point.residuals - (point.jacobian * point.widths) @ (inverse @ right)
+        rest = point.residuals - point.in_widths @ (inverse @ right)
         everywhere = np.arange(self.levels.size)
         for o in range(3):
             rows, size = self.rows[o], SIZES[choice.sizes[o]]
@@ -350,7 +356,7 @@ class DepartingSets(Departures):
             block = self.inverse[choice.scale][o][choice.sizes[o], choice.noises[o]]
             curves[o] = across @ (block @ rest[rows])
             prior = self.kernel(scale, everywhere, everywhere) * np.outer(unit, unit)
-            along = across @ block @ (point.jacobian[rows] * point.widths)
+            along = across @ block @ point.in_widths[rows]
             spread = prior - across @ block @ across.T + along @ inverse @ along.T
             errors[o] = np.sqrt(np.maximum(np.diag(spread), 0.0))
         covariance = inverse[:q, :q] * np.outer(point.widths[:q], point.widths[:q])
@@ -370,8 +376,8 @@ def _log_evidence(point: Point, products: FloatArray) -> FloatArray:
     factor tells both: of the information, the own unknowns first, with their gradient as a last row.
     """
     q, m = point.layout.free.size, point.widths.size
-    information = products[:, :m, :m] + np.eye(m)
-    gradient = products[:, q:m, m] - point.pull[q:]
+    information, slope = point.normal(products)
+    gradient = slope[:, q:]
     order = np.r_[q:m, :q]
     scale = 1.0 / np.sqrt(np.einsum("gii->gi", information)[:, order])
     bordered = np.zeros((len(products), m + 1, m + 1))
