@@ -18,7 +18,8 @@ from ..fitting.curves import spread
 from ..fitting.descent import is_heavy
 from ..fitting.joint_fit import parameters_of
 from ..fitting.normal_equations import NUISANCES, State, start_state
-from ..proposals.departing import Departing, DepartingSets, Point
+from ..proposals.departing import Departing, DepartingSets
+from ..proposals.departing_point import Point
 from ..proposals.harmonic_odds import Harmonics
 from ..sets.search import Search, Set
 from ..weighing import evidence

@@ -15,6 +15,7 @@ from scipy.special import logsumexp
 from ..._common.checks import FloatArray, IntArray
 from ..fitting.layout import Layout
 from ..fitting.normal_equations import NUISANCES, State
+from .departing_point import Point, log_evidence_of
 from .departure import NOISES, OWN_SHARE, PRIOR_OF_SIZES, SCALES, SIZES, Choice, Departures, inverted
 from .set_fits import prior_widths
 
@@ -25,8 +26,6 @@ _ENOUGH = 0.3  # gain of the logarithm of the evidence below which an iteration 
 _CUTS = (1.0, 0.3, 0.08)
 _FIRST = (5, 2)  # size and noise that the first look begins with
 _MOST_SCATTER = 6.0  # standard deviations that a specimen may differ
-_ROUNDING = 1e-9  # of information scaled to a unit diagonal, where it is singular but for it
-_BORDER = 1e60  # far above what any gradient explains
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,52 +52,6 @@ class Departing:
     state: State
     covariance: FloatArray
     choice: Choice
-
-
-@dataclass(frozen=True, eq=False)
-class Point:
-    """A set where it was linearised, and how likely it is there.
-
-    Attributes
-    ----------
-    layout, state : Layout, State
-        The set, and where.
-    drifts : str
-        Whether frequency and damping may drift with time: ``""``, ``"own"`` or ``"common"``.
-    residuals : (n,) array
-        Measured minus simulated values.
-    jacobian : (n, m) array
-        Derivatives of the simulated values: shared coordinates, common drifts, each specimen's own unknowns.
-    own : (r, o) array of int
-        Which columns are a specimen's own: stiffness, damping, zero, deviations, drifts.
-    widths, pull : (m,) arrays
-        Standard deviations of the priors; where the state stands in these priors.
-    choice : Choice
-        Sizes, noises and smoothness at which it was judged.
-    log_evidence : float
-        At that choice, its prior included.
-    """
-
-    layout: Layout
-    state: State
-    drifts: str
-    residuals: FloatArray
-    jacobian: FloatArray
-    own: IntArray
-    widths: FloatArray
-    pull: FloatArray
-    choice: Choice
-    log_evidence: float = -np.inf
-
-    @property
-    def in_widths(self) -> FloatArray:
-        """Derivatives (n, m) with respect to the unknowns in units of their priors."""
-        return self.jacobian * self.widths
-
-    def normal(self, products: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return information (..., m, m) and downhill slope (..., m) from products of these and the residuals."""
-        m = self.widths.size
-        return products[..., :m, :m] + np.eye(m), products[..., :m, m] - self.pull
 
 
 class DepartingSets(Departures):
@@ -165,7 +118,7 @@ class DepartingSets(Departures):
                 inverse.append(pair[0][0, 0])
                 determinant += float(pair[1][0, 0])
             products = sum(self._products(point, o, inverse[o][None])[0] for o in range(3))
-            logs.append(float(_log_evidence(point, np.asarray(products)[None])[0]) - 0.5 * determinant)
+            logs.append(float(log_evidence_of(point, np.asarray(products)[None])[0]) - 0.5 * determinant)
         return logs[1] - logs[0]
 
     def _point(self, layout: Layout, state: State, choice: Choice, drifts: str) -> Point | None:
@@ -220,7 +173,7 @@ class DepartingSets(Departures):
     def _judged(self, point: Point, choice: Choice) -> Point:
         """Return a point with the logarithm of its evidence at a choice."""
         products = self._chosen(point, choice)
-        total = float(_log_evidence(point, products[None])[0]) + self._constants(choice)
+        total = float(log_evidence_of(point, products[None])[0]) + self._constants(choice)
         return replace(point, choice=choice, log_evidence=total)
 
     def _constants(self, choice: Choice) -> float:
@@ -256,7 +209,7 @@ class DepartingSets(Departures):
         inverse = self.inverse[k][o][np.ix_(sizes, noises)]
         count = self.rows[o].size
         products = rest + self._products(point, o, inverse.reshape(-1, count, count))
-        logs = _log_evidence(point, products).reshape(sizes.size, noises.size)
+        logs = log_evidence_of(point, products).reshape(sizes.size, noises.size)
         logs = logs - 0.5 * self.log_determinant[k][o][np.ix_(sizes, noises)]
         prior: FloatArray = np.log(PRIOR_OF_SIZES[sizes])[:, None] + np.log(self.prior_of_noises[o, noises])
         return logs + prior
@@ -369,32 +322,6 @@ def _widths(layout: Layout, eta: FloatArray) -> FloatArray:
     return np.where(layout.is_strength, strength, prior_widths(layout, eta))
 
 
-def _log_evidence(point: Point, products: FloatArray) -> FloatArray:
-    """Return the logarithm of the evidence (g,) without determinants of the noise, from products in prior widths.
-
-    A specimen's own unknowns are taken where they are most probable; the shared ones stay where they are. One Cholesky
-    factor tells both: of the information, the own unknowns first, with their gradient as a last row.
-    """
-    q, m = point.layout.free.size, point.widths.size
-    information, slope = point.normal(products)
-    gradient = slope[:, q:]
-    order = np.r_[q:m, :q]
-    scale = 1.0 / np.sqrt(np.einsum("gii->gi", information)[:, order])
-    bordered = np.zeros((len(products), m + 1, m + 1))
-    bordered[:, :m, :m] = information[:, order[:, None], order] * (scale[:, :, None] * scale[:, None, :])
-    bordered[:, m, : m - q] = gradient * scale[:, : m - q]
-    bordered[:, m, m] = _BORDER
-    try:
-        factor = np.linalg.cholesky(bordered)
-    except np.linalg.LinAlgError:
-        bordered[:, range(m), range(m)] += _ROUNDING
-        factor = np.linalg.cholesky(bordered)
-    determinant = 2.0 * (np.log(np.einsum("gii->gi", factor)[:, :m]) - np.log(scale)).sum(axis=1)
-    misfit = products[:, m, m] + float((point.pull**2).sum()) - (factor[:, m, : m - q] ** 2).sum(axis=1)
-    logs: FloatArray = -0.5 * (misfit + determinant)
-    return np.where(np.isfinite(logs), logs, -np.inf)
-
-
 def _around(index: int, reach: int, count: int) -> IntArray:
     return np.arange(max(index - reach, 0), min(index + reach + 1, count))
 
@@ -405,4 +332,4 @@ def _with(choice: Choice, o: int, size: int, noise: int) -> Choice:
     return Choice(choice.scale, (sizes[0], sizes[1], sizes[2]), (noises[0], noises[1], noises[2]))
 
 
-__all__ = ["Departing", "DepartingSets", "Point"]
+__all__ = ["Departing", "DepartingSets"]
