@@ -273,11 +273,12 @@ def test_of_a_mid_line_that_is_not_measured_no_damping_is_told(quantity, rng):
 
 def test_a_scatter_that_is_not_seen_is_told_by_its_bound():
     seen, unseen = ScatterOfEffects(0.06, 0.04, 0.1), ScatterOfEffects(0.013, 0.0105, 0.027)
-    assert scatter_words.scatter_sentence(seen, 1).endswith(
+    assert scatter_words.scatter_sentence(seen, ("iwan",)).endswith(
         "by 6 % of their value (standard deviation; 4 to 10 % with 90 %)."
     )
-    assert scatter_words.scatter_sentence(unseen, 2) == (
-        "Their parameters differ between specimens by 2.7 % of their value at most (standard deviation, with 95 %)."
+    assert scatter_words.scatter_sentence(unseen, ("coulomb_friction", "cubic_stiffness")) == (
+        "The parameters of Coulomb friction and cubic stiffness differ between specimens by 2.7 % of their value at "
+        "most (standard deviation, with 95 %)."
     )
 
 
@@ -314,7 +315,7 @@ def test_a_named_effect_comes_with_its_scatter_and_what_the_evidence_rests_on(cu
     scatter = cubic_study.scatter
     # two specimens with the same spring: little is known of a scatter but that it is not large
     assert 0.01 <= scatter.low < scatter.median < scatter.high <= 0.5 and scatter.median < 0.1
-    assert cubic_study.reasons[-1].startswith("Its parameters differ between specimens by")
+    assert cubic_study.reasons[-1].startswith("The parameters of cubic stiffness differ between specimens by")
     assert f"by {100.0 * scatter.high:.2g} % of their value at most" in cubic_study.reasons[-1]
     assert cubic_study.reasons[-1] in describe_study(cubic_study)
     basis = cubic_study.evidence_basis
@@ -756,8 +757,13 @@ def test_advice_says_what_a_test_need_not_rule_out(cubic_records, chances, is_sa
         search.fit_set(names)
     decision = decision_of("ambiguous", best=sets[0], listed=sets, probabilities=dict(zip(sets, chances, strict=True)))
     said = words.advice(search, decision)
-    assert any("it is none of the sets that remain" in item for item in said) == is_said
+    assert any("it is none of these sets, but another, a drift or nothing known" in item for item in said) == is_said
     assert said[0].startswith("cubic stiffness and quadratic damping") or said[0].startswith("no amplitude")
+
+
+@pytest.mark.parametrize(("factor", "said"), [(2.0, " (2 times the largest amplitude so far"), (0.5, "")])
+def test_what_may_break_the_structure_is_told_as_that(factor, said):
+    assert words._how_far(factor).startswith(said) and bool(words._how_far(factor)) == bool(said)
 
 
 def decision_of(verdict: str, **options) -> Decision:

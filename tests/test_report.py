@@ -14,6 +14,7 @@ from matplotlib import pyplot
 
 from pymc_backbone._common.checks import InputError
 from pymc_backbone._common.text import in_words
+from pymc_backbone.discrepancy.results.design import Design
 from pymc_backbone.discrepancy.results.entries import Candidate, Remainder
 from pymc_backbone.discrepancy.results.locate import mean_gap
 from pymc_backbone.discrepancy.results.verdict import NamedLevel, Status, Verdict
@@ -219,6 +220,41 @@ def test_the_probability_on_top_is_that_of_the_set_it_names(studies):
     table = (Candidate(("coulomb_friction", "iwan"), 0.6, 1.0, 1.0, 1.0, Status.POSSIBLE, "fits"), *study.candidates)
     text = Page(report_html(dataclasses.replace(study, candidates=table), {}, version="0.0")).text
     assert "97 %probability of Coulomb friction" in text and "probability of Coulomb friction + Iwan" not in text
+
+
+def test_of_what_the_waveforms_alone_show_no_factor_is_told(studies):
+    """A spring of two sides need not change the backbones: "1 x less gap" would say that nothing was gained."""
+    found = studies[Verdict.FOUND]
+    assert "41.3 \N{MULTIPLICATION SIGN}" in Page(report_html(found, {}, version="0.0")).text
+    held = dataclasses.replace(found.held_out_specimens, before=0.9, after=0.9)
+    present = Design(0.012, 5, 4.0, 400.0, 1e-5)
+    study = dataclasses.replace(found, shrink=1.004, held_out_specimens=held, present=present)
+    text = Page(report_html(study, {}, version="0.0")).text
+    assert "\N{MULTIPLICATION SIGN}less gap" not in text and "The gap shrinks" not in text
+    left = next(item.reduced_chi_square for item in study.candidates if item.status == Status.BEST)
+    assert f"41 \N{RIGHTWARDS ARROW} {left:.3g}reduced" in text
+    assert f"whose reduced chi-square falls from 41 to {left:.3g}." in text
+    # of backbones alone there are no waveforms to look at
+    text = Page(report_html(dataclasses.replace(study, present=None), {}, version="0.0")).text
+    assert "waveforms, whose" not in text and "The gap shrinks by a factor of 1" in text
+
+
+@pytest.mark.parametrize(("after", "is_said"), [(1.3, False), (4.2, True)])
+def test_what_is_left_of_held_out_specimens_is_told_where_it_is_much(studies, after, is_said):
+    found = studies[Verdict.FOUND]
+    study = dataclasses.replace(found, held_out_specimens=dataclasses.replace(found.held_out_specimens, after=after))
+    text = Page(report_html(study, {}, version="0.0")).text
+    assert (f"What is left on held-out specimens is {after} times what noise gives" in text) == is_said
+
+
+def test_evidences_are_told_to_a_tenth_however_large(studies):
+    """Two sets whose evidence differs by a few differ in the table as well."""
+    study = studies[Verdict.FOUND]
+    rows = [dataclasses.replace(study.candidates[0], log_evidence=value) for value in (-12341.26, -12344.18)]
+    text = Page(
+        report_html(dataclasses.replace(study, candidates=(*rows, *study.candidates[1:])), {}, version="0")
+    ).text
+    assert "\N{MINUS SIGN}12341.3" in text and "\N{MINUS SIGN}12344.2" in text
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,8 @@ from .report_portraits import portraits
 from .words import (
     VERDICT_WORDS,
     adequate_because,
+    is_in_waveforms_only,
+    left_of_samples,
     mechanism_name,
     next_steps,
     percent,
@@ -136,6 +138,22 @@ def _key_figures(study: Study) -> list[tuple[object, object]]:
                 _probability_of(study, best),
             )
         )
+    figures += _held_out_figures(study)
+    chance = study.missing_p_value
+    shown = f"p = {number(chance, 2)}" if chance > 1e-99 else "p < 10<sup>−99</sup>"
+    figures.append((Raw(shown), "chance of such a gap if nothing were missing"))
+    low, high, name = amplitudes(study, levels[0], levels[-1])
+    figures.append((Raw(f"{low} to {high} {escape(name)}"), f"amplitude, {levels.size} levels"))
+    return figures
+
+
+def _held_out_figures(study: Study) -> list[tuple[object, object]]:
+    """Return the gap on held-out backbones, before and after; that of the samples where these alone show it."""
+    if is_in_waveforms_only(study):
+        before, after = (number(left, 3) for left in left_of_samples(study))
+        what = "reduced &chi;&sup2; of the samples (1 is noise); held-out backbones stay as they are"
+        return [(Raw(f"{before} &rarr; {after}"), Raw(what))]
+    figures: list[tuple[object, object]] = []
     if np.isfinite(study.shrink):
         words = Raw(f"less gap on held-out data (95&nbsp;%: {interval(study)})")
         figures.append((Raw(f"{number(study.shrink, 3)} &times;"), words))
@@ -146,11 +164,6 @@ def _key_figures(study: Study) -> list[tuple[object, object]]:
         if np.isfinite(held_out.after):
             value = Raw(f"{value} &rarr; {number(held_out.after, 3)}")
         figures.append((value, Raw(f"reduced &chi;&sup2; on held-out {what} (1 is noise)")))
-    chance = study.missing_p_value
-    shown = f"p = {number(chance, 2)}" if chance > 1e-99 else "p < 10<sup>−99</sup>"
-    figures.append((Raw(shown), "chance of such a gap if nothing were missing"))
-    low, high, name = amplitudes(study, levels[0], levels[-1])
-    figures.append((Raw(f"{low} to {high} {escape(name)}"), f"amplitude, {levels.size} levels"))
     return figures
 
 

@@ -13,6 +13,9 @@ from ..discrepancy.results.verdict import Status, Verdict
 from .html import Raw, escape, image, number, paragraph, section, table, unit
 from .style import engineering
 from .terminal import measured_damping_words
+from .words import is_in_waveforms_only, left_of_samples
+
+_MUCH = 2.0  # reduced chi-square of held-out specimens, from which it is told
 
 
 def curves(study: Study, figures: Mapping[str, Figure]) -> str:
@@ -72,10 +75,31 @@ def held_out_gap(study: Study, figures: Mapping[str, Figure]) -> str:
     rows = [_held_out_row(held_out, what) for held_out, what in sources if held_out is not None]
     columns = (("left out", "head"), ("number", "n"), ("before", "n"), ("after", "n"))
     parts.append(table(columns, rows))
-    if np.isfinite(study.shrink):
+    if is_in_waveforms_only(study):
+        before, after = (number(left, 3) for left in left_of_samples(study))
+        parts.append(
+            paragraph(
+                Raw(
+                    "The backbones on held-out data stay as they are: what was added shows in the waveforms, whose "
+                    f"reduced chi-square falls from <b>{before}</b> to <b>{after}</b>."
+                )
+            )
+        )
+    elif np.isfinite(study.shrink):
         parts.append(
             paragraph(
                 Raw(f"The gap shrinks by a factor of <b>{number(study.shrink, 3)}</b> (95&nbsp;%: {interval(study)}).")
+            )
+        )
+    held_out = study.held_out_specimens
+    if study.verdict == Verdict.FOUND and held_out is not None and held_out.after > _MUCH:
+        parts.append(
+            paragraph(
+                Raw(
+                    f"What is left on held-out specimens is {number(held_out.after, 2)} times what "
+                    "noise gives: they differ by more than stiffness, damping and the scatter of the effects, or a "
+                    "small part is not named."
+                )
             )
         )
     note = "Reduced chi-square; 1 is what measurement noise alone gives. "

@@ -123,7 +123,7 @@ def _candidate_row(candidate: Candidate, units: Mapping[str, str]) -> tuple[obje
         _bar(candidate.probability),
         number(candidate.reduced_chi_square, 3),
         number(candidate.backbone_chi_square, 3),
-        number(candidate.log_evidence),
+        Raw(f"{candidate.log_evidence:.1f}".replace("-", "&minus;")) if np.isfinite(candidate.log_evidence) else "-",
         _shift(candidate),
         STATUS_WORDS.get(candidate.status, candidate.status),
         Raw(reason),

@@ -57,6 +57,7 @@ STATUS_WORDS: dict[str, str] = {
 
 WARNING = "warning: "
 """How a note begins that speaks against the data; of one record the record's name stands before it."""
+_AS_BEFORE = 1.1  # factor by which the gap shrinks, or grows, up to which it is as before
 LEAST_TOLD = 0.01
 """Probability from which it is told what the sets that are listed do not hold of it."""
 
@@ -134,6 +135,19 @@ def remaining_by_mechanism(study: Study) -> list[tuple[str, list[str]]]:
         title = " + ".join(map(mechanism_name, kinds)) or "nothing more than the model holds"
         rows.append((total, f"{title}: {percent(total)}", lines))
     return [(title, lines) for _, title, lines in sorted(rows, key=lambda row: -row[0])]
+
+
+def is_in_waveforms_only(study: Study) -> bool:
+    """Return whether the samples show what was added, and the backbones that were held out stay as they are."""
+    before, after = left_of_samples(study)
+    is_as_before = bool(1.0 / _AS_BEFORE < study.shrink < _AS_BEFORE)
+    return is_as_before and study.present is not None and after < before
+
+
+def left_of_samples(study: Study) -> tuple[float, float]:
+    """Return the reduced chi-square of the samples, of the base model and of the set that the verdict is said of."""
+    left = {item.status if item.effects else "base": item.reduced_chi_square for item in study.candidates}
+    return left.get("base", float("nan")), left.get(Status.BEST, float("nan"))
 
 
 def next_steps(study: Study) -> list[str]:

@@ -190,8 +190,8 @@ def _reason(found: Mapping[tuple[str, ...], Integral], near: list[tuple[str, ...
     if lost:
         sets = "; ".join(" + ".join(map(in_words, names)) or "the model as it is" for names in lost)
         said += (
-            f"; it fails for {sets} (Pareto k above {LARGEST_K:g}), whose probability stays Laplace's and is not to be "
-            "trusted"
+            f"; it fails for {sets} (Pareto k above {LARGEST_K:g}), whose evidence stays Laplace's, which nothing else "
+            "checks"
         )
     return said
 

@@ -16,7 +16,7 @@ from ..weighing import evidence
 _IMPROBABLE = 1e-9  # probability below which sets are in the order of what they leave
 _LISTED_LEFT = 20  # sets in the table that were compared by their backbones only
 _POSSIBLE = 0.01  # probability from which a set is called possible
-_NOT_TRUSTED = "; its probability is not to be trusted: importance sampling does not confirm its evidence"
+_NOT_CHECKED = "; its evidence is Laplace's, which importance sampling could not check"
 _WITH_DRIFT = "; with a drift in time beside it"
 _AS_MUCH = 1.0  # chi-square of the backbones up to which a set leaves as much as the likeliest
 _BY_BACKBONES = "by its backbones, with what no law explains in them, far less probable"
@@ -45,7 +45,7 @@ def candidates_of(search: Search, decision: Decision) -> tuple[Candidate, ...]:
                 status=status,
                 reason=_reason(names, probability, best_cost - found.cost, decision, status)
                 + (_WITH_DRIFT if names in decision.drifts else "")
-                + ("" if shift is None or shift.is_trusted else _NOT_TRUSTED),
+                + ("" if shift is None or shift.is_trusted else _NOT_CHECKED),
                 parameters=estimates_of(found),
                 evidence_shift=float("nan") if shift is None else shift.log_value,
                 pareto_k=float("nan") if shift is None else shift.pareto_k,

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from ..._common.text import in_words
 from ..fitting.joint_fit import Fit
 from ..fitting.scatter import NARROWEST
 from ..results.entries import ScatterOfEffects
@@ -20,9 +23,10 @@ def scatter_of(found: Fit) -> ScatterOfEffects | None:
     return ScatterOfEffects(value, low, high) if np.isfinite(value) else None
 
 
-def scatter_sentence(scatter: ScatterOfEffects, effects: int) -> str:
+def scatter_sentence(scatter: ScatterOfEffects, effects: Sequence[str]) -> str:
     """Say how much effects differ between specimens; where records say little, what the prior allows is the answer."""
-    whose = "Its parameters differ" if effects == 1 else "Their parameters differ"
+    *first, last = map(in_words, effects)
+    whose = f"The parameters of {', '.join(first)} and {last} differ" if first else f"The parameters of {last} differ"
     low, middle, high = (f"{100.0 * share:.2g}" for share in (scatter.low, scatter.median, scatter.high))
     if scatter.low < _AT_BOUND * NARROWEST:  # what is smaller was not looked for
         return f"{whose} between specimens by {high} % of their value at most (standard deviation, with 95 %)."

@@ -73,7 +73,7 @@ def reasons(
         said = _said_by_the_library(summaries[name], bool(parts)) if is_said else ""
         sentences.append(f"{capitalised(' and '.join(in_words(one) for one in together))}: {text}.{said}")
     if scatter is not None and names:
-        sentences.append(scatter_sentence(scatter, len(names)))
+        sentences.append(scatter_sentence(scatter, names))
     return (*sentences, *([] if asked is None else _unseen_in(asked.base, found)))
 
 
@@ -301,8 +301,8 @@ def advice(search: Search, decision: Decision) -> tuple[str, ...]:
         edge = outside[-1] if factor > 1.0 else outside[0]
         direction = "up to" if factor > 1.0 else "down to"
         sentences.append(
-            f"{pair} predict different backbones {direction} {amplitude(edge, unit)}: measure there, with the present "
-            "noise."
+            f"{pair} predict different backbones {direction} {amplitude(edge, unit)}: measure there{_how_far(factor)}, "
+            "with the present noise."
         )
     else:
         sentences.append(f"no amplitude within a factor of five would tell {pair} apart with the present noise.")
@@ -317,10 +317,15 @@ def advice(search: Search, decision: Decision) -> tuple[str, ...]:
     other = 1.0 - sum(decision.probabilities.get(names, 0.0) for names in decision.listed)
     if other > _ELSE:
         sentences.append(
-            f"with {per_cent(other)} it is none of the sets that remain, and such a test need not tell what then: "
-            "`pymc-backbone plan` says how probable it is that a test decides."
+            f"with {per_cent(other)} it is none of these sets, but another, a drift or nothing known, and such a test "
+            "need not tell what then: `pymc-backbone plan` says how probable it is that a test decides."
         )
     return tuple(sentences)
+
+
+def _how_far(factor: float) -> str:
+    """Return how many times the largest amplitude of the records one is that lies above them; empty below."""
+    return f" ({factor:g} times the largest amplitude so far, if the structure bears it)" if factor > 1.0 else ""
 
 
 def _distance(search: Search, ours: Fit, theirs: Fit, outside: FloatArray, errors: FloatArray) -> float:
