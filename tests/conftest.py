@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import zlib
 from pathlib import Path
@@ -12,6 +13,13 @@ import pytest
 os.environ.setdefault("MPLBACKEND", "Agg")
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Compile the simulator once, with two processes, before several begin to test: each would do it by itself."""
+    if getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput"):
+        importlib.import_module("pymc_backbone.discrepancy.workflow")  # whose functions are compiled with the simulator
+        importlib.import_module("pymc_backbone.likelihood.native").define_symbols()
 
 
 @pytest.fixture

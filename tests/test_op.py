@@ -32,8 +32,8 @@ from pymc_backbone import (
 from pymc_backbone.likelihood import native
 from pymc_backbone.likelihood.op import describe
 from pymc_backbone.simulation.counts import read_counts
+from pymc_backbone.simulation.machine_code import define
 from pymc_backbone.simulation.response import make_response
-from pymc_backbone.simulation.run import define
 
 LEVELS = np.geomspace(0.004, 0.03, 5)
 DUFFING = np.array([6500.0, 1.1, 6.25e6])
@@ -313,7 +313,7 @@ def test_second_process_finds_everything_compiled():
 def test_whether_the_integrator_is_on_disk_is_known_before_it_is_compiled(is_fresh, tmp_path):
     """So that who waits for minutes is told why."""
     define()
-    script = "from pymc_backbone.simulation.run import is_compiled; print(is_compiled())"
+    script = "from pymc_backbone.simulation.machine_code import is_compiled; print(is_compiled())"
     where = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)} if is_fresh else None
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, env=where)
     assert done.stdout.strip() == str(not is_fresh)

@@ -44,7 +44,7 @@ IMPORTED = {
     "pymc.step_methods.state.dataclass_state": {"inference/proposal.py"},
     "pymc.util.RandomGeneratorState": {"inference/store/step_state.py"},
     "pymc.util.get_state_from_generator": {"inference/store/step_state.py"},
-    "pytensor.compile.mode.Mode": {"inference/remembering.py"},
+    "pytensor.compile.mode.Mode": {"inference/remembering.py", "inference/starts.py"},
     "pytensor.compile.sharedvalue.SharedVariable": {"inference/targets.py"},
     "pytensor.graph.rewriting.basic.node_rewriter": {"likelihood/op.py", "inference/start_hint.py"},
     "pytensor.graph.traversal.applys_between": {"inference/targets.py"},

@@ -11,7 +11,7 @@ import functools
 import hashlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import llvmlite.binding
 import numba
@@ -82,6 +82,48 @@ def cached[**P, R](function: Callable[P, R]) -> Callable[P, R]:
     return result
 
 
+def ahead[**P, R](arguments: str, *, is_beside: bool = False) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Return a decorator of a compiled function that says with which types it is called, so that none has to wait.
+
+    Parameters
+    ----------
+    arguments : str
+        Types of the arguments, each a letter (float64, int64, bool) and, of an array in C's order, its number of
+        dimensions: ``"f2 f1 i"``. A call with others compiles it again.
+    is_beside : bool, default False
+        Whether a second process compiles it, where nothing is on disk yet (`beside.compile_all`).
+    """
+
+    def decorate(function: Callable[P, R]) -> Callable[P, R]:
+        KERNELS.append(Kernel(function, arguments, is_beside))
+        return function
+
+    return decorate
+
+
+class Kernel(NamedTuple):
+    """A function that is compiled before it is called: with which arguments, and whether in the second process."""
+
+    dispatcher: Any
+    arguments: str
+    is_beside: bool
+
+    def compile(self) -> None:
+        """Compile it, or read it from disk."""
+        types_of = [_NUMBERS[word[0]] for word in self.arguments.split()]
+        sizes = [int(word[1:] or 0) for word in self.arguments.split()]
+        self.dispatcher.compile(
+            tuple(types.Array(kind, n, "C") if n else kind for kind, n in zip(types_of, sizes, strict=True))
+        )
+
+
+_NUMBERS = {"f": types.float64, "i": types.int64, "b": types.boolean}
+KERNELS: list[Kernel] = []
+"""Those of the modules that are imported by now, in the order of import."""
+NATIVE: list[NativeFunction] = []
+"""Native functions of the modules that are imported by now."""
+
+
 def keep(dispatcher: Any) -> None:
     """Keep the machine code of a compiled function on disk, keyed on all compiled sources."""
     dispatcher._cache = DigestCache(dispatcher.py_func)
@@ -100,13 +142,22 @@ class NativeFunction:
         Numbers and pointers only.
     function : callable
         A Python function, or one compiled with `numba.njit`, whose options are then kept.
+    is_beside : bool, default False
+        Whether a second process compiles it, where nothing is on disk yet (`beside.compile_all`).
     """
 
-    def __init__(self, name: str, signature: Any, function: Any) -> None:
+    def __init__(self, name: str, signature: Any, function: Any, *, is_beside: bool = False) -> None:
         self.call = types.ExternalFunction(f"pymc_backbone_{name}", signature)
         self._function = getattr(function, "py_func", function)
         self._options = {k: v for k, v in getattr(function, "targetoptions", {}).items() if k != "nopython"}
         self._compiled: Any = None
+        self.is_beside = is_beside
+        NATIVE.append(self)
+
+    @property
+    def module(self) -> str:
+        """The module that it stands in."""
+        return str(self._function.__module__)
 
     def _uncompiled(self) -> Any:
         signature = self.call.sig
@@ -121,6 +172,11 @@ class NativeFunction:
             compiled.compile()
             llvmlite.binding.add_symbol(self.call.symbol, compiled.address)
             self._compiled = compiled
+
+    @property
+    def is_defined(self) -> bool:
+        """Whether the function is known in this process."""
+        return self._compiled is not None
 
     @property
     def address(self) -> int:

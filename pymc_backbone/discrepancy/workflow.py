@@ -20,7 +20,7 @@ from ..measurement.conditioning.conditioned import ConditionedRecord
 from ..measurement.options import Measuring
 from ..measurement.reading.record import Record
 from ..oscillator import Oscillator
-from ..simulation.run import define, is_compiled
+from ..simulation.machine_code import define, is_compiled
 from .checks import rivals
 from .checks.ambient import ambient_check
 from .checks.second_mode import second_mode_check
@@ -143,7 +143,7 @@ def find_missing_effect(
     say = progress or (lambda _stage, _share: None)
     seed = int(np.random.default_rng().integers(2**31)) if random_seed is None else int(random_seed)
     if not is_compiled():
-        say("compiling the simulator, once on this computer: a few minutes", float("nan"))
+        say("compiling the simulator, once on this computer: a minute or two", float("nan"))
         define()
     say("reading backbones", 0.0)
     given_levels = None if levels is None else np.asarray(levels).tolist()

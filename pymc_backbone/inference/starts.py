@@ -10,6 +10,7 @@ import numpy as np
 import pymc as pm
 from numpy.typing import NDArray
 from pymc.distributions.transforms import Interval
+from pytensor.compile.mode import Mode
 from scipy.optimize import least_squares
 
 from .._common.checks import FloatArray, InputError
@@ -30,6 +31,7 @@ _PRIOR_PRECISION = 3.0 / np.pi**2  # of a Uniform prior on PyMC's unconstrained 
 _AT_BOUND = 25.0  # unconstrained value that lies 1e-11 of the interval beside its bound
 _FAILED = 30.0  # standardised distance that stands for a failed simulation in a search
 _HINT_DRAWS = 64
+_UNCOMPILED = Mode(linker="py", optimizer="fast_run")  # asked some hundred times: machine code would take far longer
 _THETA_STEP = 1e-6  # of central differences of parameters by unconstrained values
 
 
@@ -51,7 +53,7 @@ class StartFinder:
     def __init__(self, model: pm.Model, random_seed: int | np.random.Generator) -> None:
         self.model = model
         self.generator = np.random.default_rng(random_seed)
-        self.log_density = compile_once(model, "log-density", model.compile_logp)
+        self.log_density = compile_once(model, "log-density", lambda: model.compile_logp(mode=_UNCOMPILED))
         self.targets = targets_of(model)
         self.to_natural = compile_once(model, "natural values", lambda: self._compile(model.free_RVs))
         self.bounded = {
@@ -61,7 +63,7 @@ class StartFinder:
         self.shape: FloatArray | None = None
         self.prior_sd = np.ones(0)
 
-    # A model with a hint needs neither of these two, and each takes as long to compile as its log-density.
+    # A model with a hint needs neither of these two.
 
     @cached_property
     def thetas(self) -> Callable[..., Any] | None:
@@ -82,7 +84,7 @@ class StartFinder:
         """Return these variables as a function of the unconstrained values."""
         outputs = self.model.replace_rvs_by_values(variables)
         function: Callable[..., Any] = self.model.compile_fn(
-            outputs, inputs=self.model.value_vars, on_unused_input="ignore"
+            outputs, inputs=self.model.value_vars, on_unused_input="ignore", mode=_UNCOMPILED
         )
         return function
 

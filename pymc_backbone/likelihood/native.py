@@ -13,12 +13,11 @@ from numba import types
 
 from .._common.checks import FloatArray, IntArray
 from .._common.compiled import NativeFunction
-from ..simulation import kernels
 from ..simulation.counts import FAILURES, GRADIENTS, SIMULATIONS, count
-from ..simulation.forces import ROW
-from ..simulation.memory import N_EFFECTS, N_LEVELS, N_NUMBERS, N_PARAMETERS, ROWS, TABLE
+from ..simulation.kernels import call_backbone as call_uncounted
+from ..simulation.machine_code import define
+from ..simulation.memory import N_LEVELS, N_PARAMETERS, ROWS, TABLE
 from ..simulation.pointers import FLOATS, INTEGERS, Floats, Integers
-from ..simulation.run import define
 from .density_kernel import log_density
 
 
@@ -31,18 +30,12 @@ def _backbone(
     to_status: Integers,
     wanted: int,
 ) -> None:
-    head = numba.carray(to_integers, TABLE)
-    n, n_levels = head[N_PARAMETERS], head[N_LEVELS]
-    integers = numba.carray(to_integers, TABLE + ROW * head[N_EFFECTS])
-    numbers = numba.carray(to_numbers, N_NUMBERS + n_levels)
-    p = numba.carray(to_p, n)
-    values = numba.carray(to_values, (3, n_levels))
-    jacobian = numba.carray(to_jacobian, (3 * wanted, n_levels * wanted, n * wanted))
-    status = numba.carray(to_status, n_levels)
-    kernels.backbone(integers, numbers, p, values, jacobian, status)
+    call_uncounted(to_integers, to_numbers, to_p, to_values, to_jacobian, to_status, wanted)
     count(GRADIENTS if wanted else SIMULATIONS, 1)
-    if status.any():
-        count(FAILURES, 1)
+    for k in range(to_integers[N_LEVELS]):
+        if to_status[k] != 0:
+            count(FAILURES, 1)
+            break
 
 
 @numba.njit
@@ -98,7 +91,10 @@ def _log_likelihood(
 
 
 BACKBONE = NativeFunction(
-    "backbone", types.void(INTEGERS, FLOATS, FLOATS, FLOATS, FLOATS, INTEGERS, types.int64), _backbone
+    "backbone",
+    types.void(INTEGERS, FLOATS, FLOATS, FLOATS, FLOATS, INTEGERS, types.int64),
+    _backbone,
+    is_beside=True,
 )
 call_backbone = BACKBONE.call
 """``backbone(integers, numbers, p, values, jacobian, status, wanted)``: simulate, with derivatives if ``wanted``."""
@@ -106,6 +102,7 @@ LOG_LIKELIHOOD = NativeFunction(
     "log_likelihood",
     types.float64(INTEGERS, FLOATS, FLOATS, INTEGERS, types.int64, FLOATS, types.int64, FLOATS, types.int64),
     _log_likelihood,
+    is_beside=True,
 )
 call_log_likelihood = LOG_LIKELIHOOD.call
 """``log_likelihood(integers, numbers, p, codes, n_codes, table, n_table, gradient, wanted) -> log density``."""

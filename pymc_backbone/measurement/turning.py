@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 
 from .._common.checks import BoolArray, FloatArray, IntArray
+from .._common.compiled import ahead
 
 N_FIXED = 5
 """Shape functions besides the harmonics: detuning, decay, decay squared, friction, drift of the decay."""
@@ -35,6 +36,7 @@ def shape_functions(angle: float, harmonics: int, values: FloatArray, slopes: Fl
         j += 2
 
 
+@ahead("f1 f f f1 f1 f1 f1 f2 i f i", is_beside=True)
 @njit(cache=True)
 def fit_windows(
     x: FloatArray,
@@ -150,6 +152,7 @@ def n_shape_of(harmonics: int) -> int:
     return N_FIXED + 2 * (harmonics - 1)
 
 
+@ahead("f2 f1 f f i i1")
 @njit(cache=True)
 def select_terms(
     normal: FloatArray, right: FloatArray, noise_variance: float, threshold: float, maximum: int, forced: IntArray

@@ -13,9 +13,9 @@ from .curves import cycles_of_decay
 from .forces import KIND, OWN_EQUATION, describe_effects
 from .halfcycle import COMPLETED
 from .instants import DISPLACEMENT
+from .machine_code import define
 from .memory import Description, Turns, Waveform
 from .results import BackboneResult, DecayResult, Status, WaveformResult
-from .run import define
 from .user_effects import compose_user_effects
 
 TOLERANCE = 2e-9  # of one step, relative to amplitude and speed; set by the decrement, not by the frequency

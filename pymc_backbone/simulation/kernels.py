@@ -8,14 +8,17 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numba
 import numpy as np
+from numba import types
 
 from .._common.checks import FloatArray, IntArray
-from .._common.compiled import cached
+from .._common.compiled import NativeFunction, cached
 from .by_decay import backbone_by_decay
 from .counts import HALF_CYCLES
 from .counts import count as note
 from .curves import carry_jacobian, compiled, cycle_quantities, cycle_slope, hermite
+from .forces import ROW
 from .halfcycle import COMPLETED, NO_RETURN, OUT_OF_REACH, RUNAWAY
 from .instants import ACCELERATION
 from .memory import (
@@ -24,16 +27,21 @@ from .memory import (
     HAS_REGIME,
     LARGEST_STEP,
     MODE,
+    N_EFFECTS,
+    N_LEVELS,
     N_NUMBERS,
+    N_PARAMETERS,
     OWN_STATES,
     RELEASE,
     STEP,
     STOP,
+    TABLE,
     TIME,
     TOLERANCE,
     Turns,
     Waveform,
 )
+from .pointers import FLOATS, INTEGERS, Floats, Integers, address
 from .run import Run, prepare, release_from, swing
 from .whole import LARGEST_STEP_OF_DECAY, all_finite, no_answer, run_decay
 
@@ -207,16 +215,44 @@ def _backbone_by_cycles(
         carry_jacobian(levels, nodes, status, jacobian)
 
 
+def _backbone(
+    to_integers: Integers, to_numbers: Floats, to_p: Floats, to_values: Floats, to_jacobian: Floats,
+    to_status: Integers, wanted: int,
+) -> None:  # fmt: skip
+    head = numba.carray(to_integers, TABLE)
+    n, n_levels = head[N_PARAMETERS], head[N_LEVELS]
+    integers = numba.carray(to_integers, TABLE + ROW * head[N_EFFECTS])
+    numbers = numba.carray(to_numbers, N_NUMBERS + n_levels)
+    p = numba.carray(to_p, n)
+    values = numba.carray(to_values, (3, n_levels))
+    jacobian = numba.carray(to_jacobian, (3 * wanted, n_levels * wanted, n * wanted))
+    status = numba.carray(to_status, n_levels)
+    if integers[BY_DECAY] != BY_CYCLES:
+        backbone_by_decay(integers, numbers, p, values, jacobian, status)
+    else:
+        _backbone_by_cycles(integers, numbers, p, values, jacobian, status)
+
+
+BACKBONE = NativeFunction(
+    "uncounted_backbone",
+    types.void(INTEGERS, FLOATS, FLOATS, FLOATS, FLOATS, INTEGERS, types.int64),
+    _backbone,
+    is_beside=True,
+)
+call_backbone = BACKBONE.call
+"""``backbone(integers, numbers, p, values, jacobian, status, wanted)``: simulate, with derivatives if ``wanted``."""
+
+
 @cached
 def backbone(
     integers: IntArray, numbers: FloatArray, p: FloatArray, values: FloatArray, jacobian: FloatArray,
     status: IntArray,
 ) -> None:  # fmt: skip
     """Write the backbone that is described into ``values`` (3, l), ``jacobian`` (3, l, p or all 0), ``status`` (l,)."""
-    if integers[BY_DECAY] != BY_CYCLES:
-        backbone_by_decay(integers, numbers, p, values, jacobian, status)
-    else:
-        _backbone_by_cycles(integers, numbers, p, values, jacobian, status)
+    call_backbone(
+        address(integers), address(numbers), address(p), address(values), address(jacobian), address(status),
+        1 if jacobian.size > 0 else 0,
+    )  # fmt: skip
 
 
 @cached

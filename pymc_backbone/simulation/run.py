@@ -7,10 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from .._common.checks import FloatArray, IntArray
-from .counts import COUNTED
 from .curves import compiled
 from .forces import KIND, OWN_EQUATION, ROW
-from .halfcycle import HALF_CYCLE, LOAD_STATES, half_cycle, load_states
+from .halfcycle import half_cycle, load_states
 from .memory import (
     AMPLITUDE,
     COLUMNS,
@@ -28,7 +27,6 @@ from .memory import (
     memory_of,
 )
 from .pointers import address
-from .symmetry import IS_SYMMETRIC, WEIGH_STATES
 
 
 class Run(NamedTuple):
@@ -42,20 +40,6 @@ class Run(NamedTuple):
     dt: FloatArray
     columns: int
     n_states: int
-
-
-_NATIVE = COUNTED, HALF_CYCLE, LOAD_STATES, IS_SYMMETRIC, WEIGH_STATES
-
-
-def define() -> None:
-    """Make the integrator known in this process; needed before anything is simulated."""
-    for function in _NATIVE:
-        function.define()
-
-
-def is_compiled() -> bool:
-    """Return whether the integrator is on disk; else `define` compiles it, for a minute or several."""
-    return all(function.is_on_disk for function in _NATIVE)
 
 
 @compiled

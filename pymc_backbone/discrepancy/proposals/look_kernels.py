@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from ..._common.checks import FloatArray, IntArray
-from ..._common.compiled import cached
+from ..._common.compiled import ahead, cached
 from ...simulation.curves import compiled
 from ...simulation.forces import (
     KIND,
@@ -94,6 +94,7 @@ def _turn(model: Model, x: float, side: float, z: Floats) -> None:
             z[first + 2] = 1.0
 
 
+@ahead("i1 f1 f1 f1 f1 i i f2")
 @cached
 def averaged(
     integers: IntArray, numbers: FloatArray, p: FloatArray, levels: FloatArray, omegas: FloatArray,

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from ..._common.checks import BoolArray, FloatArray, IntArray
-from ..._common.compiled import cached
+from ..._common.compiled import ahead, cached
 from ...simulation.curves import compiled
 from ...simulation.forces import ROW
 from ...simulation.memory import DAMPING as DAMPING_PLACE
@@ -205,6 +205,7 @@ def _each_alone(integers: IntArray) -> IntArray:
     return alone
 
 
+@ahead("i1 f1 f1 i1 i2 i2 i2 f1 f1 b1 f1 f i1 b1 b1 b1 f1 f1 i i1 i1 i3 f2 f3 f3 f3 f1 f i f f1 f2 f2 f2 f3")
 @cached
 def refine(
     integers: IntArray, numbers: FloatArray, template: FloatArray, free: IntArray, powers: IntArray,

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from ..._common.checks import BoolArray, FloatArray, IntArray
-from ..._common.compiled import cached
+from ..._common.compiled import ahead, cached
 from ...simulation.curves import compiled
 
 _RIDGE = 1e-9
@@ -57,6 +57,7 @@ def _solve_positive(
     return 0.0
 
 
+@ahead("f2 f1 i1 b1 i2 i2 i i i f2 i3 f3", is_beside=True)
 @cached
 def best_atoms(
     gram: FloatArray, constants: FloatArray, firsts: IntArray, is_positive: BoolArray, places: IntArray,
