@@ -99,3 +99,15 @@ def test_hum_close_to_an_even_harmonic_of_a_motion_that_falls_is_taken_out(rng):
         values = np.exp(-0.5 * TIME) * np.cos(phase) + hum(50.02) + 1e-4 * rng.standard_normal(TIME.size)
         found = without_hum(values, RATE, frequency)[1]
         assert (found is not None and found.frequencies[0] == pytest.approx(50.02, abs=0.01)) == is_found
+
+
+@pytest.mark.parametrize(("frequency", "cycles"), [(91.03, 63.2), (109.0, 60.0), (136.0, 60.0)])
+def test_the_skirt_of_a_short_decay_close_to_the_mains_is_no_hum(frequency, cycles, rng):
+    """Its ripples are as narrow as a line, and those towards the motion are higher."""
+    rate = 90.0 * frequency
+    time = np.arange(int(cycles * 90.0)) / rate
+    for phase in np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False):
+        decay = np.exp(-0.0016 * 2.0 * np.pi * frequency * time)
+        angle = 2.0 * np.pi * frequency * (time - 0.0035 * np.cumsum(decay**2) / rate) + phase  # a softening spring
+        values = decay * np.cos(angle) + 1e-3 * rng.standard_normal(time.size)
+        assert without_hum(values, rate, frequency)[1] is None

@@ -23,6 +23,7 @@ _SWEPT = 0.01  # of the frequency of a harmonic, by which the motion may be off 
 _HARMONICS = 6
 _NEAR, _FAR = 4, 30  # bins beside a line that tell how high nothing is,
 _SPREAD, _FEWEST = 8.0, 12  # but for so many beside lines of the motion, where that leaves so many
+_LOBE = 1.5  # bins beside a line in which nothing is higher; on the skirt of the motion it is, towards that
 _LINE = 60.0  # power of a line over the median beside it
 _ABOVE = 4.0  # and over the highest of these
 _FINER = 3  # frequencies that are looked at in each bin
@@ -68,6 +69,7 @@ def without_hum(values: FloatArray, rate: float, frequency: float) -> tuple[Floa
     -----
     A line is hum where it is narrow, stands sixty times above what is beside it, and is as high in one half of the
     record as in the other, which no line of a decaying structure is. One of the first three multiples has to be there.
+    Nothing beside it within the window's lobe is higher: the skirt of a short decay has ripples that are as narrow.
     Close to a harmonic of the motion only an even one is looked at, of a motion that falls: those of dry friction last.
     The window falls to zero at both ends, so that the motion, hundreds of bins away, does not leak into a line.
     """
@@ -117,6 +119,9 @@ def _line(
         return None
     near = np.arange(int((place - reach) / step), min(int((place + reach) / step) + 2, power.size))
     at = int(near[np.argmax(power[near])])
+    lobe = int(np.ceil(_LOBE * width / step))
+    if power[max(at - lobe, 0) : at + lobe + 1].max() > power[at]:
+        return None
     away = width * np.arange(_NEAR, _FAR + 1)
     places = at * step + np.concatenate([-away, away])
     # the motion's own lines, and what a decay spreads beside them, are not what lies beside this one
