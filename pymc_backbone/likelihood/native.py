@@ -90,12 +90,7 @@ def _log_likelihood(
     return value
 
 
-BACKBONE = NativeFunction(
-    "backbone",
-    types.void(INTEGERS, FLOATS, FLOATS, FLOATS, FLOATS, INTEGERS, types.int64),
-    _backbone,
-    is_beside=True,
-)
+BACKBONE = NativeFunction("backbone", call_uncounted.sig, _backbone, is_beside=True)
 call_backbone = BACKBONE.call
 """``backbone(integers, numbers, p, values, jacobian, status, wanted)``: simulate, with derivatives if ``wanted``."""
 LOG_LIKELIHOOD = NativeFunction(
