@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from types import SimpleNamespace
@@ -12,7 +11,7 @@ import pytest
 
 import pymc_backbone as pb
 from pymc_backbone._common import beside
-from pymc_backbone._common.compiled import KERNELS, Kernel, NativeFunction
+from pymc_backbone._common.compiled import KERNELS
 from pymc_backbone.discrepancy.proposals.set_kernels import best_atoms
 
 from .discrepancy_cases import MASS, make_records
@@ -56,15 +55,17 @@ def test_what_interrupts_the_first_process_ends_the_second(monkeypatch):
     assert second.returncode not in (None, 0)
 
 
-def test_the_second_process_ends_with_the_first(tmp_path):
+def test_the_second_process_ends_with_the_first(monkeypatch, tmp_path):
     (tmp_path / "takes_long.py").write_text("import time; time.sleep(60)")
-    command = [sys.executable, "-c", beside._PROGRAM, str(beside.Path(beside.__file__).parents[2]), "takes_long"]
-    second = subprocess.Popen(command, stdin=subprocess.PIPE, env={**os.environ, "PYTHONPATH": str(tmp_path)})
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    second = beside.start(beside._PROGRAM, "takes_long", is_read=False)
     second.stdin.close()  # as the system does where the first process ends, however it ends
     assert second.wait(timeout=50) == 1
 
 
-def test_a_kernel_says_where_it_is_compiled():
-    assert {kernel.is_beside for kernel in KERNELS} == {True, False}
-    assert all(isinstance(kernel, Kernel) for kernel in KERNELS)
-    assert all(isinstance(native, NativeFunction) for native in beside.NATIVE)
+def test_another_process_runs_nothing_that_lies_in_the_working_directory(monkeypatch, tmp_path):
+    (tmp_path / "json.py").write_text("raise SystemExit(7)")
+    monkeypatch.chdir(tmp_path)
+    second = beside.start("import json; sys.exit(0 if json.dumps else 1)", is_read=False)
+    assert second.wait(timeout=50) == 0
+    second.stdin.close()

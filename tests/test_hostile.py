@@ -29,12 +29,11 @@ ATTRIBUTES = {"system", "popen", "literal_eval", "read_pickle", "loadmat", "geto
 ALLOWED = {
     ("simulation/forces.py", "exec"): "a switch over the package's own functions, by number",
     ("simulation/lane_cycles.py", "exec"): "the same switch, its loops over lanes inside",
-    ("_common/beside.py", "subprocess"): "this interpreter with a constant program and modules of this package",
-    ("inference/store/lock.py", "subprocess"): "ps, with a list of words and the number of a process",
     (
-        "measurement/reading/formats/isolation.py",
+        "_common/interpreter.py",
         "subprocess",
     ): "this interpreter with a constant program; names of files go through a pipe",
+    ("inference/store/lock.py", "subprocess"): "ps, with a list of words and the number of a process",
 }
 
 

@@ -1,4 +1,4 @@
-"""Compile with two processes what is not on disk yet: the first time takes half as long.
+"""Compile with two processes what is not on disk yet: who waits for the first time waits less.
 
 numba compiles one function after another, whatever the number of cores. Of what is known to be needed, a second process
 compiles some while this one compiles the rest; both keep their machine code on disk, where this one then finds it.
@@ -10,22 +10,24 @@ import ctypes
 import importlib
 import multiprocessing
 import os
-import subprocess
 import sys
 import threading
-from pathlib import Path
 
 import llvmlite.binding
 import numba
 
 from .compiled import KERNELS, NATIVE
+from .interpreter import Process, start
 from .threads import cores
 
-_PROGRAM = "import sys; sys.path.insert(0, sys.argv[1]); from pymc_backbone._common.beside import serve; serve()"
+_PROGRAM = "from pymc_backbone._common.beside import serve; serve()"
 
 
 def compile_all() -> None:
-    """Compile all native functions, and all functions of known arguments, of the modules that are imported by now."""
+    """Compile all native functions, and all functions of known arguments, of the modules that are imported by now.
+
+    What falls to a second process is left for later where none can start.
+    """
     second = _second()
     try:
         for native in NATIVE:
@@ -44,25 +46,18 @@ def compile_all() -> None:
         second.communicate()
 
 
-def _second() -> subprocess.Popen[bytes] | None:
+def _second() -> Process | None:
     """Return the second process; None with one core, in a process that is one of several, or where none can start."""
     modules = {item.module for item in NATIVE} | {kernel.dispatcher.py_func.__module__ for kernel in KERNELS}
     if cores() < 2 or multiprocessing.parent_process() is not None or numba.config.DISABLE_JIT:
         return None
-    root = str(Path(__file__).parents[2])
-    try:
-        return subprocess.Popen(
-            [sys.executable, "-W", "ignore", "-c", _PROGRAM, root, *sorted(modules)],
-            stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
-    except OSError:  # an interpreter inside another program
-        return None
+    return start(_PROGRAM, *sorted(modules), is_read=False)
 
 
 def serve() -> None:
     """Compile what falls to the second process; it ends at the latest when the process that started it does."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    for name in sys.argv[2:]:
+    for name in sys.argv[1:]:
         importlib.import_module(name)
     nothing = ctypes.CFUNCTYPE(None)(lambda: None)
     for native in NATIVE:  # nothing is called here, but machine code is not made for names that nobody knows

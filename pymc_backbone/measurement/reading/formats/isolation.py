@@ -13,7 +13,6 @@ import math
 import os
 import queue
 import signal
-import subprocess
 import sys
 import threading
 from collections.abc import Callable, Mapping
@@ -21,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from ...._common.checks import InputError
+from ...._common.interpreter import start
 from ...._common.text import printable
 
 SECONDS = 10.0
@@ -30,10 +30,7 @@ BYTES_PER_SECOND = 1e7
 WAITING = 6.0
 """How much longer that may take on a machine that is busy; where computation cannot be limited, only this counts."""
 START_SECONDS = 120.0
-_PROGRAM = (
-    "import sys; sys.path.insert(0, sys.argv[1]); "
-    "from pymc_backbone.measurement.reading.formats import try_files; try_files()"
-)
+_PROGRAM = "from pymc_backbone.measurement.reading.formats import try_files; try_files()"
 _READY, _DONE = b"ready\n", b"done\n"
 _state: dict[str, Any] = {"process": None, "owner": None, "is_inside": False}
 _of_parents: list[Any] = []  # kept, because throwing one away warns that it runs
@@ -127,14 +124,8 @@ def _running() -> Any:
     if _state["owner"] != os.getpid():  # the first file, or a fork of a process that had one
         _of_parents.append(_state["process"])
         _state.update(process=None, owner=os.getpid())
-        try:
-            process = subprocess.Popen(
-                [sys.executable, "-P", "-W", "ignore", "-c", _PROGRAM, str(Path(__file__).resolve().parents[4])],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
-            )
-        except (OSError, ValueError):
+        process = start(_PROGRAM, is_read=True)
+        if process is None:
             return None
         _state["process"] = process
         atexit.register(_end)
