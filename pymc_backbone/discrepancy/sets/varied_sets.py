@@ -11,6 +11,7 @@ from ..fitting import starts
 from ..fitting.joint_fit import Fit
 from ..proposals.propose import propose
 from ..proposals.set_fits import Set
+from ..weighing import evidence
 from .revisited_sets import RevisitedSets
 from .side_by_side import ABREAST, fit_side_by_side
 
@@ -48,16 +49,16 @@ class VariedSets(RevisitedSets):
         The backbones of one mode do not show such a law; what its force does within a cycle may be all that is left.
         It is as rare as a variant, and kept where it explains the records.
         """
-        if self._is_explained() or not self.batch.has_records:
-            return
         best = self.best()
+        if not self.batch.has_records or evidence.leaves_noise(self.batch, self.fits[best]):
+            return
         for name in self.reserved:
             for names in dict.fromkeys([(name,), tuple(sorted({*best, name}))]):
                 if len(names) > self.max_effects or names in self.fits or self._is_costly(names):
                     continue
                 self.progress("what backbones do not show", 0.5)
                 found = self.fit_set(names)
-                if found is not None and self.explains(found):
+                if found is not None and evidence.leaves_noise(self.batch, found):
                     self.variants = tuple(dict.fromkeys((*self.variants, name)))
                 else:
                     self.fits.pop(names, None)
