@@ -75,6 +75,7 @@ class Search(FollowedSets):
         self._look_forward()  # from the base, where a larger set led it to a better place
         if self._is_answered() or (self.is_cut and self.is_refuted(self.best())):
             return
+        self._ask_common()
         self._enlarge()
         self._vary()
         self._ask_reserved()

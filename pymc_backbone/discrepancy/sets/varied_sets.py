@@ -19,6 +19,7 @@ _LIKELIEST = 4  # sets whose variants are replaced by what they vary
 _OVERDRAWN = 1.3  # of the budget, up to which variants are asked where that is spent
 _AS_LIKELY = 4.0  # logarithm of evidence of the backbones, within which others with variants are asked ...
 _MOST_PROMISED = 8  # ... and how many
+_COMMON = 3  # sets without a variant, of those that leave as little of the backbones as one with a variant does
 NEEDED = 5.0
 """Chi-square by which a less simple set of the same mechanisms must leave less."""
 
@@ -40,8 +41,31 @@ class VariedSets(RevisitedSets):
             self.progress("variants of effects", 0.5)
             fit_side_by_side(self, few)
         self._ask_plain()
+        self._ask_common()
         for names in [names for names in self.fits if not self._is_needed(names)]:
             del self.fits[names]
+
+    def _ask_common(self) -> None:
+        """Where the best set holds variants, fit sets of none whose backbones leave hardly more, however unlikely there.
+
+        A law of many parameters is charged for them by its backbones before its samples say what it is worth; a rare
+        one that was asked alone has no name.
+        """
+        best = self.best()
+        known = self.proposals.get(best) if self.has_proposals else None
+        is_rare = not {*best}.isdisjoint(self.variants)
+        if known is None or not is_rare or self.is_refuted(best) or not self.explains(self.fits[best]):
+            return
+        explained = [names for names, found in self.fits.items() if names and self.explains(found)]
+        common = [
+            names
+            for names, item in self.proposals.items()
+            if item.is_exact and item.chi_square < known.chi_square + NEEDED and {*names}.isdisjoint(self.variants)
+        ]
+        asked = [names for names in common if not any(set(smaller) <= set(names) for smaller in explained)]
+        for names in asked[:_COMMON]:
+            self.progress("what rare laws may imitate", 0.5)
+            self.fit_set(names)
 
     def _ask_reserved(self) -> None:
         """Where nothing explains the records, fit what is otherwise looked for by name only, alone and in the best set.
