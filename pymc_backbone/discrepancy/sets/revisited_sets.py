@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
@@ -13,6 +14,7 @@ from ..fitting.descent import GLANCE, IN_REACH, is_heavy
 from ..fitting.joint_fit import Fit, parameters_of
 from ..fitting.layout import Layout
 from ..fitting.normal_equations import State
+from ..proposals.proposal import Proposal
 from ..proposals.set_fits import Set
 from ..weighing import evidence
 from .fitted_sets import FittedSets
@@ -34,6 +36,8 @@ _HARDLY = 0.05  # share of what a refuted set leaves, which one more effect has 
 _FAR = 1000.0  # chi-square of the backbones above those of the best set, from which they are not doubted
 _RIVALS, _MOST_RIVALS = 7.0, 8  # logarithm of the odds within which sets rival the best, and how many are asked
 _IDLE, _LOWER = 4, 0.5  # rivals in a row that lie no lower, after which no more are asked; and what is lower
+_AS_GOOD = 6.0  # chi-square of the backbones within which a place is as good as the best
+_HARDLY_MORE, _WEIGHTIER = 3.0, 1.0  # chi-square of the samples that a wider minimum may leave; logarithm of odds for it
 _ASKED_FOR = 10.0  # fall of chi-square, as a linear step promises it, that no set in want of it can be named against
 
 
@@ -288,11 +292,37 @@ class RevisitedSets(FittedSets):
             found = [self.descent.begun_alike(known, GLANCE)] if len(self.batch.specimens) > 1 else [known]
             if proposal is not None and (names, id(proposal)) not in self.asked:
                 found += self._proposed(names, known.cost)
-            self.fits[names] = min(found, key=lambda item: item.cost)
+            found += self._other_minima(names, proposal)
+            self.fits[names] = self._weightiest(found)
             idle = 0 if self.fits[names].cost < known.cost - _LOWER else idle + 1
             if idle == _IDLE:
                 break
         return self.best() != best
+
+    def _other_minima(self, names: Set, proposal: Proposal | None) -> list[Fit]:
+        """Return the fits of a set from where its backbones are as good as at the best place, but elsewhere."""
+        if proposal is None or (names, id(proposal.starts)) in self.asked:
+            return []
+        self.asked[names, id(proposal.starts)] = proposal.starts
+        (lowest, _, _), *others = proposal.starts
+        near = [(eta, own) for promised, eta, own in others if promised < lowest + _AS_GOOD]
+        layout = self.layout(names)
+        found = (self.descent.from_afar(layout, self.descent.released(layout, eta, own)) for eta, own in near)
+        return [item for item in found if item is not None]
+
+    def _weightiest(self, minima: Sequence[Fit]) -> Fit:
+        """Return the lowest minimum of a set; or one that leaves hardly more, and is so much wider that it is likelier.
+
+        A small gap between stiff stops and one that closes near the largest amplitude may leave the same.
+        """
+        lowest = min(minima, key=lambda item: item.cost)
+        scale = evidence.noise_scale(self.fits, self.batch)
+
+        def weight(item: Fit) -> float:
+            return evidence.laplace(item, scale) + item.scatter.log_evidence - _WEIGHTIER * (item is not lowest)
+
+        near = [item for item in minima if item.is_converged and item.cost < lowest.cost + _HARDLY_MORE]
+        return max([lowest, *near], key=weight)
 
     def _rivals(self) -> list[Set]:
         """Return the best set and those that are nearly as probable, but for what has no shape, or costs much.
