@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 
-from pymc_backbone.discrepancy.fitting.drift_course import DRIFT, course_of, motion_of, passage_of
+from pymc_backbone.discrepancy.fitting.drift_course import DRIFT, Linear, course_of, motion_of, passage_of
 
 CYCLES, PER_CYCLE, OMEGA, ZETA = 90, 64, 2.0 * np.pi, 0.004
 TIME = np.linspace(0.0, CYCLES, CYCLES * PER_CYCLE + 1)
@@ -32,11 +32,12 @@ def none(*_):
     return 0.0
 
 
-def decay(law, times, change=0.0):
-    """Free decay from rest at 1 of a unit mass, whose linear spring changes in proportion to the time."""
+def decay(law, times, change=0.0, damping=ZETA, less=0.0):
+    """Free decay from rest at 1 of a unit mass, whose linear spring and damper change in proportion to the time."""
 
     def rate(t, y):
-        return [y[1], -(OMEGA**2) * (1.0 + change * t / CYCLES) * y[0] - 2.0 * ZETA * OMEGA * y[1] - law(*y)]
+        damper = 2.0 * damping * (1.0 - less * t / times[-1]) * OMEGA
+        return [y[1], -(OMEGA**2) * (1.0 + change * t / CYCLES) * y[0] - damper * y[1] - law(*y)]
 
     found = solve_ivp(rate, (0.0, times[-1]), [1.0, 0.0], "DOP853", times, rtol=1e-10, atol=1e-12, max_step=0.05)
     return found.y[0]
@@ -66,7 +67,7 @@ def test_a_spring_that_drifts_beside_a_law_is_what_scipy_makes_of_it(law, change
     motion = motion_of(cycles_of(TIME, true), TIME)
 
     def left(values, known):
-        course = course_of(TIME, np.array([1.0, 0.0, 0.0, *values]), 0, 1.0, 0.0, known, OMEGA**2)
+        course = course_of(TIME, np.array([1.0, 0.0, 0.0, *values]), 0, 1.0, 0.0, known, Linear(OMEGA**2, ZETA * OMEGA))
         return course.factor * plain(TIME + course.later) - true
 
     def fitted(known):
@@ -77,6 +78,40 @@ def test_a_spring_that_drifts_beside_a_law_is_what_scipy_makes_of_it(law, change
     assert drift * DRIFT == pytest.approx(0.5 * change, rel=0.005)
     _, stretched = fitted(None)
     assert rest < limit and rest * gain < stretched * 1.05
+
+
+def test_damping_that_drifts_changes_the_frequency_by_its_square():
+    """By far more than samples tell: it had passed for a spring that drifts, or for one of a law."""
+    damping, less, times = 0.03, 0.5, np.linspace(0.0, 20.0, 20 * PER_CYCLE + 1)
+    true = decay(none, times, damping=damping, less=less)
+    plain = CubicSpline(long := np.linspace(0.0, 22.0, 22 * 70), decay(none, long, damping=damping))
+    motion, linear = motion_of(cycles_of(times, true), times), Linear(OMEGA**2, damping * OMEGA)
+
+    def course(drift, loss):
+        return course_of(times, np.array([1.0, 0.0, 0.0, drift, loss]), 0, 1.0, 0.0, motion, linear)
+
+    def left(values):
+        known = course(*values)
+        return known.factor * plain(times + known.later) - true
+
+    found = least_squares(left, [0.01, 0.01], x_scale=[0.01, 0.01])
+    drift, loss = found.x
+    as_drift = 0.5 * damping**2 * (1.0 - (1.0 - less) ** 2)
+    assert abs(drift) * DRIFT < 0.01 * as_drift
+    assert loss == pytest.approx(-less * damping * OMEGA * times[-1], rel=2e-3)
+    assert np.sqrt(np.mean(found.fun**2)) < 2e-4 * np.sqrt(np.mean(true**2))
+    for at in ((0.0, 0.0), (drift, loss), (0.1, -0.3)):
+        step = 1e-4
+        ends = [course(at[0], at[1] + side * step).later for side in (1.0, -1.0)]
+        np.testing.assert_allclose(course(*at).by_loss, (ends[0] - ends[1]) / (2.0 * step), rtol=1e-3, atol=1e-9)
+    turns, plainly = cycles_of(times, true), cycles_of(times, plain(times))
+    share = turns.time / times[-1]
+    passage = passage_of(share, 0.0, loss, times[-1], 0.0, 1.0 / turns.frequency**2, linear)
+    frequency, damping = passage.drifted(plainly.frequency[: share.size], damping * OMEGA / turns.frequency)
+    np.testing.assert_allclose(frequency, turns.frequency, rtol=0.03 * as_drift)
+    decrement = damping[1:-1] * turns.frequency[1:-1]
+    known = -np.gradient(np.log(turns.smoothed_amplitude), turns.time)[1:-1]
+    np.testing.assert_allclose(decrement, known, rtol=0.01)
 
 
 def test_noise_bends_no_frequency(rng):

@@ -316,11 +316,12 @@ def _mind_backbones(search: Search, decision: Decision) -> Decision:
 
     An explanation of the samples has to hold at every amplitude; with a drift in time beside it, it may hold nowhere.
     Without one, backbones that disagree may be at fault: their errors are small and their mid-line may be lost. No set
-    is exact then, and mechanisms are named where backbones with a departure tell them apart.
+    is exact then, and mechanisms are named where backbones with a departure tell them apart; unless a drift alone is
+    what the records most probably show.
     """
     is_name = decision.named_level is NamedLevel.LAW
     is_open = decision.verdict is Verdict.AMBIGUOUS and not decision.is_approximate
-    if not (is_name or is_open) or decision.ranked[0] not in decision.drifts:
+    if not (is_name or is_open) or decision.ranked[0] not in decision.drifts or decision.drift_probability > 0.5:
         return decision
     if not _backbones_disagree(search, decision.ranked[0]):
         return decision

@@ -12,7 +12,7 @@ from ..._common.checks import OBSERVABLES, FloatArray
 from . import normal_equations
 from .batch import Batch
 from .data_term import LevelTerm
-from .drift_course import passage_of
+from .drift_course import Linear, passage_of
 from .joint_fit import Fit, fit, parameters_of
 from .layout import Layout
 from .normal_equations import DRIFTS, NUISANCES, RELEASE_INSTANT, ZERO, State, linearise, start_state
@@ -275,7 +275,9 @@ def _left_beside_drifts(batch: Batch, found: Fit, r: int) -> FloatArray | None:
     order = np.argsort(cycles.smoothed_amplitude)
     elapsed = (cycles.time[order] - found.state.own[r, RELEASE_INSTANT]) / length
     share = np.interp(term.levels, cycles.smoothed_amplitude[order], elapsed)
-    passage = passage_of(share, drift, loss, length, batch.waveform[r].settling, _softness(batch, found, r, share))
+    softness = _softness(batch, found, r, share)
+    linear = Linear.of(found.parameters(r), found.layout.oscillator.mass)
+    passage = passage_of(share, drift, loss, length, batch.waveform[r].settling, softness, linear)
     levels = passage.levels_before(term.levels)
     if not np.all(np.diff(levels) > 0.0):
         return None

@@ -13,7 +13,7 @@ import xarray as xr
 
 from ..._common.checks import OBSERVABLES, BoolArray, FloatArray, IntArray
 from ...simulation.decay import Simulator
-from .drift_course import STEADY, Motion, course_of
+from .drift_course import STEADY, Linear, Motion, course_of
 
 TOLERANCE = 1e-7  # of one integration step: waveforms to 3e-6 of the amplitude, far below any noise here
 KNOWN = 1e-3  # relative error of a frequency that is known and not measured: it settles the stiffness, no more
@@ -214,8 +214,8 @@ class TurningTerm:
         n, stiffness = self.times.size, float(parameters[0])
         course = STEADY
         if drifts:
-            square = stiffness / simulator.oscillator.mass
-            course = course_of(self.times, nuisances, 0, self.fade, self.settling, self.motion, square)
+            linear = Linear.of(parameters, simulator.oscillator.mass)
+            course = course_of(self.times, nuisances, 0, self.fade, self.settling, self.motion, linear, at_turns=True)
         later = 0.0 if course.later is None else course.later
         less = np.ones(n) if course.factor is None else course.factor
         values = turns * less

@@ -47,6 +47,41 @@ class Motion(NamedTuple):
         return Motion(*(values[:count] for values in self))
 
 
+class Linear(NamedTuple):
+    """The linear part of a model.
+
+    Attributes
+    ----------
+    square : float
+        Spring over the mass [rad^2/s^2].
+    decay : float
+        Damping over twice the mass [1/s].
+    """
+
+    square: float = 1.0
+    decay: float = 0.0
+
+    @classmethod
+    def of(cls, parameters: FloatArray, mass: float) -> Linear:
+        """Return that of a model with these parameters: the first two are the linear stiffness and damping."""
+        return cls(float(parameters[0]) / mass, 0.5 * float(parameters[1]) / mass)
+
+    def slower(self, added: FloatArray, growing: FloatArray | float, *, at_turns: bool) -> FloatArray:
+        """Return by how much what is ``added`` to the decay (n,) lowers the square of the angular frequency (n,).
+
+        Where ``x'' + 2 d(t) x' + w^2 x`` is zero, ``x`` times the exponential of the integral of ``d`` oscillates with
+        the square ``w^2 - d^2 - d'``. ``growing`` is the derivative of what is added with respect to time.
+        Turning points, and cycles between them, come before those of that oscillation by ``d / w^2``: as this changes,
+        so does their distance.
+        """
+        lower: FloatArray = added * (2.0 * self.decay + added) + (-growing if at_turns else growing)
+        return lower
+
+
+UNDAMPED = Linear()
+"""A linear structure in units of its own frequency."""
+
+
 class Course(NamedTuple):
     """What drifts do over a record, sample by sample.
 
@@ -153,16 +188,19 @@ def course_of(
     fade: float,
     settling: float = 0.0,
     motion: Motion | None = None,
-    square: float = 1.0,
+    linear: Linear = UNDAMPED,
+    *,
+    at_turns: bool = False,
 ) -> Course:
     """Return how drifts change the motion over the record, seen as its derivative of an order.
 
-    ``fade`` and ``settling`` as above, ``square`` is the linear spring over the mass [rad^2/s^2]. What drifts is that
-    spring, in proportion to the time (or as it settles), and no other force: the motion without a drift is passed
-    faster, but by less where the spring is less of the whole stiffness. Over a cycle it hardly changes, so that energy
-    over frequency stays (the adiabatic invariant), and the amplitude falls as the root of the frequency rises. Where
-    the frequency goes with the amplitude, what the drifts take from that changes it as well. Without a ``motion`` the
-    structure counts as linear.
+    ``fade`` and ``settling`` as above, ``linear`` is that part of the model. What drifts is its spring, in proportion
+    to the time (or as it settles), and no other force: the motion without a drift is passed faster, but by less where
+    the spring is less of the whole stiffness. Over a cycle it hardly changes, so that energy over frequency stays (the
+    adiabatic invariant), and the amplitude falls as the root of the frequency rises. Where the frequency goes with the
+    amplitude, what the drifts take from that changes it as well. A drift of damping lowers the frequency itself, by the
+    square of the damping, otherwise where it is seen ``at_turns``. Without a ``motion`` the structure counts as linear,
+    and hardly damped.
     """
     _, release_time, _, drift, loss = nuisances
     length = float(time[-1] - time[0])
@@ -170,7 +208,7 @@ def course_of(
     share = 0.5 * fade * (elapsed / length) ** 2
     there = covered(elapsed / length, settling)
     if drift == 0.0 and loss == 0.0:
-        return _unchanged(order, elapsed, share, there, motion, square)
+        return _unchanged(order, elapsed, share, there, motion, linear, fade, length, at_turns)
     stiffer = np.maximum(1.0 + 2.0 * drift * DRIFT * there, _LEAST_LEFT)
     if motion is None:
         pace = np.sqrt(stiffer)
@@ -179,25 +217,36 @@ def course_of(
         hastened = (order - 0.5) * faster / pace
         later, by_drift = _so_far(pace - 1.0, elapsed), _so_far(faster, elapsed)
         return Course(later, pace, factor, share, hastened, by_drift, 0.0 * share, None)
-    softness = square / motion.angular_frequency**2
+    softness, each = linear.square / motion.angular_frequency**2, elapsed / length
     squared = _squared_pace(stiffer, softness)
-    plain = np.sqrt(squared)
-    rate = 2.0 * DRIFT * _growing(elapsed / length, settling) / length
+    rate = 2.0 * DRIFT * _growing(each, settling) / length
     grows = motion.frequency_growth
     # of the square of the pace
     growth = softness * ((2.0 * stiffer - 1.0) * drift * rate - 2.0 * (stiffer - 1.0) * stiffer * grows)
-    bend = (grows - 0.5 * growth / squared) * motion.bend
+    unit = fade / length  # of what the drift of damping adds to the decay by the end
+    added = unit * loss * each + linear.decay * (np.sqrt(squared) - 1.0)  # what is passed faster decays faster, too
+    adding = unit * loss / length + 0.5 * linear.decay * growth / np.sqrt(squared)
+    slower = linear.slower(added, adding, at_turns=at_turns)
+    squared = np.maximum(squared - slower / motion.angular_frequency**2, _LEAST_LEFT)
+    growth = growth - 2.0 * (linear.decay + added) * adding / motion.angular_frequency**2
+    plain = np.sqrt(squared)
+    # a measured frequency that tells no growth tells of no law beside one that is calculated
+    by_law = motion.bend * bool(grows.any())
+    bend = (grows - 0.5 * growth / squared) * by_law
     less = -loss * share - 0.25 * np.log(squared)
     open_pace = np.maximum(1.0 + bend * less, _LEAST_LEFT)
 
     def pace_by(of_squared: FloatArray, of_growth: FloatArray) -> FloatArray:
         """Return the derivative of the pace, by those of the squared one without a law and of its growth."""
-        of_bend = -0.5 * motion.bend * (of_growth - growth / squared * of_squared) / squared
+        of_bend = -0.5 * by_law * (of_growth - growth / squared * of_squared) / squared
         of_open = of_bend * less - 0.25 * bend * of_squared / squared
         by: FloatArray = 0.5 * of_squared / plain * open_pace + plain * of_open
         return by
 
     by_drift = 2.0 * DRIFT * there * (2.0 * stiffer - 1.0) * softness
+    of_slope = (-1.0 if at_turns else 1.0) / length
+    by_loss = -unit * (2.0 * each * (linear.decay + added) + of_slope) / motion.angular_frequency**2
+    of_growth = -2.0 * unit * (each * adding + (linear.decay + added) / length) / motion.angular_frequency**2
     faster = pace_by(by_drift, softness * rate * (4.0 * stiffer - 3.0) - 2.0 * by_drift * grows)
     pace = plain * open_pace
     return Course(
@@ -207,21 +256,36 @@ def course_of(
         share=share,
         hastened=order * faster / pace - 0.25 * by_drift / squared,
         by_drift=_so_far(faster, elapsed),
-        by_loss=_so_far(-plain * bend * share, elapsed),
-        by_stiffness=_so_far(pace_by(squared - 1.0, growth), elapsed),
+        by_loss=_so_far(pace_by(by_loss, of_growth) - plain * bend * share, elapsed),
+        by_stiffness=_so_far(pace_by((stiffer - 1.0) * stiffer * softness, growth), elapsed),
     )
 
 
 def _unchanged(
-    order: int, elapsed: FloatArray, share: FloatArray, there: FloatArray, motion: Motion | None, square: float
+    order: int,
+    elapsed: FloatArray,
+    share: FloatArray,
+    there: FloatArray,
+    motion: Motion | None,
+    linear: Linear,
+    fade: float,
+    length: float,
+    at_turns: bool,
 ) -> Course:
     """Return the course of a motion without drifts, and how they would change it."""
-    faster, bend = DRIFT * there, np.zeros_like(share)
+    faster, bend, slower = DRIFT * there, np.zeros_like(share), np.zeros_like(share)
     if motion is not None:
-        faster = faster * square / motion.angular_frequency**2
+        faster = faster * linear.square / motion.angular_frequency**2
         bend = motion.frequency_growth * motion.bend
+        slower = (
+            fade
+            / length**2
+            * (2.0 * linear.decay * elapsed + (-1.0 if at_turns else 1.0))
+            / motion.angular_frequency**2
+        )
     pace = (1.0 - 0.5 * bend) * faster
-    by_drift, by_loss = _so_far(pace, elapsed), _so_far(-bend * share, elapsed)
+    by_drift = _so_far(pace, elapsed)
+    by_loss = _so_far(-0.5 * (1.0 - 0.5 * bend) * slower - bend * share, elapsed)
     return Course(None, 1.0, None, share, order * pace - 0.5 * faster, by_drift, by_loss, None)
 
 
@@ -267,12 +331,22 @@ class Passage(NamedTuple):
 
 
 def passage_of(
-    share: FloatArray, drift: float, loss: float, length: float, settling: float, softness: FloatArray
+    share: FloatArray,
+    drift: float,
+    loss: float,
+    length: float,
+    settling: float,
+    softness: FloatArray,
+    linear: Linear = UNDAMPED,
 ) -> Passage:
     """Return how levels are passed after shares of a record of some length [s]; ``softness`` is `_squared_pace`'s."""
     stiffer = np.maximum(1.0 + 2.0 * drift * DRIFT * covered(share, settling), _LEAST_LEFT)
-    pace = np.sqrt(_squared_pace(stiffer, softness))
-    hardening = drift * DRIFT * _growing(share, settling) * (2.0 * stiffer - 1.0) * softness / pace**2
+    squared = _squared_pace(stiffer, softness)
+    hardening = drift * DRIFT * _growing(share, settling) * (2.0 * stiffer - 1.0) * softness / squared
+    plain = np.sqrt(squared)
+    added = loss * share / length + linear.decay * (plain - 1.0)
+    slower = linear.slower(added, loss / length**2 + linear.decay * hardening * plain / length, at_turns=True)
+    pace = np.sqrt(np.maximum(squared - slower * softness / linear.square, _LEAST_LEFT))
     return Passage(share, pace, hardening, loss, length)
 
 
@@ -288,6 +362,7 @@ __all__ = [
     "DRIFT",
     "STEADY",
     "Course",
+    "Linear",
     "Motion",
     "changes_of",
     "course_of",

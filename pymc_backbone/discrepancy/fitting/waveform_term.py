@@ -11,7 +11,7 @@ import numpy as np
 from ..._common.checks import FloatArray, IntArray
 from ...simulation.decay import Simulator
 from .data_term import TOLERANCE
-from .drift_course import STEADY, Course, Motion, course_of
+from .drift_course import STEADY, Course, Linear, Motion, course_of
 from .whitening import EDGE, average, means
 
 _MARGIN = 60  # turning points beyond those of the record
@@ -207,8 +207,8 @@ class WaveformTerm:
         return self.whiten(left)[:, 0] if np.isfinite(left).all() else None
 
     def _course(self, simulator: Simulator, parameters: FloatArray, nuisances: FloatArray) -> Course:
-        square = float(parameters[0]) / simulator.oscillator.mass
-        return course_of(self.time, nuisances, self.order, self.fade, self.settling, self.motion, square)
+        linear = Linear.of(parameters, simulator.oscillator.mass)
+        return course_of(self.time, nuisances, self.order, self.fade, self.settling, self.motion, linear)
 
     def _at(self, course: Course) -> FloatArray:
         """Return the instants at which the motion without a drift is looked at."""

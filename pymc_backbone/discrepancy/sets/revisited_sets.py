@@ -37,7 +37,7 @@ _FAR = 1000.0  # chi-square of the backbones above those of the best set, from w
 _RIVALS, _MOST_RIVALS = 7.0, 8  # logarithm of the odds within which sets rival the best, and how many are asked
 _IDLE, _LOWER = 4, 0.5  # rivals in a row that lie no lower, after which no more are asked; and what is lower
 _AS_GOOD = 6.0  # chi-square of the backbones within which a place is as good as the best
-_HARDLY_MORE, _WEIGHTIER = 3.0, 1.0  # chi-square of the samples that a wider minimum may leave; logarithm of odds for it
+_HARDLY_MORE, _WEIGHTIER = 3.0, 1.0  # chi-square that a wider minimum may leave; logarithm of odds by which it counts
 _ASKED_FOR = 10.0  # fall of chi-square, as a linear step promises it, that no set in want of it can be named against
 
 

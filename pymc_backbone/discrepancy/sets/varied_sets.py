@@ -46,7 +46,7 @@ class VariedSets(RevisitedSets):
             del self.fits[names]
 
     def _ask_common(self) -> None:
-        """Where the best set holds variants, fit sets of none whose backbones leave hardly more, however unlikely there.
+        """Where the best set holds variants, fit sets of none whose backbones leave hardly more, however improbable.
 
         A law of many parameters is charged for them by its backbones before its samples say what it is worth; a rare
         one that was asked alone has no name.
