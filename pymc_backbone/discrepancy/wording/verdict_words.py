@@ -200,11 +200,12 @@ def _of_best(decision: Decision) -> str:
 def _of_ambiguous(decision: Decision) -> str:
     """Return the sentence where several explanations remain, or one that is too uncertain for a name."""
     listed = [f"{named(names)}{_beside_drift(decision, names)}" for names in decision.listed]
-    told = [*listed, "a drift with time"] if is_drift_possible(decision) else listed
+    others = ["a drift with time"] if is_drift_possible(decision) else []
     if decision.has_second_mode:
-        told = [*told, "a second mode"]
+        others.append("a second mode")
     if decision.is_approximate and (decision.mechanisms or not decision.unfinished):
-        return f"{_of_inexact(decision, told[len(listed) :])}{_unfinished(decision)}"
+        return f"{_of_inexact(decision, others)}{_unfinished(decision)}"
+    told = [*others, *listed] if decision.drift_probability > decision.probability else [*listed, *others]
     if not np.isnan(decision.against):
         left = f"leaves the backbones at a reduced chi-square of {decision.against:.3g}"
         if np.isinf(decision.against):
