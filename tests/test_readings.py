@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.signal import butter, sosfilt
+from scipy.stats import chi2
 
 import pymc_backbone as pb
 from pymc_backbone.discrepancy.disturbances import edges as edges_module
@@ -573,6 +574,23 @@ def test_a_bent_sensor_alone_is_asked_where_a_rare_law_or_two_leave_noise():
         search.fit_set(some)
     assert search.best() == names[:1] and evidence.leaves_noise(search.batch, search.fits[names[:1]])
     assert disturbed(search) is None
+
+
+@pytest.mark.parametrize(("odd", "decibels"), [(0.0, 32.0), (0.08, 32.0)])
+def test_noise_is_no_bend_and_lowers_none(odd, decibels):
+    """Noise goes along with its own cube: held against that, a straight sensor had seemed bent by 8 % here."""
+    rng, found = np.random.default_rng(12), []
+    for record in make_records(rng, specimens=4, decibels=200.0):
+        share = record.values / AMPLITUDE
+        found.append(noisy(rng, record.specimen, TIME, record.values * (1.0 + odd * share**2), decibels))
+    search = Search(batch_of(found), pb.Oscillator(MASS), CANDIDATES, 1)
+    straight = search.fit_set(())
+    beside = left_beside(search.batch, straight, np.inf, has_line=False, is_bent=True)
+    curves = np.array([(item.even, item.odd * (AMPLITUDE / item.scale) ** 2) for item in beside.items])
+    error = 10.0 ** (-decibels / 20.0)  # of a coefficient, and more than that with all else that is fitted beside it
+    np.testing.assert_allclose(curves.mean(axis=0), (0.0, odd), atol=0.5 * error)
+    if not odd:
+        assert straight.cost - 2.0 * chi2.isf(1e-3, 8) < beside.cost < straight.cost
 
 
 def test_sensors_that_bend_differently_are_no_reason_for_a_plainer_law():

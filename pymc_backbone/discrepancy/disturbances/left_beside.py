@@ -46,13 +46,14 @@ def left_beside(batch: Batch, start: Fit, limit: float, *, has_line: bool, is_be
             items = with_lines(batch, without, found, items)
             if not any(item.frequency for item in items):
                 return None
-        looked = _linear(without, found, items, is_bent=is_bent)
+        moved = [_moved(term, found, r) for r, term in enumerate(without.waveform)]
+        looked = _linear(without, found, items, moved, is_bent=is_bent)
         if looked is None or not looked.cost < limit:
             return None
         items = looked.items
         if max(item.bent for item in items) > _MOST or max(item.line for item in items) > _MOST_OF_A_LINE:
             return None
-        terms = tuple(_without(term, item) for term, item in zip(batch.waveform, items, strict=True))
+        terms = tuple(_without(*of) for of in zip(batch.waveform, items, moved, strict=True))
         without = replace(batch, waveform=terms)
         solved = fit(found.layout, terms, looked.state, iterations=10, nuisances=nuisances)
         if solved is None:
@@ -71,9 +72,25 @@ def left_beside(batch: Batch, start: Fit, limit: float, *, has_line: bool, is_be
     return LeftBeside(found.cost, items, evidence.lack_of_fit(without, found).p_value >= evidence.UNEXPLAINED)
 
 
-def _without(term: WaveformTerm, item: Disturbance) -> WaveformTerm:
-    """Return a term whose values hold no disturbance."""
-    return replace(term, values=item.motion(term.time, term.values, step=step_of(term)))
+def _moved(term: WaveformTerm, found: Fit, r: int) -> FloatArray:
+    """Return the motion (n,) that a set says a straight sensor would have read.
+
+    What a bent sensor adds is found by that and not by the readings: their noise goes along with its own cube, and
+    would pass for a bend.
+    """
+    motion = term.values - term.values.mean()
+    inner = term.compared(motion)
+    inner -= evidence.residuals_as_measured(term, found, r)
+    return motion
+
+
+def _without(term: WaveformTerm, item: Disturbance, motion: FloatArray) -> WaveformTerm:
+    """Return a term whose values hold no disturbance of a motion."""
+    line = np.zeros(motion.size)
+    if item.frequency:
+        line = line_modes(term.time, item, step_of(term)) @ np.array([item.cosine, item.sine])
+    share = (motion + line) / item.scale
+    return replace(term, values=term.values - line - item.scale * (item.even * share**2 + item.odd * share**3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +102,9 @@ class _Look:
     state: State
 
 
-def _linear(without: Batch, found: Fit, items: list[Disturbance], *, is_bent: bool) -> _Look | None:
+def _linear(
+    without: Batch, found: Fit, items: list[Disturbance], moved: list[FloatArray], *, is_bent: bool
+) -> _Look | None:
     """Return where set and coefficients go in one step together; None where the set cannot be simulated."""
     layout, state, active = found.layout, found.state, found.active
     q, count = layout.free.size, len(items)
@@ -98,7 +117,7 @@ def _linear(without: Batch, found: Fit, items: list[Disturbance], *, is_bent: bo
         known = derivatives(layout, term, state.eta, state.own[r], scatter, active)
         if known is None:
             return None
-        columns = np.hstack([known.shared, known.own[:, kept], _modes(term, items[r], is_bent=is_bent)])
+        columns = np.hstack([known.shared, known.own[:, kept], _modes(term, items[r], moved[r], is_bent=is_bent)])
         at = np.concatenate([np.arange(q), q + r * width + np.arange(width)])
         matrix[np.ix_(at, at)] += columns.T @ columns
         right[at] += columns.T @ known.residuals
@@ -121,12 +140,11 @@ def _linear(without: Batch, found: Fit, items: list[Disturbance], *, is_bent: bo
     return _Look(squares - float(step @ right), changed, State(layout.within(state.eta + step[:q]), own))
 
 
-def _modes(term: WaveformTerm, item: Disturbance, *, is_bent: bool) -> FloatArray:
+def _modes(term: WaveformTerm, item: Disturbance, motion: FloatArray, *, is_bent: bool) -> FloatArray:
     """Return what a unit of each coefficient adds to the standardised values (m, 4); zeros for what is not there."""
-    around = term.values - term.values.mean()
-    columns = np.zeros((around.size, 4))
+    columns = np.zeros((motion.size, 4))
     if is_bent:
-        columns[:, 0], columns[:, 1] = around**2 / item.scale, around**3 / item.scale**2
+        columns[:, 0], columns[:, 1] = motion**2 / item.scale, motion**3 / item.scale**2
     if item.frequency:
         columns[:, 2:] = line_modes(term.time, item, step_of(term))
     return term.whiten(term.compared(columns))

@@ -20,6 +20,7 @@ _OVERDRAWN = 1.3  # of the budget, up to which variants are asked where that is 
 _AS_LIKELY = 4.0  # logarithm of evidence of the backbones, within which others with variants are asked ...
 _MOST_PROMISED = 8  # ... and how many
 _COMMON = 3  # sets without a variant, of those that leave as little of the backbones as one with a variant does
+_LACKING = 3  # likeliest sets without a variant, to which one more effect may be added
 NEEDED = 5.0
 """Chi-square by which a less simple set of the same mechanisms must leave less."""
 
@@ -49,21 +50,34 @@ class VariedSets(RevisitedSets):
         """Where the best set holds variants, fit sets of none whose backbones leave hardly more, however improbable.
 
         A law of many parameters is charged for them by its backbones before its samples say what it is worth; a rare
-        one that was asked alone has no name.
+        one that was asked alone has no name. And fit one more effect beside the likeliest plain sets, where a
+        linear step promises most of what they leave more: a free exponent stands for two plain springs.
         """
         best = self.best()
         known = self.proposals.get(best) if self.has_proposals else None
         is_rare = not {*best}.isdisjoint(self.variants)
         if known is None or not is_rare or self.is_refuted(best) or not self.explains(self.fits[best]):
             return
-        explained = [names for names, found in self.fits.items() if names and self.explains(found)]
+        explained = [
+            names
+            for names in self.ranked()
+            if names and {*names}.isdisjoint(self.variants) and self.explains(self.fits[names])
+        ]
         common = [
             names
             for names, item in self.proposals.items()
             if item.is_exact and item.chi_square < known.chi_square + NEEDED and {*names}.isdisjoint(self.variants)
         ]
-        asked = [names for names in common if not any(set(smaller) <= set(names) for smaller in explained)]
-        for names in asked[:_COMMON]:
+        asked = [names for names in common if not any({*smaller} <= {*names} for smaller in explained)][:_COMMON]
+        for names in explained[:_LACKING]:
+            lacking = self.fits[names].cost - self.fits[best].cost
+            if len(names) == self.max_effects or lacking < NEEDED:
+                continue
+            gains = {name: self._score(names, name) for name in self.candidates if name not in names}
+            most = max(gains, key=lambda name: gains[name], default=None)
+            if most is not None and gains[most] > 0.5 * lacking:
+                asked.append(tuple(sorted((*names, most))))
+        for names in asked:
             self.progress("what rare laws may imitate", 0.5)
             self.fit_set(names)
 
