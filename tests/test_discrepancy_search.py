@@ -1538,6 +1538,59 @@ def test_rivals_of_the_best_set_begin_otherwise(cubic, monkeypatch):
     assert asked == [names]  # once
 
 
+def test_of_minima_that_leave_the_same_the_one_with_most_evidence_counts(cubic, monkeypatch):
+    """A wide one that leaves hardly more than a narrow one; not one that leaves more, or did not come to rest."""
+    names = ("power_stiffness",)
+    search = Search(cubic.batch, Oscillator(MASS, ()), (*CANDIDATES, *names), 1)
+    for item in ((), ("cubic_stiffness",), names):
+        search.fit_set(item)
+    narrow = search.fits[names]
+    wide = replace(narrow, chi_square=narrow.chi_square + 1.0)  # in each of three specimens
+    weights = {id(narrow): 0.0, id(wide): 1.5}
+    monkeypatch.setattr(evidence, "laplace", lambda found, _: weights.get(id(found), 5.0))
+    assert narrow.is_converged and narrow.chi_square.size == 3
+    near, far = (replace(narrow, chi_square=narrow.chi_square + more) for more in (0.9, 1.1))
+    for some, kept in (
+        ([narrow, near], near), ([narrow, far], narrow), ([narrow, replace(near, is_converged=False)], narrow),
+    ):  # fmt: skip
+        assert search._weightiest(some) is kept
+    weights[id(near)] = 0.9  # hardly more evidence
+    assert search._weightiest([near, narrow]) is narrow
+    monkeypatch.undo()
+    # from the places that the backbones hold for as good as the best, once
+    proposal, begun = search._proposal(names), []
+    (promised, eta, own), *_ = proposal.starts
+    starts_of = ((promised, eta, own), (promised + 5.0, eta * 1.1, own), (promised + 7.0, eta * 1.2, own))
+    monkeypatch.setattr(search.descent, "from_afar", lambda layout, state: begun.append(state.eta) or narrow)
+    known = replace(proposal, starts=starts_of)
+    assert search._other_minima(names, known) == [narrow] and search._other_minima(names, known) == []
+    np.testing.assert_array_equal(begun, [search.layout(names).within(eta * 1.1)])
+
+
+def test_plain_laws_are_asked_beside_a_rare_one(cubic, monkeypatch):
+    """Where one is the best set: those whose backbones leave as little, and one more effect that a step promises."""
+    search = Search(cubic.batch, Oscillator(MASS, ()), CANDIDATES, 2, variants=("power_stiffness",))
+    for names in ((), ("power_stiffness",)):
+        search.fit_set(names)
+    assert search.best() == ("power_stiffness",) and search.has_proposals
+    search._ask_common()
+    assert search.best() == ("cubic_stiffness",)
+    asked = set(search.fits)
+    search._ask_common()  # negative control: no rare law is the best
+    assert set(search.fits) == asked
+    # a plain set that leaves more than a rare one, and what it lacks is another plain effect
+    plain, rare = ("cubic_stiffness",), ("power_stiffness",)
+    for lead, other, gain in ((12.0, CANDIDATES[2], 11.0), (12.0, None, 5.0), (4.0, None, 11.0)):
+        search.fits = {key: search.fits[key] for key in ((), plain, rare)}
+        least = replace(search.fits[rare], chi_square=search.fits[plain].chi_square - lead / 3.0)
+        search.fits[rare] = replace(least, penalty=search.fits[plain].penalty)
+        monkeypatch.setattr(search, "best", lambda: rare)
+        monkeypatch.setattr(search, "_score", lambda names, name, gain=gain: gain if name == CANDIDATES[2] else 1.0)
+        search._ask_common()
+        new = set(search.fits) - {(), plain, rare}
+        assert new == ({tuple(sorted((*plain, other)))} if other else set())
+
+
 def test_variants_of_the_best_set_are_asked_although_the_effort_is_spent(cubic, monkeypatch):
     """Where nothing explains the records whatever was spent: a damping |x|v, which a drag imitates, had been missed."""
     search = Search(cubic.batch, Oscillator(MASS, ()), ("cubic_stiffness",), 1, variants=("power_stiffness",))

@@ -796,6 +796,11 @@ def test_words_of_each_verdict():
         ("ambiguous", {"listed": (("freeplay",),), "drift_probability": 0.2}, "freeplay; a drift with time"),
         (
             "ambiguous",
+            {"listed": (("freeplay",),), "drift_probability": 0.8, "probability": 0.1},
+            "do not tell apart: a drift with time; freeplay.",
+        ),
+        (
+            "ambiguous",
             {"listed": (("freeplay",), ("iwan",)), "drifts": (("iwan",),)},
             "do not tell apart: freeplay; Iwan with a drift in time.",
         ),
@@ -1006,6 +1011,8 @@ def test_no_name_is_given_against_the_backbones(left, is_named, monkeypatch):
     assert decide._mind_backbones(search, alone) is alone
     several = replace(named, verdict=Verdict.AMBIGUOUS, named_level=None, listed=(("a", "b"), ("a",)))
     assert decide._mind_backbones(search, several) is several
+    by_time = replace(several, drift_probability=0.8)  # what backbones of a drift seem to tell is no mechanism
+    assert decide._mind_backbones(search, by_time) is by_time
     # no set is exact then: mechanisms are named, of one set or of several, where backbones tell these apart
     monkeypatch.setattr(
         decide, "departing", lambda _, known: replace(by_mechanism, is_approximate=True, listed=known.listed)

@@ -70,9 +70,14 @@ def test_variants_and_what_one_mode_does_not_show_are_not_looked_for_by_themselv
     assert {*DAHL, *OTHERS} == {name for name, effect in LIBRARY.items() if effect.only_if_named}
 
 
-@pytest.mark.parametrize(("loss", "effects"), [(0.03, ("structural_damping",)), (0.002, ())])
+@pytest.mark.parametrize(
+    ("loss", "effects"), [(0.03, ("structural_damping",)), (0.008, ("structural_damping",)), (0.002, ())]
+)
 def test_what_backbones_do_not_show_is_asked_where_nothing_else_explains_the_samples(loss, effects):
-    """Its force jumps at the turning points; where the noise hides that, the viscous damper stands for it."""
+    """Its force jumps at the turning points; where the noise hides that, the viscous damper stands for it.
+
+    However little that leaves: of the middle one a chi-square that is larger by 4 %, which is no noise all the same.
+    """
     batch = batch_of(records_of("structural_damping", (loss * STIFFNESS,)), MASS)
     search = Search(
         batch, Oscillator(MASS), ("cubic_stiffness", "quadratic_damping"), 2,
