@@ -79,8 +79,9 @@ def _moved(term: WaveformTerm, found: Fit, r: int) -> FloatArray:
     would pass for a bend.
     """
     motion = term.values - term.values.mean()
-    inner = term.compared(motion)
-    inner -= evidence.residuals_as_measured(term, found, r)
+    inner, left = term.compared(motion), evidence.residuals_as_measured(term, found, r)
+    if left.size == inner.size:  # not where the set cannot be simulated
+        inner -= left
     return motion
 
 

@@ -277,12 +277,8 @@ def _unchanged(
     if motion is not None:
         faster = faster * linear.square / motion.angular_frequency**2
         bend = motion.frequency_growth * motion.bend
-        slower = (
-            fade
-            / length**2
-            * (2.0 * linear.decay * elapsed + (-1.0 if at_turns else 1.0))
-            / motion.angular_frequency**2
-        )
+        of_slope = -1.0 if at_turns else 1.0
+        slower = fade / length**2 * (2.0 * linear.decay * elapsed + of_slope) / motion.angular_frequency**2
     pace = (1.0 - 0.5 * bend) * faster
     by_drift = _so_far(pace, elapsed)
     by_loss = _so_far(-0.5 * (1.0 - 0.5 * bend) * slower - bend * share, elapsed)

@@ -279,8 +279,8 @@ class RevisitedSets(FittedSets):
         """Begin the most probable sets again from elsewhere; return whether another one is the most probable then.
 
         With specimens that are alike, and from their own look in the backbones where they were only begun beside
-        another set. What has a kink or a memory rests in one of several dents, and its evidence with it. No more are
-        asked where some in a row lie no lower.
+        another set. What has a kink or a memory rests in one of several dents, and its evidence with it: of dents that
+        leave the same the likeliest counts. No more are asked where some in a row lie no lower.
         """
         best = self.best()
         if self.is_refuted(best) or not self.explains(self.fits[best]):
