@@ -19,6 +19,8 @@ def pytest_configure(config: pytest.Config) -> None:
     """Compile the simulator once, with two processes, before several begin to test: each would do it by itself."""
     if getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput"):
         importlib.import_module("pymc_backbone.discrepancy.workflow")  # whose functions are compiled with the simulator
+        if not importlib.import_module("pymc_backbone.simulation.machine_code").is_compiled():
+            print("compiling the simulator, once on this computer: a minute or two", flush=True)
         importlib.import_module("pymc_backbone.likelihood.native").define_symbols()
 
 

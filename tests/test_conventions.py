@@ -242,6 +242,7 @@ def test_second_derivatives_are_those_of_the_log_density(kind, rng):
     check_hessian(np.array(model.compile_fn(rows, inputs=model.value_vars)(point)), differences(model, point))
 
 
+@pytest.mark.slow  # PyMC's loop takes minutes to compile; what it loops over is compared with differences above
 def test_find_hessian_is_right(rng):
     model = made("pooled", noisy(rng, 2))
     point = unconstrained(model, CENTRE)

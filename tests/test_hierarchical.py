@@ -139,6 +139,7 @@ def is_close_to_prior(draws, prior):
     return bool(np.all(np.abs(np.quantile(draws, share) - np.quantile(prior, share)) < 0.15 * prior.std()))
 
 
+@pytest.mark.slow  # nearly all of it is compiling; test_update_hierarchical.py samples such a model by default
 def test_short_run_recovers_the_population_and_the_specimens(rng, random_seed):
     data, truth = linear_batch(rng, 4, scatter=0.03)
     model = build_hierarchical_model(LINEAR, data, LINEAR_BOUNDS)
