@@ -247,8 +247,9 @@ def test_what_is_no_decay_before_a_release_is_no_second_one(before: str, rng: np
     assert result.time[0] > 2.9
 
 
-@pytest.mark.parametrize("second", [4e-3, 8e-3])
-@pytest.mark.parametrize("command", ["extract", "update", "diagnose"])
+@pytest.mark.parametrize(
+    ("command", "second"), [("extract", 4e-3), ("extract", 8e-3), ("update", 8e-3), ("diagnose", 4e-3)]
+)
 def test_a_second_release_is_told_by_each_command(
     command: str, second: float, tmp_path: Path, rng: np.random.Generator, capsys
 ) -> None:

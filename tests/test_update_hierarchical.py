@@ -62,16 +62,16 @@ def run(folder, data: xr.Dataset, *, comparing=None, modelling=None, sampling=NU
     return result, "\n".join(lines)
 
 
-@pytest.fixture(scope="module")
-def updated(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("hierarchical")
-    result, text = run(folder, batch(population()), output=folder / "out")
-    return result, text, folder / "out"
+def test_a_population_comes_out_in_words_numbers_and_pictures(tmp_path):
+    """One test of one run: of several, each process that tests would compile the model."""
+    result, text = run(tmp_path, batch(population()), output=tmp_path / "out")
+    mean_spread_and_correlation_are_those_of_the_population(result["population"])
+    specimens_are_told_apart_and_the_fit_is_checked(result, text)
+    the_folder_holds_the_population(result, tmp_path / "out")
+    the_figure_has_a_panel_for_each_parameter_and_refuses_other_posteriors(tmp_path / "out")
 
 
-def test_mean_spread_and_correlation_are_those_of_the_population(updated):
-    result, _, _ = updated
-    found = result["population"]
+def mean_spread_and_correlation_are_those_of_the_population(found):
     assert found["family"] == "normal" and found["unidentified"] == [] and found["prior_spreads"] == []
     for name, truth in (("linear_stiffness", STIFFNESS), ("viscous_damping", DAMPING)):
         mean, spread = found["parameters"][name]["mean"], found["parameters"][name]["sd"]
@@ -87,8 +87,7 @@ def test_mean_spread_and_correlation_are_those_of_the_population(updated):
     assert 0.0 < pair["hdi_low"] < CORRELATION < pair["hdi_high"] <= 1.0
 
 
-def test_specimens_are_told_apart_and_the_fit_is_checked(updated):
-    result, text, _ = updated
+def specimens_are_told_apart_and_the_fit_is_checked(result, text):
     truth = population()
     for s in range(SPECIMENS):
         entry = result["parameters"][f"linear_stiffness[s{s + 1}]"]
@@ -100,8 +99,7 @@ def test_specimens_are_told_apart_and_the_fit_is_checked(updated):
     assert "correlation of linear_stiffness and viscous_damping" in text
 
 
-def test_the_folder_holds_the_population(updated):
-    result, _, folder = updated
+def the_folder_holds_the_population(result, folder):
     written = read_result(folder)
     assert set(written) == set(RESULT_KEYS)
     assert written["population"] == json.loads(json.dumps(result["population"]))
@@ -115,8 +113,7 @@ def test_the_folder_holds_the_population(updated):
     assert sum(row.startswith("linear_stiffness_") for row in rows) == 2
 
 
-def test_the_figure_has_a_panel_for_each_parameter_and_refuses_other_posteriors(updated):
-    _, _, folder = updated
+def the_figure_has_a_panel_for_each_parameter_and_refuses_other_posteriors(folder):
     posterior = xr.open_datatree(folder / "posterior.nc", engine="h5netcdf").load()
     figure = plots.plot_population(posterior, Oscillator(1.0))
     labels = [axis.get_xlabel() for axis in figure.axes if axis.get_visible()]
