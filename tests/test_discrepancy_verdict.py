@@ -1423,6 +1423,38 @@ def test_what_is_told_of_a_set_that_is_not_exact_is_of_that_set(monkeypatch):
     assert (said.best, said.model, said.above) == (other, other, other)
 
 
+@pytest.mark.parametrize(
+    ("left", "before", "is_off"), [(4.9, 10.0, False), (5.1, 10.0, True), (24.0, 2500.0, False), (26.0, 2500.0, True)]
+)
+def test_no_mechanism_is_named_of_a_set_that_is_not_exact_and_leaves_the_backbones(left, before, is_off, monkeypatch):
+    """A second mode at twice the frequency had been a spring of two sides with 97 %, at 24 times the errors."""
+    names, mechanism = ("quadratic_stiffness",), SimpleNamespace(is_certain=True, share_of_gap=0.95)
+    weighed = SimpleNamespace(
+        ranked=lambda: [names], gaps={names: 0.1, (): 1.0}, probabilities={names: 0.97, (): 0.0}, is_law=True,
+        drift_probability=0.0,
+    )  # fmt: skip
+    for name, value in {
+        "weigh": weighed, "_without_idle": weighed, "_is_kept": True, "_told": (mechanism,), "remainder_of": (),
+        "certain_sets": [], "leaves_the_samples": False, "has_mid_line": False, "_unfinished": (),
+    }.items():  # fmt: skip
+        monkeypatch.setattr(inexact, name, lambda *_, value=value: value)
+    monkeypatch.setattr(inexact, "on_levels", lambda _, found: found)
+    monkeypatch.setattr(inexact, "about_zero", lambda batch, _: batch)
+    monkeypatch.setattr(inexact, "level_chi_square", lambda _, found: {"found": left, "base": before}[found])
+    monkeypatch.setattr(inexact.evidence, "lack_of_fit", lambda *_: LackOfFit(2.0, 1e-9, 0.01))
+    batch = SimpleNamespace(has_records=True, is_behind_filter=False, waveform=())
+    fits = {names: "found", (): "base"}
+    search = SimpleNamespace(mend=lambda _: None, is_refuted=lambda _: False, batch=batch, fits=fits, count=100)
+    said = inexact.departing(search, decision_of("ambiguous", best=names))
+    assert said.verdict == ("unexplained" if is_off else "found")
+    assert (said.best, said.nearest) == (((), names) if is_off else (names, None))
+    told = verdict_words.sentence(said) if is_off else ""
+    assert ("nearest to the samples is quadratic stiffness, but its backbones are far off" in told) == is_off
+    if is_off:  # behind a filter backbones are not those of the motion
+        batch.is_behind_filter = True
+        assert inexact.departing(search, decision_of("ambiguous", best=names)).verdict == "found"
+
+
 def test_sets_that_differ_by_what_is_below_the_tolerance_are_one():
     chances = {("a",): 0.3, ("b",): 0.3, ("a", "c"): 0.2, ("c", "d"): 0.1, (): 0.1}
     assert as_one(("c",), chances) == {("a",): 0.5, ("b",): 0.3, ("c", "d"): 0.1, (): 0.1}

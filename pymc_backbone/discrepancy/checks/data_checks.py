@@ -17,7 +17,9 @@ from ..weighing.evidence import leaves_noise
 _ALIKE = 4.0  # scatters as expected, that a specimen is off at least which is not alike
 _EXPECTED = 8  # specimens that would have told that scatter as well as it is known beforehand
 _RARE = 0.01  # how often the worst specimen of a batch is told where all are alike
-_LITTLE, _LITTLE_OF_INEXACT = 0.01, 0.1  # of what the base leaves of the backbones, that sets may leave
+_LITTLE = 0.01  # of what the base leaves of the backbones, that exact sets may leave
+LITTLE_OF_INEXACT = 0.1
+"""The same of sets that are not exact."""
 
 
 def alike_check(batch: Batch, best: Fit, *, is_exact: bool = True) -> Check:
@@ -123,7 +125,7 @@ def data_terms_check(
     if np.isfinite(reduced) and reduced < limit:
         said = f"the set that the samples want fits the backbones too (reduced chi-square {reduced:.2f})"
         return Check(name, True, said)
-    if np.isfinite(reduced) and reduced < (_LITTLE if is_exact else _LITTLE_OF_INEXACT) ** 2 * before:
+    if np.isfinite(reduced) and reduced < (_LITTLE if is_exact else LITTLE_OF_INEXACT) ** 2 * before:
         share = per_cent(np.sqrt(reduced / before))
         said = f"the set that the samples want leaves {share} of what the model as it is leaves of the backbones"
         return Check(name, True, said)
@@ -137,4 +139,4 @@ def data_terms_check(
     return Check(name, False, said)
 
 
-__all__ = ["alike_check", "data_terms_check", "one_decay_check"]
+__all__ = ["LITTLE_OF_INEXACT", "alike_check", "data_terms_check", "one_decay_check"]

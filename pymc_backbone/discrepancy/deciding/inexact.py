@@ -9,8 +9,9 @@ from itertools import combinations
 import numpy as np
 
 from ...effects import EITHER
+from ..checks.data_checks import LITTLE_OF_INEXACT
 from ..fitting.batch import Batch
-from ..fitting.curves import fit_on_levels, spread
+from ..fitting.curves import about_zero, fit_on_levels, has_mid_line, level_chi_square, on_levels, spread
 from ..fitting.joint_fit import Fit
 from ..results.entries import MissingMechanism
 from ..results.verdict import MECHANISM_NAMED, NamedLevel, Verdict
@@ -18,7 +19,7 @@ from ..sets.search import Search, Set
 from ..sets.varied_sets import NEEDED
 from ..weighing import evidence
 from .compensation import compensation
-from .decision import DRIFT_POSSIBLE, MOST_LISTED, Decision, listed
+from .decision import AGREE, DRIFT_POSSIBLE, MOST_LISTED, Decision, listed
 from .mechanisms import Weighed, weigh
 from .shares import estimates_with, missing_mechanisms, remainder_of
 
@@ -39,7 +40,8 @@ def departing(search: Search, decision: Decision) -> Decision:
     """Return the decision where no set is exact: sets are weighed with a departure, and mechanisms named, no law.
 
     What goes with the time since the release, or differs between releases at the same amplitude, is no law: then the
-    records are unexplained, and so where what is most probable leaves most of the gap.
+    records are unexplained, and so where what is most probable leaves most of the gap, or would be named and leaves the
+    backbones far off.
     """
     weighed = weigh(search)
     if weighed is None:
@@ -62,6 +64,9 @@ def departing(search: Search, decision: Decision) -> Decision:
         # what explains next to nothing is no explanation, nor the best of any
         best, mechanisms, weighed = (), (), _without_those_that_explain_nothing(weighed)
     nearest = None if best else _nearest(search)
+    is_named = is_told_apart(mechanisms) and weighed.drift_probability < DRIFT_POSSIBLE
+    if best and is_named and not is_lost and _leaves_the_backbones(search, best):
+        nearest, best, mechanisms = best, (), ()
     search.mend(best)
     lack = evidence.lack_of_fit(search.batch, search.fits[best])
     if search.is_refuted(best):
@@ -90,7 +95,7 @@ def departing(search: Search, decision: Decision) -> Decision:
             possible = _with_unfinished(_remaining(search, weighed), unfinished, weighed)
             return replace(known, verdict=Verdict.AMBIGUOUS, listed=possible, unfinished=unfinished)
         return replace(known, verdict=Verdict.UNEXPLAINED)
-    if is_told_apart(mechanisms) and weighed.drift_probability < DRIFT_POSSIBLE:
+    if is_named:
         return replace(known, verdict=Verdict.FOUND, named_level=NamedLevel.MECHANISM)
     return replace(known, verdict=Verdict.AMBIGUOUS, listed=_remaining(search, weighed))
 
@@ -124,6 +129,21 @@ def leaves_the_samples(search: Search, found: Fit) -> bool:
         return False
     base, left = (item.cost - search.count for item in (search.fits[()], found))
     return bool(left > _ALL_BUT_NOTHING**2 * base > 0.0)
+
+
+def _leaves_the_backbones(search: Search, names: Set) -> bool:
+    """Return whether a set leaves the backbones far off, brought to them as it is: it explains no amplitude then.
+
+    A second mode at twice the frequency passes for a spring of two sides, but falls as it likes.
+    """
+    batch, found = search.batch, search.fits[names]
+    lacks_mid_line = has_mid_line(batch, found) and any(term.order for term in batch.waveform)
+    if not batch.has_records or batch.is_behind_filter or lacks_mid_line:
+        return False
+    seen = about_zero(batch, found)
+    brought, before = (level_chi_square(batch, on_levels(seen, item)) for item in (found, search.fits[()]))
+    left = min(brought, level_chi_square(batch, found))  # with its drift in time
+    return not left < max(AGREE, LITTLE_OF_INEXACT**2 * before)
 
 
 def _without_those_that_explain_nothing(weighed: Weighed) -> Weighed:
