@@ -992,6 +992,30 @@ def test_a_drift_that_is_not_certain_is_told_beside_the_sets(chance, verdict):
     assert ("a drift with time" in verdict_words.sentence(judged)) and (judged.listed == (("a",),)) == (chance < 0.90)
 
 
+@pytest.mark.parametrize(
+    ("alone", "beside", "drifts", "is_told"),
+    [
+        (0.92, 0.05, (), True),
+        (0.84, 0.08, (("a",),), True),
+        (0.84, 0.08, (), False),
+        (0.8, 0.15, (("a",),), False),
+        (0.8, 0.08, (("a",),), False),
+        (0.45, 0.5, (("a",),), False),
+    ],
+)
+def test_a_drift_that_stands_beside_all_that_remains_is_told_alone(alone, beside, drifts, is_told):
+    """No list of sets that are improbable and all hold the drift."""
+    decision = decision_of(
+        "ambiguous",
+        best=("a",),
+        drift_probability=alone,
+        drifts=drifts,
+        probability=beside,
+        probabilities={("a",): beside},
+    )
+    assert decide._is_of_drift(decision) is is_told
+
+
 @pytest.mark.parametrize(("left", "is_named"), [(0.9, True), (4.9, True), (5.1, False), (np.inf, False)])
 def test_no_name_is_given_against_the_backbones(left, is_named, monkeypatch):
     monkeypatch.setattr(decide, "level_chi_square", lambda batch, found, *, has_mid_line: left)

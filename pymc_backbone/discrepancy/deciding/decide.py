@@ -81,7 +81,7 @@ def _judged(search: Search, weighed: Decision, tolerance: Mapping[str, float], d
         if drifting is None or named.drift_probability <= 0.5:
             return named
         return _with_drift(search, named, drifting, tolerance)
-    if named.drift_probability > NAMED and drifting is not None and evidence.leaves_noise(search.batch, drifting):
+    if _is_of_drift(named) and drifting is not None and evidence.leaves_noise(search.batch, drifting):
         return replace(named, verdict=Verdict.UNEXPLAINED, below=())
     if named.lack.p_value < UNEXPLAINED:
         return departing(search, named)
@@ -98,6 +98,13 @@ def _judged(search: Search, weighed: Decision, tolerance: Mapping[str, float], d
     )
     # what the sets do not hold of the probability is the drift's
     return replace(named, listed=listed(chances, 1.0 - sum(chances.values())))
+
+
+def _is_of_drift(decision: Decision) -> bool:
+    """Return whether a drift is as certain as what is named, and no set beside it worth a word."""
+    beside = [decision.probabilities.get(names, 0.0) for names in decision.drifts]
+    alone = decision.drift_probability
+    return alone > NAMED or (alone + sum(beside) > NAMED and decision.probability < 1.0 - NAMED < 0.5 < alone)
 
 
 def _with_drift(search: Search, decision: Decision, drifting: Fit, tolerance: Mapping[str, float]) -> Decision:
