@@ -17,9 +17,7 @@ from ..weighing.evidence import leaves_noise
 _ALIKE = 4.0  # scatters as expected, that a specimen is off at least which is not alike
 _EXPECTED = 8  # specimens that would have told that scatter as well as it is known beforehand
 _RARE = 0.01  # how often the worst specimen of a batch is told where all are alike
-_LITTLE = 0.01  # of what the base leaves of the backbones, that exact sets may leave
-LITTLE_OF_INEXACT = 0.1
-"""The same of sets that are not exact."""
+_LITTLE, _LITTLE_OF_INEXACT = 0.01, 0.1  # of what the base leaves of the backbones, that sets may leave
 
 
 def alike_check(batch: Batch, best: Fit, *, is_exact: bool = True) -> Check:
@@ -125,7 +123,7 @@ def data_terms_check(
     if np.isfinite(reduced) and reduced < limit:
         said = f"the set that the samples want fits the backbones too (reduced chi-square {reduced:.2f})"
         return Check(name, True, said)
-    if np.isfinite(reduced) and reduced < (_LITTLE if is_exact else LITTLE_OF_INEXACT) ** 2 * before:
+    if not are_far_off(reduced, limit, before, is_exact=is_exact):
         share = per_cent(np.sqrt(reduced / before))
         said = f"the set that the samples want leaves {share} of what the model as it is leaves of the backbones"
         return Check(name, True, said)
@@ -139,4 +137,10 @@ def data_terms_check(
     return Check(name, False, said)
 
 
-__all__ = ["LITTLE_OF_INEXACT", "alike_check", "data_terms_check", "one_decay_check"]
+def are_far_off(reduced: float, limit: float, before: float, *, is_exact: bool) -> bool:
+    """Return whether a set leaves more of the backbones than a ``limit``, and than a little of what the base leaves."""
+    little = _LITTLE if is_exact else _LITTLE_OF_INEXACT
+    return not (np.isfinite(reduced) and reduced < max(limit, little**2 * before))
+
+
+__all__ = ["alike_check", "are_far_off", "data_terms_check", "one_decay_check"]

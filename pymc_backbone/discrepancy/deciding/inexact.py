@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from ...effects import EITHER
-from ..checks.data_checks import LITTLE_OF_INEXACT
+from ..checks.data_checks import are_far_off
 from ..fitting.batch import Batch
 from ..fitting.curves import about_zero, fit_on_levels, has_mid_line, level_chi_square, on_levels, spread
 from ..fitting.joint_fit import Fit
@@ -143,7 +143,7 @@ def _leaves_the_backbones(search: Search, names: Set) -> bool:
     seen = about_zero(batch, found)
     brought, before = (level_chi_square(batch, on_levels(seen, item)) for item in (found, search.fits[()]))
     left = min(brought, level_chi_square(batch, found))  # with its drift in time
-    return not left < max(AGREE, LITTLE_OF_INEXACT**2 * before)
+    return are_far_off(left, AGREE, before, is_exact=False)
 
 
 def _without_those_that_explain_nothing(weighed: Weighed) -> Weighed:
