@@ -21,6 +21,9 @@ _STANDS_OUT = 4.0  # mean square of drifts that are seen, over their mean varian
 _LEAST_FALL = 0.02  # of the logarithm of the amplitude, as which a record counts that hardly decays
 _LEAST_LEFT = 0.05  # of a stiffness or a pace, that drifts leave: far from any motion fits go beyond
 _MOST_BENDS, _CYCLES_PER_BEND = 5, 4  # degree of the curves through cycles, and cycles that one more needs
+# Of a decay d(t), the square of the frequency is w^2 - d^2 - d'; but turning points come d / w^2 before those of that
+# oscillation, and as this changes so does their distance: counted from turn to turn it is w^2 - d^2 + d'.
+_AT_TURNS = -1.0
 _LEAST_ERROR = 1e-6  # of a frequency, relative: how closely a curve is asked to follow it
 
 
@@ -66,15 +69,14 @@ class Linear(NamedTuple):
         """Return that of a model with these parameters: the first two are the linear stiffness and damping."""
         return cls(float(parameters[0]) / mass, 0.5 * float(parameters[1]) / mass)
 
-    def slower(self, added: FloatArray, growing: FloatArray | float, *, at_turns: bool) -> FloatArray:
+    def slower(self, added: FloatArray, growing: FloatArray | float) -> FloatArray:
         """Return by how much what is ``added`` to the decay (n,) lowers the square of the angular frequency (n,).
 
         Where ``x'' + 2 d(t) x' + w^2 x`` is zero, ``x`` times the exponential of the integral of ``d`` oscillates with
-        the square ``w^2 - d^2 - d'``. ``growing`` is the derivative of what is added with respect to time.
-        Turning points, and cycles between them, come before those of that oscillation by ``d / w^2``: as this changes,
-        so does their distance.
+        the square ``w^2 - d^2 - d'``. ``growing`` is the derivative of what is added with respect to time:
+        less twice that for turning points and the cycles between them (`_AT_TURNS`).
         """
-        lower: FloatArray = added * (2.0 * self.decay + added) + (-growing if at_turns else growing)
+        lower: FloatArray = added * (2.0 * self.decay + added) + growing
         return lower
 
 
@@ -207,8 +209,9 @@ def course_of(
     elapsed = np.maximum(time - release_time, 0.0)
     share = 0.5 * fade * (elapsed / length) ** 2
     there = covered(elapsed / length, settling)
+    of_slope = _AT_TURNS if at_turns else 1.0
     if drift == 0.0 and loss == 0.0:
-        return _unchanged(order, elapsed, share, there, motion, linear, fade, length, at_turns)
+        return _unchanged(order, elapsed, share, there, motion, linear, fade, length, of_slope)
     stiffer = np.maximum(1.0 + 2.0 * drift * DRIFT * there, _LEAST_LEFT)
     if motion is None:
         pace = np.sqrt(stiffer)
@@ -226,7 +229,7 @@ def course_of(
     unit = fade / length  # of what the drift of damping adds to the decay by the end
     added = unit * loss * each + linear.decay * (np.sqrt(squared) - 1.0)  # what is passed faster decays faster, too
     adding = unit * loss / length + 0.5 * linear.decay * growth / np.sqrt(squared)
-    slower = linear.slower(added, adding, at_turns=at_turns)
+    slower = linear.slower(added, of_slope * adding)
     squared = np.maximum(squared - slower / motion.angular_frequency**2, _LEAST_LEFT)
     growth = growth - 2.0 * (linear.decay + added) * adding / motion.angular_frequency**2
     plain = np.sqrt(squared)
@@ -244,8 +247,7 @@ def course_of(
         return by
 
     by_drift = 2.0 * DRIFT * there * (2.0 * stiffer - 1.0) * softness
-    of_slope = (-1.0 if at_turns else 1.0) / length
-    by_loss = -unit * (2.0 * each * (linear.decay + added) + of_slope) / motion.angular_frequency**2
+    by_loss = -unit * (2.0 * each * (linear.decay + added) + of_slope / length) / motion.angular_frequency**2
     of_growth = -2.0 * unit * (each * adding + (linear.decay + added) / length) / motion.angular_frequency**2
     faster = pace_by(by_drift, softness * rate * (4.0 * stiffer - 3.0) - 2.0 * by_drift * grows)
     pace = plain * open_pace
@@ -270,14 +272,13 @@ def _unchanged(
     linear: Linear,
     fade: float,
     length: float,
-    at_turns: bool,
+    of_slope: float,
 ) -> Course:
     """Return the course of a motion without drifts, and how they would change it."""
     faster, bend, slower = DRIFT * there, np.zeros_like(share), np.zeros_like(share)
     if motion is not None:
         faster = faster * linear.square / motion.angular_frequency**2
         bend = motion.frequency_growth * motion.bend
-        of_slope = -1.0 if at_turns else 1.0
         slower = fade / length**2 * (2.0 * linear.decay * elapsed + of_slope) / motion.angular_frequency**2
     pace = (1.0 - 0.5 * bend) * faster
     by_drift = _so_far(pace, elapsed)
@@ -341,7 +342,7 @@ def passage_of(
     hardening = drift * DRIFT * _growing(share, settling) * (2.0 * stiffer - 1.0) * softness / squared
     plain = np.sqrt(squared)
     added = loss * share / length + linear.decay * (plain - 1.0)
-    slower = linear.slower(added, loss / length**2 + linear.decay * hardening * plain / length, at_turns=True)
+    slower = linear.slower(added, _AT_TURNS * (loss / length**2 + linear.decay * hardening * plain / length))
     pace = np.sqrt(np.maximum(squared - slower * softness / linear.square, _LEAST_LEFT))
     return Passage(share, pace, hardening, loss, length)
 
