@@ -1472,6 +1472,7 @@ def test_no_mechanism_is_named_of_a_set_that_is_not_exact_and_leaves_the_backbon
     said = inexact.departing(search, decision_of("ambiguous", best=names))
     assert said.verdict == ("unexplained" if is_off else "found")
     assert (said.best, said.nearest) == (((), names) if is_off else (names, None))
+    assert said.probabilities[names] == (0.0 if is_off else 0.97)
     told = verdict_words.sentence(said) if is_off else ""
     assert ("nearest to the samples is quadratic stiffness, but its backbones are far off" in told) == is_off
     if is_off:  # behind a filter backbones are not those of the motion

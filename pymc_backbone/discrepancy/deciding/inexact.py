@@ -65,8 +65,10 @@ def departing(search: Search, decision: Decision) -> Decision:
         best, mechanisms, weighed = (), (), _without_those_that_explain_nothing(weighed)
     nearest = None if best else _nearest(search)
     is_named = is_told_apart(mechanisms) and weighed.drift_probability < DRIFT_POSSIBLE
+    chances = weighed.probabilities
     if best and is_named and not is_lost and _leaves_the_backbones(search, best):
         nearest, best, mechanisms = best, (), ()
+        chances = {**chances, nearest: 0.0}  # it is that of none known
     search.mend(best)
     lack = evidence.lack_of_fit(search.batch, search.fits[best])
     if search.is_refuted(best):
@@ -74,8 +76,8 @@ def departing(search: Search, decision: Decision) -> Decision:
     known = replace(
         decision,
         best=best,
-        probability=weighed.probabilities[best],
-        probabilities=weighed.probabilities,
+        probability=chances[best],
+        probabilities=chances,
         lack=lack,
         nearest=nearest,
         below=(),
