@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from pymc_backbone.discrepancy.checks import second_mode
-from pymc_backbone.discrepancy.checks.close_modes import close_modes
+from pymc_backbone.discrepancy.disturbances.close_modes import close_lines, close_modes, lines_that_beat
 
 FREQUENCY, OTHER, RATE = 40.0, 40.5, 1600.0
 TIME = np.arange(0.0, 4.0, 1.0 / RATE)
@@ -36,7 +36,7 @@ def batch_of(records: list[np.ndarray], rng: np.random.Generator) -> SimpleNames
     noisy = [item + 1e-3 * np.abs(item).max() * rng.normal(size=item.size) for item in records]
     return SimpleNamespace(
         waveform=[SimpleNamespace(time=TIME, values=item, size=item.size) for item in noisy],
-        records=[SimpleNamespace(frequency=FREQUENCY, band=(30.0, 50.0)) for _ in noisy],
+        records=[SimpleNamespace(frequency=FREQUENCY, band=(30.0, 50.0), time=TIME) for _ in noisy],
         specimens=[f"hit {r}" for r in range(len(noisy))],
     )
 
@@ -85,3 +85,55 @@ def test_a_beat_is_told_behind_a_band_pass_too(rng, monkeypatch):
     assert not check.passed and "two modes at 40 and 40.5 Hz" in check.message and "no band keeps one" in check.message
     explained = second_mode.second_mode_check(batch, SimpleNamespace(chi_square=[1.0 * TIME.size] * 2))
     assert explained.passed
+
+
+def test_the_smaller_of_two_modes_is_a_line_of_each_record(rng):
+    """Also of one that does not show it, at its usual order of the frequency there, and of no height."""
+    shares = [(1.0, 0.2, 0.3), (0.5, 0.1, 2.0), (2.0, 0.3, 1.0)]
+    records = [*(beating(*of) for of in shares), beating(1.0, 0.0, 0.0)]
+    lines = close_lines(batch_of(records, rng))
+    assert lines is not None
+    for line, (size, share, phase) in zip(lines[:3], shares, strict=True):
+        assert line.frequency == pytest.approx(OTHER, abs=0.01) and line.decay == pytest.approx(1.2, rel=0.05)
+        assert line.cosine == pytest.approx(size * share * np.cos(phase), abs=0.02 * size * share)
+        assert line.sine == pytest.approx(-size * share * np.sin(phase), abs=0.02 * size * share)
+        assert (line.begin, line.end, line.release) == (TIME[0], TIME[-1], TIME[0])
+    assert lines[3].frequency == pytest.approx(OTHER, abs=0.01) and lines[3].cosine == lines[3].sine == 0.0
+
+
+@pytest.mark.parametrize(
+    "records",
+    [
+        [nonlinear(size) for size in (1.0, 0.6, 0.3)],
+        [beating(size, 0.6, 0.3) for size in (1.0, 0.5)],  # neither mode is the smaller one
+        [beating(1.0, 0.2, 0.3), beating(1.0, 0.0, 0.0)],  # hardly half of the records hold it
+    ],
+)
+def test_no_line_is_begun_where_records_do_not_hold_the_same_small_mode(records, rng):
+    assert close_lines(batch_of(records, rng)) is None
+
+
+@pytest.mark.parametrize(
+    ("grow", "blow", "is_told"), [((True, True, False), False, True), ((False, True, False), False, False),
+                                  ((True, True, True), True, False)],
+)  # fmt: skip
+def test_modes_that_beat_are_found_beyond_the_first_beat(grow, blow, is_told, rng):
+    """Where the amplitude grows again records are cut, most often for another blow; whole, they are two modes."""
+    whole = [beating(size, 0.3, 0.3) for size in (1.0, 0.5, 2.0)]
+    if blow:
+        whole = [one + np.where(TIME > 1.0, np.roll(one, round(RATE)), 0.0) for one in whole]
+    batch = batch_of(whole, rng)
+    records = [SimpleNamespace(specimen=f"hit {r}", time=TIME, values=one) for r, one in enumerate(whole)]
+    for term in batch.waveform:  # what is left of them, much less than a beat
+        term.time, term.values = TIME[: round(0.4 * RATE)], term.values[: round(0.4 * RATE)]
+    batch.has_open_records = True
+    for record, grows in zip(batch.records, grow, strict=True):
+        record.grows_again = grows
+    assert close_lines(batch) is None
+    lines = lines_that_beat(batch, records)
+    assert (lines is not None) == is_told
+    if lines is not None:
+        assert [line.frequency for line in lines] == pytest.approx([OTHER] * 3, abs=0.01)
+        assert [line.end for line in lines] == [TIME[-1]] * 3
+    batch.has_open_records = False
+    assert lines_that_beat(batch, records) is None

@@ -28,7 +28,8 @@ class Unmeasured:
 
 @pytest.fixture(autouse=True)
 def _as_released(monkeypatch):
-    """No release without force, no step of the clock, every early high-pass needed, unless a test says otherwise."""
+    """No beat, no release without force, no step of the clock, every early high-pass needed, unless a test says so."""
+    monkeypatch.setattr(module, "lines_that_beat", lambda *_: None)
     monkeypatch.setattr(module, "clock_steps", lambda *_: None)
     monkeypatch.setattr(module, "is_relaxed_at_release", lambda *_: False)
     monkeypatch.setattr(module, "settled", lambda _search, _behind, chosen: chosen)
@@ -189,7 +190,8 @@ def test_a_search_that_a_filter_halted_goes_on_where_nothing_is_explained_behind
     assert seen[:1] == ([] if helps else ["resumed"]) and ("sensor_filter" in seen) == (not helps)
 
 
-def test_records_are_searched_without_the_line_that_halted_a_search(monkeypatch):
+@pytest.mark.parametrize("beats", [False, True])
+def test_records_are_searched_without_the_line_that_halted_a_search_or_beats(beats, monkeypatch):
     """Again with all that is asked early, and at last without lines; what follows is asked of the last."""
     for name in ("drop_outs", "drifting_zero", "sensor_filter", "earlier", "edges", "motion_noise", "disturbed"):
         monkeypatch.setattr(module, name, lambda *_: None)
@@ -198,10 +200,19 @@ def test_records_are_searched_without_the_line_that_halted_a_search(monkeypatch)
     monkeypatch.setattr(changed.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
     monkeypatch.setattr(changed.evidence, "leaves_noise", lambda *_: False)
     line = module.Disturbed({}, ())
+    beating = iter([[], [], []])  # whatever is left of them, no third line is taken away
+    if beats:
+        monkeypatch.setattr(module, "lines_that_beat", lambda *_: next(beating))
     records = [SimpleNamespace(quantity="displacement", taken=taken) for taken in range(3)]
     monkeypatch.setattr(module.Disturbed, "undisturbed", lambda _self, known: [records[known[0].taken + 1]])
     searches = [
-        SimpleNamespace(halted=halted, is_told=False, batch=None, fits={(): "base"}, best=tuple)
+        SimpleNamespace(
+            halted=None if beats else halted,
+            is_told=False,
+            batch=SimpleNamespace(specimens=()),
+            fits={(): "base"},
+            best=tuple,
+        )
         for halted in (line, line, None)
     ]
     asked = []

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from ..._common.checks import FloatArray
 from ..._common.text import per_cent
 from ...measurement.rough_turning import rough_noise
+from ..disturbances.close_modes import envelope_about
 from ..fitting.batch import Batch
 from ..fitting.joint_fit import Fit
 from ..results.entries import Check
 from ..weighing.evidence import residuals_as_measured
-from .close_modes import envelope_about
 
 _PARTS = 4  # of a record, of which the first and the last are compared
 _DECAYED = 4.0  # times as large as in the last part the motion is in the first at least

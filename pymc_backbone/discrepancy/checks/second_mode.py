@@ -10,13 +10,13 @@ from __future__ import annotations
 import numpy as np
 
 from ..._common.text import per_cent
+from ..disturbances.close_modes import CloseModes, close_modes
 from ..disturbances.harmonic_lines import frequencies_of
 from ..disturbances.lines import line_below, line_beside, line_near
 from ..fitting.batch import Batch
 from ..fitting.joint_fit import Fit
 from ..results.entries import Check
 from ..weighing import evidence
-from .close_modes import CloseModes, close_modes
 
 _BEATING = 0.02  # of the motion, from which a line is another mode ...
 _SEEN, _NO_NOISE = 0.005, 2.0  # ... and where the model leaves so many times the noise

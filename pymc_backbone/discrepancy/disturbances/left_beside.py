@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -19,7 +20,9 @@ from .mode_lines import are_beside, step_of, with_lines
 
 _MOST = 0.1  # of the reading at the largest motion: what bends by more is no sensor
 _MOST_OF_A_LINE = 0.3  # of the motion: beside more, the other mode is no disturbance
-_LOOKS = 3  # times that the coefficients are found again, the set fitted to what they leave
+_STAYS = 0.5  # bins by which a line that beats with the motion may move
+_LOOKS = 3  # times that the coefficients are found again, the set fitted to what they leave ...
+_MOST_LOOKS, _SETTLED = 10, 1.0  # ... for a line that beats with the motion, until that changes so little
 
 
 class LeftBeside(NamedTuple):
@@ -30,9 +33,14 @@ class LeftBeside(NamedTuple):
     is_noise: bool
 
 
-def left_beside(batch: Batch, start: Fit, limit: float, *, has_line: bool, is_bent: bool) -> LeftBeside | None:
-    """Return what a set leaves beside a disturbance, and that; None where it is not less than the limit."""
-    items = [
+def left_beside(
+    batch: Batch, start: Fit, limit: float, *, has_line: bool, is_bent: bool, lines: list[Disturbance] | None = None
+) -> LeftBeside | None:
+    """Return what a set leaves beside a disturbance, and that; None where it is not less than the limit.
+
+    A line is looked for in what the set leaves, but where ``lines`` says what it is about.
+    """
+    items = lines or [
         Disturbance(
             float(term.time[0]), float(term.time[-1]), float(record.time[0]),
             float(np.abs(term.values - term.values.mean()).max()),
@@ -40,8 +48,14 @@ def left_beside(batch: Batch, start: Fit, limit: float, *, has_line: bool, is_be
         for term, record in zip(batch.waveform, batch.records, strict=True)
     ]  # fmt: skip
     without, found = batch, start
-    nuisances = tuple(np.flatnonzero(start.active[: start.state.own.shape[1]]).tolist())  # of a drift, where it has one
-    for _ in range(_LOOKS):
+    if lines is not None:
+        motions = (term.values - term.values.mean() for term in batch.waveform)
+        without, solved = _fitted(batch, found, items, motions, found.state)
+        if solved is None:
+            return None
+        found = solved
+    for _ in range(_LOOKS if lines is None else _MOST_LOOKS):
+        before = found.cost
         if has_line:
             items = with_lines(batch, without, found, items)
             if not any(item.frequency for item in items):
@@ -53,13 +67,13 @@ def left_beside(batch: Batch, start: Fit, limit: float, *, has_line: bool, is_be
         items = looked.items
         if max(item.bent for item in items) > _MOST or max(item.line for item in items) > _MOST_OF_A_LINE:
             return None
-        terms = tuple(_without(*of) for of in zip(batch.waveform, items, moved, strict=True))
-        without = replace(batch, waveform=terms)
-        solved = fit(found.layout, terms, looked.state, iterations=10, nuisances=nuisances)
+        without, solved = _fitted(batch, found, items, moved, looked.state)
         if solved is None:
             return None
         found = solved
-    if has_line and not are_beside(batch, found, items):
+        if lines is not None and abs(found.cost - before) < _SETTLED:
+            break
+    if has_line and not (are_beside(batch, found, items) if lines is None else _stayed(items, lines)):
         return None
     if not found.cost < limit:
         return None
@@ -70,6 +84,21 @@ def left_beside(batch: Batch, start: Fit, limit: float, *, has_line: bool, is_be
     ]
     items = [replace(item, release=release) for item, release in zip(items, begun, strict=True)]
     return LeftBeside(found.cost, items, evidence.lack_of_fit(without, found).p_value >= evidence.UNEXPLAINED)
+
+
+def _stayed(items: list[Disturbance], lines: list[Disturbance]) -> bool:
+    """Return whether lines are where they were: what beats with the motion is not told from it by its distance."""
+    together = zip(items, lines, strict=True)
+    return all(abs(item.frequency - line.frequency) * (line.end - line.begin) < _STAYS for item, line in together)
+
+
+def _fitted(
+    batch: Batch, found: Fit, items: list[Disturbance], motions: Iterable[FloatArray], start: State
+) -> tuple[Batch, Fit | None]:
+    """Return the records without disturbances of their motions, and the set fitted to them."""
+    nuisances = tuple(np.flatnonzero(found.active[: found.state.own.shape[1]]).tolist())  # of a drift, where it has one
+    terms = tuple(_without(*of) for of in zip(batch.waveform, items, motions, strict=True))
+    return replace(batch, waveform=terms), fit(found.layout, terms, start, iterations=10, nuisances=nuisances)
 
 
 def _moved(term: WaveformTerm, found: Fit, r: int) -> FloatArray:

@@ -23,6 +23,7 @@ from ..fitting.telling import Telling, most_telling
 from ..sets.fitted_sets import FittedSets
 from ..sets.search import Search, Set
 from ..weighing import evidence
+from .close_modes import close_lines
 from .disturbance import Disturbance, Disturbed
 from .harmonic_lines import frequencies_of
 from .left_beside import LeftBeside, left_beside
@@ -113,16 +114,23 @@ def early_line(search: FittedSets) -> Disturbed | None:
         return None
     light = [names for names, found in search.fits.items() if not is_heavy(found.layout)]
     likeliest = sorted(light, key=lambda names: search.fits[names].cost)[:_EARLY]
-    if not likeliest or not any(begun_lines(batch, batch, search.fits[likeliest[0]])):
+    if not likeliest:
         return None
-    is_common = _is_common_line(batch, search.fits[likeliest[0]])
+    lines = None
+    if any(begun_lines(batch, batch, search.fits[likeliest[0]])):
+        is_common = _is_common_line(batch, search.fits[likeliest[0]])
+    elif (lines := close_lines(batch)) is not None:
+        is_common = len(lines) > 1
+    else:
+        return None
+    beside = partial(left_beside, batch, has_line=True, is_bent=False, lines=lines)
     found: list[tuple[LeftBeside, Set]] = []
     starts = [(names, search.fits[names], False) for names in likeliest]
     starts += [(names, search.fits[names], True) for names in dict.fromkeys(((), *likeliest[:1]))]
     for names, alone, is_drifting in starts:
         start = drift_fit(batch, alone.layout, alone.state) if is_drifting else alone
         price = 4.0 * _COST * len(batch.specimens)
-        left = None if start is None else left_beside(batch, start, start.cost - price, has_line=True, is_bent=False)
+        left = None if start is None else beside(start, start.cost - price)
         if left is not None and _is_one_line(batch, left.items) and (left.is_noise or is_common):
             found.append((left, names))
             if left.is_noise:

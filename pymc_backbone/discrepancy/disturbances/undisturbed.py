@@ -23,6 +23,7 @@ from ..sets.search import Search
 from ..weighing import evidence
 from .changed import LESS, Changed, Drifts, Known, Undisturbed, gains, is_better, is_exact, left, over_motion
 from .clock_steps import clock_steps
+from .close_modes import lines_that_beat
 from .disturbance import Disturbed, sentences
 from .drifting_zero import drifting_zero
 from .drop_outs import drop_outs
@@ -75,8 +76,8 @@ def undisturbed(
     what was found with the noise of disturbed records is found again without it. Where a set leaves noise with a drift
     in time beside it, which is likelier, no cycle is left out, and sensors are straightened only where clearly less
     noise is left then: an estimate of the noise that holds the disturbance hides it. Where the model as it is needs a
-    drift in time and nothing else, nothing else is asked. A line that the search was halted for is taken out before all
-    that.
+    drift in time and nothing else, nothing else is asked. A line that the search was halted for, or with which records
+    beat that were cut for it, is taken out before all that.
     """
     return _undisturbed(Known(Changed(question, measuring, searched, drifts, records), Undisturbed(question, search)))
 
@@ -85,6 +86,8 @@ def _undisturbed(known: Known) -> Undisturbed:
     changed, search = known.changed, known.search
     if isinstance(search.halted, Disturbed):
         return _without_line(changed, search.halted)
+    if len(changed.lines) < _PASSES and (lines := lines_that_beat(search.batch, changed.records)) is not None:
+        return _without_line(changed, Disturbed(dict(zip(search.batch.specimens, lines, strict=True)), ()))
     behind, is_needed = _halted(changed, search)
     if behind is not None and is_needed:
         return behind
