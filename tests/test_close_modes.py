@@ -15,9 +15,9 @@ FREQUENCY, OTHER, RATE = 40.0, 40.5, 1600.0
 TIME = np.arange(0.0, 4.0, 1.0 / RATE)
 
 
-def beating(size: float, share: float, phase: float) -> np.ndarray:
+def beating(size: float, share: float, phase: float, frequency: float = FREQUENCY) -> np.ndarray:
     """The sum of two linear modes of nearly one frequency."""
-    first = np.exp(-0.8 * TIME) * np.cos(2.0 * np.pi * FREQUENCY * TIME)
+    first = np.exp(-0.8 * TIME) * np.cos(2.0 * np.pi * frequency * TIME)
     return size * (first + share * np.exp(-1.2 * TIME) * np.cos(2.0 * np.pi * OTHER * TIME + phase))
 
 
@@ -99,6 +99,18 @@ def test_the_smaller_of_two_modes_is_a_line_of_each_record(rng):
         assert line.sine == pytest.approx(-size * share * np.sin(phase), abs=0.02 * size * share)
         assert (line.begin, line.end, line.release) == (TIME[0], TIME[-1], TIME[0])
     assert lines[3].frequency == pytest.approx(OTHER, abs=0.01) and lines[3].cosine == lines[3].sine == 0.0
+
+
+@pytest.mark.parametrize(("last", "is_one"), [(40.15, True), (40.9, False)])
+def test_the_smaller_mode_is_the_same_in_specimens_whose_larger_one_is_not(last, is_one, rng):
+    """Specimens differ in the mode that is looked at; so that it passes the other one they do not."""
+    records = [beating(1.0, 0.2, 0.3, frequency) for frequency in (39.85, 40.0, last)]
+    batch = batch_of(records, rng)
+    assert close_modes(batch, [0.2 * item for item in records]) is None
+    lines = close_lines(batch)
+    assert (lines is not None) == is_one
+    if lines is not None:
+        assert [line.frequency for line in lines] == pytest.approx([OTHER] * 3, abs=0.01)
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.signal import butter, lfilter
 
 from pymc_backbone._common.checks import InputError
+from pymc_backbone.discrepancy.fitting.record_term import release_of
 from pymc_backbone.measurement.conditioning.asymmetry import beyond_stop
 from pymc_backbone.measurement.conditioning.condition import ConditionedRecord, condition
 from pymc_backbone.measurement.conditioning.convolution import convolve_inside
@@ -347,6 +348,19 @@ def test_held_position_is_dropped_and_first_turning_point_kept() -> None:
     first = decay.time[np.argmin(decay.displacement)]
     assert first == pytest.approx(1.0 + 0.5 / FREQUENCY, abs=2.0 / 800.0)  # half a cycle after the release at 1 s
     assert first - decay.time[0] == pytest.approx(0.25 / FREQUENCY, abs=0.05 / FREQUENCY)
+
+
+@pytest.mark.parametrize("per_cycle", [8.2, 10.2, 24.0])
+@pytest.mark.parametrize("between", np.linspace(0.0, 0.9, 10))
+def test_the_first_turning_point_after_a_hold_is_kept_however_few_samples_show_it(per_cycle, between) -> None:
+    """Half a cycle after the release, wherever that lies between two samples: what remembers tells a later one."""
+    stamps = np.arange(40 * per_cycle) / (per_cycle * FREQUENCY)
+    release = (2.0 * per_cycle + between) / (per_cycle * FREQUENCY)
+    after = np.maximum(stamps - release, 0.0) * 2.0 * np.pi * FREQUENCY
+    decay = condition(record(stamps, np.exp(-0.005 * after) * np.cos(after)))
+    cycles = extract_cycles(decay)
+    assert cycles.turning_times[0] == pytest.approx(release + 0.5 / FREQUENCY, abs=0.05 / FREQUENCY)
+    assert release_of(decay, cycles)[1] == pytest.approx(release, abs=0.05 / FREQUENCY)
 
 
 @pytest.mark.parametrize("hold", [0.25, 0.4, 0.6])

@@ -27,6 +27,7 @@ _LEAST_SHARE = 0.03  # of the other mode's amplitude in that of the dominant one
 _BEAT = (1.5, 3.0)  # difference of the frequencies over the faster decay rate; and where releases are alike
 _OTHER = 1.3  # ratio of the largest to the smallest motion from which releases are not alike
 _ALIKE = 0.2  # of that difference, by which the frequencies of records may differ
+_CLOSELY, _LONG = 0.1, 1.5  # the same of the smaller one alone, and cycles by which the two differ over a record
 _SHORTEST = 8.0  # cycles
 _CLOSE = 0.15  # of the frequency of the mode: what is farther off makes a line of its own, or is outside of a band ...
 _BEATS, _NEAR = 8.0, 0.35  # ... where the two differ by more cycles than that over the record; else by this
@@ -118,7 +119,7 @@ def _lines(
             continue
         if _about(time, pair.left, frequency) < left * _about(time, pair.line, frequency):
             found[r] = pair
-    if len(found) < _MOST * len(samples) or not _are_alike(list(found.values())):
+    if len(found) < _MOST * len(samples) or not _is_one_line(list(found.values())):
         return None
     order = float(np.median([pair.other / pair.frequency for pair in found.values()]))
     decay = float(np.median([pair.decay for pair in found.values()]))
@@ -161,6 +162,21 @@ def _are_alike(pairs: list[_Pair]) -> bool:
     places = np.array([sorted((pair.frequency, pair.other)) for pair in pairs])
     apart = float(np.median(places[:, 1] - places[:, 0]))
     return bool((np.ptp(places, axis=0) < _ALIKE * apart).all())
+
+
+def _is_one_line(pairs: list[_Pair]) -> bool:
+    """Return whether records hold the same two modes, or the same smaller one, whatever the larger does.
+
+    At one frequency, or at one order of that of the larger one, from which specimens differ; and closely so, where the
+    two beat long enough.
+    """
+    if not pairs or _are_alike(pairs):
+        return bool(pairs)
+    larger, smaller, beats = np.array([(pair.frequency, pair.other, pair.beats) for pair in pairs]).T
+    apart = smaller - larger
+    spread = min(np.ptp(smaller), np.ptp(smaller / larger) * np.median(larger))
+    is_same = spread < _CLOSELY * np.median(np.abs(apart)) and (np.sign(apart) == np.sign(apart[0])).all()
+    return bool(is_same and np.median(beats) > _LONG)
 
 
 def _about(time: FloatArray, values: FloatArray, frequency: float) -> float:

@@ -28,6 +28,7 @@ _MOST_LONGER, _MOST_WIDER = 1.5, 1.8  # change of a swing from one cycle to the 
 _AT_RELEASE = 0.3  # of a half cycle: so close to its first sample a record begins at a turning point
 _FIRST_OF_THREE = np.array([5.0, 2.0, -1.0]) / 6.0  # of a line through three values, the first
 _AT_REST = 0.15  # of the first turning point's value: so near the position of rest begins what was struck
+_AT_AN_EXTREME = 0.5  # ... and from there on what begins at that turning point
 _AROUND = 0.25  # of a half cycle
 _CLEARLY = 4.0  # standard deviations of the noise
 _MOST_LOST = 400
@@ -45,10 +46,9 @@ def first_turning_point(record: ConditionedRecord, cycles: Cycles) -> int:
     """
     if record.band is not None:
         return 0
-    start, extreme = float(record.displacement[:3].mean()), float(cycles.turning_values[0])
-    begins = float(_FIRST_OF_THREE @ record.displacement[:3]) / extreme
+    begins = float(_FIRST_OF_THREE @ record.displacement[:3] / cycles.turning_values[0])
     is_struck = not record.is_cut and abs(begins) < _AT_REST and cycles.turning_values.size > _FOUR
-    return int(is_struck or (start * extreme > 0.0 and abs(start) > 0.5 * abs(extreme)))
+    return int(is_struck or begins > _AT_AN_EXTREME)
 
 
 def release_of(record: ConditionedRecord, cycles: Cycles) -> tuple[int, float, float]:

@@ -27,7 +27,7 @@ __all__ = ["ConditionedRecord", "condition"]
 
 _FEWEST_CYCLES = 8.0
 """Fewer are not given up to keep the end of forcing out of what a filter saw."""
-_LET_GO, _STRUCK = 0.3, 0.55
+_LET_GO, _STRUCK = 0.15, 0.55
 """Cycles from the release to the first turning point that is used; what was struck may be driven for half a cycle."""
 
 
@@ -74,9 +74,10 @@ def condition(
     Notes
     -----
     *Release.* After a hold, an impact or the end of forcing the record begins a quarter of a cycle before the first
-    turning point that lies at least 0.3 cycles after the release. The held position itself is dropped: it is a
-    plateau, not a turning point, and the hand is in it. What was struck was at rest in its equilibrium: the turning
-    point lies at least 0.55 cycles after the first motion, and a pulse of up to 0.3 cycles is dropped.
+    turning point that lies at least 0.15 cycles after the first sample that is clearly off the hold, which is up to 0.3
+    cycles late where there are few. The held position itself is dropped: it is a plateau, not a turning point, and the
+    hand is in it. What was struck was at rest in its equilibrium: the turning point lies at least 0.55 cycles after the
+    first motion, and a pulse of up to 0.3 cycles is dropped.
 
     *Zero.* For displacement nothing is high-passed, because the mid-line is physics. The reading subtracted is the
     limit of the mid-line at vanishing amplitude, confirmed by a quiet tail where there is one. See
