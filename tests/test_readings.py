@@ -17,7 +17,7 @@ from pymc_backbone.discrepancy.disturbances import edges as edges_module
 from pymc_backbone.discrepancy.disturbances.disturbance import Disturbance, Disturbed, line_modes, sentences
 from pymc_backbone.discrepancy.disturbances.edges import Edges, begun_otherwise, edges
 from pymc_backbone.discrepancy.disturbances.left_beside import LeftBeside, left_beside
-from pymc_backbone.discrepancy.disturbances.mode_lines import hum_of, is_hum
+from pymc_backbone.discrepancy.disturbances.mode_lines import hum_of, is_hum, left_over, lines_on_harmonics
 from pymc_backbone.discrepancy.disturbances.readings import _is_one_line, _is_one_sensor, disturbed, early_line
 from pymc_backbone.discrepancy.sets.promising import is_promising
 from pymc_backbone.discrepancy.sets.search import Search
@@ -205,6 +205,33 @@ def test_a_mode_that_beats_with_the_motion_is_taken_away(rng, candidates):
         assert item.line * item.scale == pytest.approx(0.1 * AMPLITUDE, rel=close)
     again = searched(search.halted.undisturbed(records))
     assert again.best() == ("cubic_stiffness",)
+
+
+def test_a_mode_at_a_harmonic_is_told_from_that_where_specimens_differ(rng):
+    """By the spectrum of one record it may be either; a harmonic goes with the specimen, and the other mode does not."""
+    place = 1.99 * FREQUENCY
+    records = [
+        replace(record, values=record.values + decaying_sinusoid(0.06 * AMPLITUDE, place, 0.002))
+        for record in make_records(rng, specimens=4, decibels=50.0, scatter=0.03)
+    ]
+    batch = batch_of(records)
+    search = Search(batch, pb.Oscillator(MASS), ("bilinear_stiffness",), 1, is_disturbed=early_line)
+    search.run()
+    assert isinstance(search.halted, Disturbed) and search.halted.beside == ()
+    for item in search.halted.by_specimen.values():
+        assert item.frequency == pytest.approx(place, rel=2e-3)
+        assert item.line * item.scale == pytest.approx(0.06 * AMPLITUDE, rel=0.1)
+    assert lines_on_harmonics(batch.subset([0, 1]), search.fits[()]) is None  # two may agree by chance
+
+
+@pytest.mark.parametrize("scatter", [0.0, 0.03])
+def test_a_harmonic_that_a_law_makes_is_no_other_mode(scatter, rng):
+    records = make_records(rng, ("quadratic_damping",), specimens=4, decibels=60.0, scatter=scatter)
+    search = Search(batch_of(records), pb.Oscillator(MASS), ("cubic_damping",), 1)
+    search.run()
+    left = left_over(search.batch, search.fits[()])
+    assert all(np.abs(item).max() > 5.0 * record.noise for item, record in zip(left, search.batch.records, strict=True))
+    assert lines_on_harmonics(search.batch, search.fits[()]) is None
 
 
 @pytest.mark.parametrize("effects", [("cubic_stiffness",), ("quadratic_damping",)])

@@ -63,8 +63,8 @@ def _lines(grid: FloatArray, power: FloatArray, beside: BoolArray) -> list[Line]
     return [line for line in found if line.height > 0.0]
 
 
-def line_near(time: FloatArray, residuals: FloatArray, between: tuple[float, float]) -> Line:
-    """Return the highest line close to a harmonic of a motion whose frequency was in a range, and none of them."""
+def line_near(time: FloatArray, residuals: FloatArray, between: tuple[float, float], *, off: float = _OFF) -> Line:
+    """Return the highest line close to a harmonic of a motion whose frequency was in a range, ``off`` bins from it."""
     low, high = between
     grid, power = _periodogram(time, residuals)
     beside = beside_harmonics(grid, between, _FAR * grid[1])
@@ -77,7 +77,7 @@ def line_near(time: FloatArray, residuals: FloatArray, between: tuple[float, flo
         close = np.flatnonzero((grid > k * low - _FAR * width) & (grid < k * high + _FAR * width))
         peak = int(close[np.argmax(power[close])])
         line = _line(grid, power, peak, _level(power, beside, peak))
-        is_off = max(k * low - line.frequency, line.frequency - k * high) > _OFF * width
+        is_off = max(k * low - line.frequency, line.frequency - k * high) > off * width
         if is_off and line.height > highest.height:
             highest = line
     return highest

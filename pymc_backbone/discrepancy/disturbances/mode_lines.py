@@ -14,6 +14,7 @@ from ..fitting.waveform_term import WaveformTerm
 from ..weighing import evidence
 from .disturbance import Disturbance, line_modes
 from .harmonic_lines import beside_harmonics, frequencies_with, is_harmonic
+from .lines import line_near
 
 ALIKE = 0.03
 """Difference of the orders of one line in specimens that are alike."""
@@ -22,6 +23,7 @@ _FAR = 4.0  # bins between a line and a harmonic, where it is looked for
 _APART = 2.0  # bins between them, once it is found
 _DECAYS = (0.0, 3.0, 10.0)  # of lines over a record, as they are looked for
 _MOST_LINES = 2.0 / 3.0  # of the lines, that are at the frequency of a hum
+_FEWEST_ON = 3  # records that show it at a harmonic
 _ONE_FREQUENCY, _NO_ORDER = 3e-3, 0.3  # relative range of the frequencies of a hum, and that over the one of its orders
 
 
@@ -96,6 +98,27 @@ def left_over(without: Batch, found: Fit) -> list[FloatArray]:
     return [evidence.residuals_of(term, found, r) for r, term in enumerate(plain)]
 
 
+def lines_on_harmonics(batch: Batch, found: Fit) -> list[Disturbance] | None:
+    """Return a line of one frequency in what a set leaves, at a harmonic of motions that differ in that; or None.
+
+    What a law lacks makes a line at a harmonic as well, which goes with the specimen.
+    """
+    together = zip(batch.waveform, left_over(batch, found), ranges_of(batch, found), strict=True)
+    lines = [line_near(term.compared(term.time), left, between, off=-np.inf) for term, left, between in together]
+    places = np.array([line.frequency for line in lines])
+    orders = places / np.array([record.frequency for record in batch.records])
+    seen = places > 0.0
+    if np.count_nonzero(seen) < _FEWEST_ON or not (place := hum_of(places[seen], orders[seen])):
+        return None
+    return [
+        Disturbance(
+            float(term.time[0]), float(term.time[-1]), float(record.time[0]),
+            float(np.abs(term.values - term.values.mean()).max()), frequency=place,
+        )
+        for term, record in zip(batch.waveform, batch.records, strict=True)
+    ]  # fmt: skip
+
+
 def begun_lines(batch: Batch, without: Batch, found: Fit) -> list[float]:
     """Return the frequency [Hz] of the line that stands out most in what a set leaves of each record; 0 for none."""
     return [
@@ -143,4 +166,7 @@ def _refined(term: WaveformTerm, left: FloatArray, item: Disturbance) -> Disturb
     return replace(item, frequency=float(solved.x[0]) / length, decay=float(np.exp(solved.x[1])) / length)
 
 
-__all__ = ["ALIKE", "are_beside", "begun_lines", "hum_of", "is_hum", "left_over", "ranges_of", "step_of", "with_lines"]
+__all__ = [
+    "ALIKE", "are_beside", "begun_lines", "hum_of", "is_hum", "left_over", "lines_on_harmonics", "ranges_of", "step_of",
+    "with_lines",
+]  # fmt: skip

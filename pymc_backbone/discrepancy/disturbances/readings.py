@@ -28,7 +28,7 @@ from .disturbance import Disturbance, Disturbed
 from .harmonic_lines import frequencies_of
 from .left_beside import LeftBeside, left_beside
 from .lines import lines_beside
-from .mode_lines import ALIKE, begun_lines, left_over, ranges_of
+from .mode_lines import ALIKE, begun_lines, left_over, lines_on_harmonics, ranges_of
 
 _EARLY = 2  # likeliest sets that are asked for a line in the middle of a search
 _ASKED = 3  # likeliest sets that are asked where none leaves noise, with what is in them
@@ -116,12 +116,12 @@ def early_line(search: FittedSets) -> Disturbed | None:
     likeliest = sorted(light, key=lambda names: search.fits[names].cost)[:_EARLY]
     if not likeliest:
         return None
-    lines = None
+    lines, is_common = None, False
     if any(begun_lines(batch, batch, search.fits[likeliest[0]])):
         is_common = _is_common_line(batch, search.fits[likeliest[0]])
     elif (lines := close_lines(batch)) is not None:
         is_common = len(lines) > 1
-    else:
+    elif () not in search.fits or (lines := lines_on_harmonics(batch, search.fits[()])) is None:
         return None
     beside = partial(left_beside, batch, has_line=True, is_bent=False, lines=lines)
     found: list[tuple[LeftBeside, Set]] = []
