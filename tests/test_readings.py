@@ -208,7 +208,7 @@ def test_a_mode_that_beats_with_the_motion_is_taken_away(rng, candidates):
 
 
 def test_a_mode_at_a_harmonic_is_told_from_that_where_specimens_differ(rng):
-    """By the spectrum of one record it may be either; a harmonic goes with the specimen, and the other mode does not."""
+    """By the spectrum of one record it may be either; a harmonic goes with the specimen, the other mode does not."""
     place = 1.99 * FREQUENCY
     records = [
         replace(record, values=record.values + decaying_sinusoid(0.06 * AMPLITUDE, place, 0.002))
