@@ -21,10 +21,12 @@ from ..fitting.batch import Batch
 from .disturbance import Disturbance
 
 _POINTS = 240  # of the envelope of a record
+_DENSE = 60  # samples in a cycle, of which each may be a mean: that takes less than 0.1 % of what is near the mode
 _LEFT = 0.1  # of what the best set leaves of the samples, that two modes leave at most
 _MOST = 0.6  # of the records in which that must be so
 _LEAST_SHARE = 0.03  # of the other mode's amplitude in that of the dominant one, at the begin
 _BEAT = (1.5, 3.0)  # difference of the frequencies over the faster decay rate; and where releases are alike
+_AT_FIRST = 0.3  # of that, in the envelope, from which the samples are asked
 _OTHER = 1.3  # ratio of the largest to the smallest motion from which releases are not alike
 _ALIKE = 0.2  # of that difference, by which the frequencies of records may differ
 _CLOSELY, _LONG = 0.1, 1.5  # the same of the smaller one alone, and cycles by which the two differ over a record
@@ -100,11 +102,20 @@ def lines_that_beat(batch: Batch, records: Sequence[Record]) -> list[Disturbance
     if not batch.has_open_records or np.mean([item.grows_again for item in batch.records]) < _MOST:
         return None
     whole = {record.specimen: record for record in records}
-    samples = []
-    for specimen, term in zip(batch.specimens, batch.waveform, strict=True):
-        is_free = whole[specimen].time >= term.time[0]
-        samples.append((whole[specimen].time[is_free], whole[specimen].values[is_free]))
+    if not whole.keys() >= set(batch.specimens):
+        return None
+    together = zip(batch.specimens, batch.waveform, batch.records, strict=True)
+    samples = [_free_part(whole[specimen], float(term.time[0]), item.frequency) for specimen, term, item in together]
     return _lines(batch, samples, _LEFT)
+
+
+def _free_part(record: Record, begin: float, frequency: float) -> tuple[FloatArray, FloatArray]:
+    """Return time and values of a record from its release on, as means over as many samples as a cycle can spare."""
+    is_free = record.time >= begin
+    time, values = record.time[is_free], record.values[is_free]
+    every = max(int(1.0 / (_DENSE * frequency * float(np.median(np.diff(time))))), 1)
+    size = time.size // every * every
+    return time[:size].reshape(-1, every).mean(axis=1), values[:size].reshape(-1, every).mean(axis=1)
 
 
 def _lines(
@@ -119,7 +130,7 @@ def _lines(
             continue
         if _about(time, pair.left, frequency) < left * _about(time, pair.line, frequency):
             found[r] = pair
-    if len(found) < _MOST * len(samples) or not _is_one_line(list(found.values())):
+    if len(found) < _MOST * len(samples) or not _hold_one_line(list(found.values())):
         return None
     order = float(np.median([pair.other / pair.frequency for pair in found.values()]))
     decay = float(np.median([pair.decay for pair in found.values()]))
@@ -164,7 +175,7 @@ def _are_alike(pairs: list[_Pair]) -> bool:
     return bool((np.ptp(places, axis=0) < _ALIKE * apart).all())
 
 
-def _is_one_line(pairs: list[_Pair]) -> bool:
+def _hold_one_line(pairs: list[_Pair]) -> bool:
     """Return whether records hold the same two modes, or the same smaller one, whatever the larger does.
 
     At one frequency, or at one order of that of the larger one, from which specimens differ; and closely so, where the
@@ -190,6 +201,8 @@ def _two_modes(time: FloatArray, values: FloatArray, frequency: float, least: fl
         return None
     poles = _poles_of_envelope(time, values, frequency)
     if poles is None:
+        return None
+    if abs(poles[0].imag - poles[1].imag) < _AT_FIRST * least * float(np.max(-poles.real)):
         return None
     clock = time - time[0]
     scale = 1.0 / clock[-1]
