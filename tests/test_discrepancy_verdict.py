@@ -625,7 +625,7 @@ def test_a_beating_mode_is_reported(is_taken, rng, monkeypatch):
     beating = decaying_sinusoid(0.08 * AMPLITUDE, 7.3)
     records = [dataclasses.replace(record, values=record.values + beating) for record in make_records(rng)]
     study = study_of(records)
-    told = [note for note in study.notes if "a line beside the harmonics of the mode at 7." in note]
+    told = [note for note in study.notes if "a line that is no harmonic of the mode, at 7." in note]
     assert len(told) == is_taken, study.notes
     assert (study.verdict == "adequate") == is_taken and study.verdict != "found"
     assert ("no second mode" in {item.check for item in study.checks if not item.passed}) == (not is_taken)

@@ -100,7 +100,7 @@ def test_lines_are_told_each_by_its_frequency_and_the_mains_as_what_they_are():
         for places in ((31.0, 31.4, 30.8), (50.02, 49.95, 50.0), (151.0, 148.0, 150.0))
     ]
     (said,) = sentences(found[:1])
-    assert "hold a line" in said and "at 30.8 to 31.4 Hz, 1.00% of the motion, as another mode leaves; it was" in said
+    assert "hold a line" in said and ", at 30.8 to 31.4 Hz, 1.00% of the motion, as another mode leaves; it was" in said
     (said,) = sentences(found)
     assert "hold lines" in said and "they were taken away" in said
     assert "at 49.95 to 50.02 Hz, 1.00% of the motion, as the mains or another mode leaves" in said
@@ -689,7 +689,7 @@ def test_of_a_spring_behind_a_bent_sensor_the_mechanism_is_named():
     assert study.force_curves is None
     said = [note for note in study.notes if note.startswith("warning")]
     line, bent = said  # the line is taken away early, the sensor straightened in what is left
-    assert "line beside the harmonics" in line
+    assert "a line that is no harmonic of the mode, at" in line
     assert "not in proportion" in bent
     # of the largest motion that is left: the first swing, before the other mode is known to be there, is left out
     largest = float(re.search(r"to ([\d.]+)% off a straight line", bent)[1])

@@ -139,7 +139,7 @@ def sentences(found: Sequence[Disturbed]) -> list[str]:
         parts = [_line_words(group) for group in groups]
         several = len(groups) > 1
         said.append(
-            f"warning: the records hold {'lines' if several else 'a line'} beside the harmonics of the mode "
+            f"warning: the records hold {'lines that are' if several else 'a line that is'} no harmonic of the mode, "
             f"{'; '.join(parts)}; {'they were' if several else 'it was'} taken away"
         )
     return said
