@@ -18,7 +18,8 @@ from scipy.optimize import least_squares
 from ..._common.checks import FloatArray
 from ...measurement.reading.record import Record
 from ..fitting.batch import Batch
-from .disturbance import Disturbance
+from ..fitting.whitening import means
+from .disturbance import Disturbance, nothing_beside
 
 _POINTS = 240  # of the envelope of a record
 _DENSE = 60  # samples in a cycle, of which each may be a mean: that takes less than 0.1 % of what is near the mode
@@ -111,11 +112,9 @@ def lines_that_beat(batch: Batch, records: Sequence[Record]) -> list[Disturbance
 
 def _free_part(record: Record, begin: float, frequency: float) -> tuple[FloatArray, FloatArray]:
     """Return time and values of a record from its release on, as means over as many samples as a cycle can spare."""
-    is_free = record.time >= begin
-    time, values = record.time[is_free], record.values[is_free]
-    every = max(int(1.0 / (_DENSE * frequency * float(np.median(np.diff(time))))), 1)
-    size = time.size // every * every
-    return time[:size].reshape(-1, every).mean(axis=1), values[:size].reshape(-1, every).mean(axis=1)
+    every = max(int(1.0 / (_DENSE * frequency * float(np.median(np.diff(record.time))))), 1)
+    both = means(np.column_stack([record.time, record.values])[record.time >= begin], every)
+    return both[:, 0], both[:, 1]
 
 
 def _lines(
@@ -137,8 +136,7 @@ def _lines(
     lines = []
     for r, (time, values) in enumerate(samples):
         record = batch.records[r]
-        height = float(np.abs(values - values.mean()).max())
-        line = Disturbance(float(time[0]), float(time[-1]), float(record.time[0]), height)
+        line = nothing_beside(time, values, float(record.time[0]))
         if r in found:
             pair = found[r]
             line = replace(line, frequency=pair.other, decay=pair.decay, cosine=pair.cosine, sine=pair.sine)

@@ -80,6 +80,11 @@ class Disturbance:
         return zero + motion
 
 
+def nothing_beside(time: FloatArray, values: FloatArray, release: float) -> Disturbance:
+    """Return of a record that nothing disturbs yet what there is to know: from when to when, and its largest motion."""
+    return Disturbance(float(time[0]), float(time[-1]), release, float(np.abs(values - values.mean()).max()))
+
+
 def line_modes(time: FloatArray, line: Disturbance, step: float = 0.0) -> FloatArray:
     """Return the line's cosine and sine (n, 2) from the release on, of unit height at ``begin``."""
     elapsed = np.maximum(time, line.release) - line.begin
@@ -177,4 +182,4 @@ def _range(shares: list[float]) -> str:
     return f"{high:.2%}" if high < 1.05 * low else f"{low:.2%} to {high:.2%}"
 
 
-__all__ = ["Disturbance", "Disturbed", "line_modes", "sentences"]
+__all__ = ["Disturbance", "Disturbed", "line_modes", "nothing_beside", "sentences"]

@@ -15,7 +15,7 @@ from ..fitting.joint_fit import Fit, fit
 from ..fitting.normal_equations import DRIFTS, State, derivatives
 from ..fitting.waveform_term import WaveformTerm
 from ..weighing import evidence
-from .disturbance import Disturbance, line_modes
+from .disturbance import Disturbance, line_modes, nothing_beside
 from .mode_lines import are_beside, step_of, with_lines
 
 _MOST = 0.1  # of the reading at the largest motion: what bends by more is no sensor
@@ -41,12 +41,9 @@ def left_beside(
     A line is looked for in what the set leaves, but where ``lines`` says what it is about.
     """
     items = lines or [
-        Disturbance(
-            float(term.time[0]), float(term.time[-1]), float(record.time[0]),
-            float(np.abs(term.values - term.values.mean()).max()),
-        )
+        nothing_beside(term.time, term.values, float(record.time[0]))
         for term, record in zip(batch.waveform, batch.records, strict=True)
-    ]  # fmt: skip
+    ]
     without, found = batch, start
     if lines is not None:
         motions = (term.values - term.values.mean() for term in batch.waveform)

@@ -12,7 +12,7 @@ from ..fitting.batch import Batch
 from ..fitting.joint_fit import Fit
 from ..fitting.waveform_term import WaveformTerm
 from ..weighing import evidence
-from .disturbance import Disturbance, line_modes
+from .disturbance import Disturbance, line_modes, nothing_beside
 from .harmonic_lines import beside_harmonics, frequencies_with, is_harmonic
 from .lines import line_near
 
@@ -111,12 +111,9 @@ def lines_on_harmonics(batch: Batch, found: Fit) -> list[Disturbance] | None:
     if np.count_nonzero(seen) < _FEWEST_ON or not (place := hum_of(places[seen], orders[seen])):
         return None
     return [
-        Disturbance(
-            float(term.time[0]), float(term.time[-1]), float(record.time[0]),
-            float(np.abs(term.values - term.values.mean()).max()), frequency=place,
-        )
+        replace(nothing_beside(term.time, term.values, float(record.time[0])), frequency=place)
         for term, record in zip(batch.waveform, batch.records, strict=True)
-    ]  # fmt: skip
+    ]
 
 
 def begun_lines(batch: Batch, without: Batch, found: Fit) -> list[float]:
