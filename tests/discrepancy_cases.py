@@ -26,6 +26,8 @@ PER_CYCLE, CYCLES = 20, 25
 BEFORE = 1.3  # cycles for which the specimen is held before it is released
 TIME = np.arange(0, int((CYCLES + BEFORE) * PER_CYCLE)) / (PER_CYCLE * FREQUENCY)
 RELEASE_TIME = BEFORE / FREQUENCY
+AFTER_FIRST_SWING = RELEASE_TIME + 0.7 / FREQUENCY
+"""From here on a record of a hard spring tells less of it: other laws come near."""
 
 STRENGTHS: dict[str, dict[str, float]] = {
     "cubic_stiffness": {"cubic_stiffness": 0.08 * STIFFNESS / AMPLITUDE**2},
@@ -129,9 +131,9 @@ def noisy(
     return Record(name, np.asarray(time), values, "displacement", unit, "made in a test", ())
 
 
-def batch_of(records: Sequence[Record], mass: float = MASS) -> Batch:
-    """The batch of some records, as the search makes it."""
-    return batch_of_conditioned([condition(record) for record in records], mass)
+def batch_of(records: Sequence[Record], mass: float = MASS, start: float | None = None) -> Batch:
+    """The batch of some records, as the search makes it, or from a start [s] on."""
+    return batch_of_conditioned([condition(record, start=start) for record in records], mass)
 
 
 def batch_of_conditioned(conditioned: Sequence[ConditionedRecord], mass: float = MASS) -> Batch:

@@ -24,6 +24,7 @@ from pymc_backbone.reporting.report_model import _interval
 from pymc_backbone.simulation.decay import simulate_waveform
 
 from .discrepancy_cases import (
+    AFTER_FIRST_SWING,
     AMPLITUDE,
     DAMPING,
     MASS,
@@ -42,7 +43,7 @@ BASE = Oscillator(MASS, ())
 IWAN = Oscillator(MASS, ("iwan",))
 
 
-def joint_batch(seed, slip, share=0.1, exponent=-0.3, decibels=45.0):
+def joint_batch(seed, slip, share=0.1, exponent=-0.3, decibels=45.0, start=None):
     """Two specimens with a joint of a share of the stiffness that slips as a whole at ``slip`` amplitudes."""
     rng = np.random.default_rng(seed)
     force = share * STIFFNESS * slip * AMPLITUDE * (1.0 + exponent) / (2.0 + exponent)
@@ -52,7 +53,7 @@ def joint_batch(seed, slip, share=0.1, exponent=-0.3, decibels=45.0):
         own = values * np.array([1.0 + 0.01 * r, 1.0, 1.0, 1.0, 1.0])
         found = simulate_waveform(IWAN, own, TIME, AMPLITUDE * (1.0 - 0.25 * r), release_time=RELEASE_TIME)
         records.append(noisy(rng, f"specimen {r + 1}", TIME, found.values, decibels, "m"))
-    return batch_of(records), dict(zip(IWAN.parameter_names, values, strict=True))
+    return batch_of(records, start=start), dict(zip(IWAN.parameter_names, values, strict=True))
 
 
 def fit_from(layout, batch, truth):
@@ -83,7 +84,7 @@ def far_along(layout, state, ratio):
 @pytest.fixture(scope="module")
 def hardly_slipping():
     """A joint of which no record shows where it slips as a whole, and the fit from the truth."""
-    batch, truth = joint_batch(21, 3.0)
+    batch, truth = joint_batch(21, 3.0, start=AFTER_FIRST_SWING)
     return batch, truth, fit_from(make_layout(IWAN, batch.amplitude, batch.angular_frequency), batch, truth)
 
 

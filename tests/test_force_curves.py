@@ -38,6 +38,7 @@ from pymc_backbone.reporting.study_files import force_curve_entries, write_study
 from pymc_backbone.reporting.study_plots import study_figures
 
 from .discrepancy_cases import (
+    AFTER_FIRST_SWING,
     AMPLITUDE,
     FREQUENCY,
     MASS,
@@ -100,7 +101,7 @@ def on_one_core():
 
 @pytest.fixture(scope="module")
 def outside():
-    batch = batch_of(records_of(np.random.default_rng(5), conservative, dissipative))
+    batch = batch_of(records_of(np.random.default_rng(5), conservative, dissipative), start=AFTER_FIRST_SWING)
     return batch, fit_remainder(batch, Oscillator(MASS))
 
 

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.signal import butter, freqs, sosfilt
+from scipy.signal import butter, freqs, sosfilt, sosfilt_zi
 
 import pymc_backbone as pb
 from pymc_backbone.discrepancy import workflow
@@ -37,13 +37,18 @@ CANDIDATES = ("cubic_stiffness", "quintic_stiffness", "quadratic_damping", "free
 
 
 def measured(rng, cut=None, order=4, line=0.0, kind="lowpass", share=2.0):
-    """Records of specimens with a cubic spring, behind a causal digital filter which begins at rest."""
+    """Records of specimens with a cubic spring, behind a causal digital filter.
+
+    A low-pass begins at rest; what couples to alternating current has long been on while the specimen is held.
+    """
     records = make_records(rng, ("cubic_stiffness",), specimens=3, decibels=200.0, share=share)
     found = []
     for record in records:
         values = record.values + line * decaying_sinusoid(1.0, 2.2 * FREQUENCY)
         if cut is not None:
-            values = sosfilt(butter(order, 2.0 * cut * STEP, kind, output="sos"), values)
+            sections = butter(order, 2.0 * cut * STEP, kind, output="sos")
+            held = values[0] if kind == "highpass" else 0.0
+            values = sosfilt(sections, values, zi=held * sosfilt_zi(sections))[0]
         found.append(noisy(rng, record.specimen, TIME, values, 55.0))
     return found
 
