@@ -27,7 +27,7 @@ BEFORE = 1.3  # cycles for which the specimen is held before it is released
 TIME = np.arange(0, int((CYCLES + BEFORE) * PER_CYCLE)) / (PER_CYCLE * FREQUENCY)
 RELEASE_TIME = BEFORE / FREQUENCY
 AFTER_FIRST_SWING = RELEASE_TIME + 0.7 / FREQUENCY
-"""From here on a record of a hard spring tells less of it: other laws come near."""
+"""From here on a record tells less of its law than from the release on: other laws come near."""
 
 STRENGTHS: dict[str, dict[str, float]] = {
     "cubic_stiffness": {"cubic_stiffness": 0.08 * STIFFNESS / AMPLITUDE**2},
