@@ -856,6 +856,16 @@ def test_words_of_each_verdict():
             {
                 "listed": (("iwan",), ("freeplay",)),
                 "is_approximate": True,
+                "mechanisms": (SPRING, CLEARANCE),
+                "unfinished": (("jenkins",), ("iwan",), ("freeplay",), ("bouc_wen",), ("iwan", "jenkins")),
+            },
+            "did not come to rest: Jenkins; Iwan; freeplay; and 2 more.",
+        ),
+        (
+            "ambiguous",
+            {
+                "listed": (("iwan",), ("freeplay",)),
+                "is_approximate": True,
                 "has_second_mode": True,
                 "mechanisms": (HYSTERESIS, CLEARANCE),
             },

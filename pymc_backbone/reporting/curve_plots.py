@@ -61,8 +61,9 @@ def plot_force(curves: ForceCurves, which: str, amplitude_unit: str = "m") -> Fi
         factor, _ = parameter_axis("force", np.abs(whole.force), {"force": unit})
         axes[0].plot(whole.at * scale, line * whole.at * factor, color=QUIET, linestyle="--", linewidth=1.0)
         axes[0].set_title("Damping force; dashed: the viscous damper in it", fontsize=9, loc="left")
-        also = ", and even part" if curves.has_even else "; an even part is not measured"
-        axes[1].set_title(f"Odd part beyond the viscous damper{also}", fontsize=9, loc="left")
+        odd_alone = "Beyond the viscous damper; an even part is not measured"
+        also = "Odd part beyond the viscous damper, and even part" if curves.has_even else odd_alone
+        axes[1].set_title(also, fontsize=9, loc="left")
     else:
         axes[0].set_title("Conservative force beyond the linear spring", fontsize=9, loc="left")
         also = "Its odd and its even part" if curves.has_even else "Its odd part; an even part is not measured"

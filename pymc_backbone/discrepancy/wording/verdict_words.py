@@ -249,8 +249,10 @@ def _unfinished(decision: Decision) -> str:
     """Return a sentence on the sets whose fits did not come to rest; empty where there are none."""
     if not decision.unfinished:
         return ""
-    sets = "; ".join(named(names) for names in decision.unfinished[:_SPOKEN])
-    return f" Fits of sets that could explain the backbones did not come to rest: {sets}."
+    more = len(decision.unfinished) - _HEADED
+    sets = "; ".join(named(names) for names in decision.unfinished[:_HEADED])
+    rest = f"; and {more} more" if more > 0 else ""
+    return f" Fits of sets that could explain the backbones did not come to rest: {sets}{rest}."
 
 
 def _of_unexplained(decision: Decision) -> str:
