@@ -571,6 +571,20 @@ def test_normal_equations_equal_those_of_the_whole_matrix(cubic_batch):
     # squaring the matrix squares its condition number, scaled about 1e4
     np.testing.assert_allclose(step, expected[:1], rtol=1e-6)
     np.testing.assert_allclose(own_step.ravel(), expected[1:], rtol=1e-5, atol=1e-9 * np.abs(expected[1:]).max())
+    left = target - dense @ expected
+    promised = joint_fit._promised(system, state, State(eta + step, own + own_step))
+    assert promised == pytest.approx(float(target @ target - left @ left), rel=1e-6)
+
+
+def test_a_fit_at_rest_is_not_simulated_again(cubic_batch):
+    """Begun where it ended; from a little beside it, or where a parameter is held at its limit, a step is simulated."""
+    found = fitted(cubic_batch, ("cubic_stiffness",), share=0.95)
+    again = fit(found.layout, cubic_batch.waveform, found.state)
+    assert again.evaluations == 1 and again.is_converged and again.cost == found.cost
+    beside = fit(found.layout, cubic_batch.waveform, State(1.001 * found.state.eta, found.state.own))
+    assert beside.evaluations > 1 and beside.cost == pytest.approx(found.cost, abs=0.01)
+    held = replace(found.layout, low=found.state.eta, high=found.state.eta)
+    assert fit(held, cubic_batch.waveform, found.state).evaluations > 1
 
 
 @pytest.mark.parametrize("places", [(), ((1, 1),), ((0, 1), (2, 8))], ids=["all alike", "one", "two"])

@@ -70,6 +70,23 @@ def test_white_noise_is_not_taken_for_a_wandering_zero():
     assert not any("wanders" in note for note in condition(record(np.random.default_rng(100), 0.0)).notes)
 
 
+def test_a_large_release_is_not_taken_for_a_wandering_zero():
+    """A pendulum from 160 degrees (SciPy): where its frequency changes fast, means over a cycle are off at the edge."""
+    omega, time = 2.0 * np.pi * 0.9, np.arange(0.0, 60.0, 1.0 / 90.0)
+    solved = solve_ivp(
+        lambda _, y: [y[1], -0.03 * omega * y[1] - omega**2 * np.sin(y[0])], (0.0, time[-1]), [np.radians(160.0), 0.0],
+        t_eval=time, rtol=1e-9, atol=1e-11,
+    )  # fmt: skip
+    probabilities = []
+    for seed in range(8):
+        begun = int(90 * np.random.default_rng(seed).uniform(0.0, 2.0))
+        noise = 0.005 * np.random.default_rng(seed).standard_normal(time.size - begun)
+        made = Record("one", time[: time.size - begun], solved.y[0][begun:] + noise, "displacement", "rad", "test", ())
+        slow = condition(made).measured.wander
+        probabilities.append(0.0 if slow is None else slow.probability)
+    assert np.mean(np.array(probabilities) > 0.5) < 0.2, probabilities
+
+
 @pytest.mark.parametrize("power", [2, 1])
 def test_mid_line_of_a_structure_is_not_taken_for_a_wandering_zero(power):
     """SciPy's decay from a spring with a quadratic force, and from one that is harder on one side."""

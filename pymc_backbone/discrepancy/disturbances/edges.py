@@ -16,6 +16,7 @@ from ..fitting.waveform_term import WaveformTerm
 from ..weighing import evidence
 
 _MOST = 3  # cycles that are no free motion: of more, something else is wrong
+_MOST_IN_ALL = 4  # the same where more is seen once these are left out
 _BEYOND = 1.2  # cycles that are left out after these
 _FEWEST = 8.0  # cycles that have to remain
 _FIRST_ALONE = 5.0  # chi-square of the first cycles over that of the one after them, from which it is they alone
@@ -56,6 +57,14 @@ class Edges:
     def within(self, other: Edges) -> Edges:
         """Return these edges of records that had already lost others."""
         return Edges({**other.first, **self.first}, {**other.last, **self.last}, self.cycles + other.cycles)
+
+    @property
+    def are_too_many(self) -> bool:
+        """Whether so many first cycles are off, one after the other, that it is no edge, but a law that none is like.
+
+        What acts at large amplitudes only, as a stop that is hardly reached, is off in them and in none that follow.
+        """
+        return self.cycles > _MOST_IN_ALL
 
     @property
     def sentence(self) -> str:

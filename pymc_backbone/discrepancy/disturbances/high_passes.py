@@ -32,7 +32,7 @@ COUPLED = (0.02, 0.045, 0.1, 0.2, 0.4)
 """Cut-offs over the frequency of the mode behind which sets are fitted at first ..."""
 _NEARER = (1.4, 1.18)  # ... and ratios to the best of them of those that are tried then
 _MEASURED = 1.08  # that of those between which the cut-off is measured
-_BY_HARMONICS = 0.3  # of what a high-pass explains, that its past alone leaves at least where harmonics show it
+_BY_HARMONICS = 0.25  # of what a high-pass explains, that its past alone leaves at least where harmonics show it
 _LESS = 0.7  # of what is left where records only begin as behind a high-pass, that is left behind it at most
 
 

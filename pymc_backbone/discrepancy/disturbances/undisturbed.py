@@ -293,13 +293,15 @@ class _Cut(NamedTuple):
 
 
 def _cut_by(changed: Changed, search: Search, names: Set) -> _Cut | None:
-    """Return the records without the edges that are off by a set; None where none are."""
+    """Return the records without the edges that are off by a set; None where none are, or too many cycles."""
     cut: _Cut | None = None
     batch, found, lost = search.batch, search.fits[names], None
     for _ in range(_EDGES):  # while one edge is in the record, the estimate of the noise holds it, and hides the other
         if (more := edges(batch, found, lost)) is None:
             break
         lost = more if lost is None else more.within(lost)
+        if lost.are_too_many:
+            return None
         shorter = changed.but(lost.sentence, records=lost.undisturbed(changed.records))
         batch = shorter.posed().batch
         again = fitted_on(found, batch) if batch.specimens == search.batch.specimens else None

@@ -36,6 +36,7 @@ from .scatter import NO_SCATTER, Scatter, infer_scatter
 _RIDGE = 1e-12  # on the diagonal of ones of the shared system
 _FIRST_DAMPING = 1e-3
 _LARGEST_DAMPING = 1e8
+_UNDAMPED = 1e-2  # damping up to which a step that promises next to nothing means rest
 _CONVERGED = 0.01
 _RACE, _LONG_RACE, _RACE_MARGIN = 6, 25, 60.0
 _AT_REST = 50.0  # fall of the cost that one more step promises, up to which it says what a fit at rest would
@@ -189,14 +190,17 @@ def fit(
     damping, converged, quiet = _FIRST_DAMPING, False, 0
     past, evaluations = [system.cost], 1
     for _ in range(iterations if system.cost > goal else 0):
-        tried = _tried(layout, terms, state, system, active, damping, scatter)
+        limit = tolerance + 1e-6 * system.cost
+        tried = _tried(layout, terms, state, system, active, damping, scatter, 0.1 * limit)
         evaluations += tried.evaluations
         proposal, accepted = tried.state, tried.system
+        if tried.is_still:
+            converged = True
+            break
         if accepted is not None and accepted.cost < system.cost + 1e-9:
             gain = system.cost - accepted.cost
             state, system = proposal, accepted
             damping = max(damping / 8.0, 1e-9)
-            limit = tolerance + 1e-6 * system.cost
             quiet = quiet + 1 if gain < limit else 0
             if gain < 0.1 * limit or quiet >= 2:
                 converged = True
@@ -218,17 +222,22 @@ def fit(
 
 
 class _Tried(NamedTuple):
-    """Where a step of the fit leads, the normal equations there (None where it leads nowhere), and what it cost."""
+    """Where a step of the fit leads, the normal equations there (None where it leads nowhere), and what it cost.
+
+    Where the linear step promises next to nothing, nothing was simulated: the fit ``is_still``.
+    """
 
     state: State
     system: System | None
     evaluations: int
+    is_still: bool = False
 
 
 def _tried(
-    layout: Layout, terms: Sequence[DataTerm], state: State, system: System, active: Any, damping: float, scatter: float
-) -> _Tried:
-    """Return where the step with this damping leads, limits and valleys minded."""
+    layout: Layout, terms: Sequence[DataTerm], state: State, system: System, active: Any, damping: float,
+    scatter: float, least: float,
+) -> _Tried:  # fmt: skip
+    """Return where the step with this damping leads, limits and valleys minded; not where it promises too little."""
     step = _step(layout, system, state, active, damping, scatter)
     if step is None:
         return _Tried(state, None, 0)
@@ -239,6 +248,9 @@ def _tried(
         proposal = within(layout, recentred(layout, proposal, scatter), scatter)
     if not np.isfinite(proposal.own).all() or not is_trusted(state, proposal):
         return _Tried(state, None, 0)
+    is_free = bool(step[0].all() and step[1][:, active].all())  # at a limit derivatives hold on one side only
+    if is_free and damping < _UNDAMPED and 0.0 <= _promised(system, state, proposal) < least:
+        return _Tried(state, None, 0, is_still=True)
     reached = linearise(layout, terms, proposal, scatter, active)
     if reached is None or reached.cost < system.cost or not layout.free.size:
         return _Tried(proposal, reached, 1)
@@ -249,6 +261,15 @@ def _tried(
     if again is None or again.cost >= reached.cost:
         return _Tried(proposal, reached, 2)
     return _Tried(followed, again, 2)
+
+
+def _promised(system: System, state: State, proposal: State) -> float:
+    """Return by how much the cost falls from one point to another, if residuals are linear."""
+    shared, own = proposal.eta - state.eta, proposal.own - state.own
+    slope = float(system.shared_gradient @ shared + (system.own_gradient * own).sum())
+    across = float(np.einsum("j,rji,ri->", shared, system.mixed, own))
+    bend = float(shared @ system.shared @ shared + np.einsum("ri,rij,rj->", own, system.own, own)) + 2.0 * across
+    return 2.0 * slope - bend
 
 
 def _followed(state: State, system: System, active: Any) -> State | None:

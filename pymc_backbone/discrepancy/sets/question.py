@@ -29,6 +29,7 @@ TOLERANCE: Mapping[str, float] = {"frequency": 0.001, "damping": 0.03, "offset":
 WAVEFORM_SHARE = 0.1
 """Part of the tolerance on damping, as a share of the motion, that waveforms may depart by unexplained."""
 _APART = 1.5  # ratio of the frequencies of one specimen and the next, from which they are no batch
+_KNOWN = 0.05  # relative standard error of a frequency below which it says what a specimen is
 _VANISHED = 1e-9  # of the force at a typical strength: rounding
 MOST_EFFECTS = 3
 """Effects that can be missing together."""
@@ -125,12 +126,14 @@ def check_one_batch(backbones: xr.Dataset) -> None:
     Raises
     ------
     InputError
-        A specimen has half as high a frequency again as the next, at the same level.
+        A specimen has half as high a frequency again as the next, at the same level, and both are known there.
     """
     if FREQUENCY not in backbones["observable"].values:
         return
     unit = backbones.attrs.get("amplitude_unit", "m")
-    values = backbones["value"].sel(observable=FREQUENCY).transpose("specimen", "level").values
+    chosen = backbones.sel(observable=FREQUENCY)
+    values, errors = (chosen[name].transpose("specimen", "level").values for name in ("value", "standard_error"))
+    values = np.where(errors < _KNOWN * values, values, np.nan)  # where a record sinks into its noise, none is
     for level, column in zip(backbones["level"].values, values.T, strict=True):
         order = np.argsort(column)[: np.count_nonzero(np.isfinite(column))]
         steps = column[order[1:]] / column[order[:-1]]

@@ -32,6 +32,8 @@ _QUIET = 0.1  # share of the records of a sensor with slow noise that hold none 
 _SPREAD = 1.2  # standard deviation of the logarithm of slow noise over the other, in records of one sensor
 _SEEN = 0.1  # share of the other noise from which slow noise counts
 _PLACES = 40  # at which a mid-line is kept
+_EDGE = 6  # cycles of a record, from which one at an edge is left out where the motion changes fast
+_CHANGES = (0.01, 0.2)  # of the period from one cycle to the next, and of the logarithm of the amplitude: fast
 
 
 @dataclass(frozen=True)
@@ -177,8 +179,16 @@ def find_wander(
 
 
 def _slow_noise(middle: FloatArray, shapes: FloatArray, path: Track, spectrum: NoiseSpectrum) -> Wander | None:
-    """Return the slow noise of a mid-line (n,) beside shapes (n, s) that it may have; None where it is too short."""
+    """Return the slow noise of a mid-line (n,) beside shapes (n, s) that it may have; None where it is too short.
+
+    Where the frequency changes fast, at a large release or before friction stops the motion, a cycle at the edge of the
+    record is none of the track's: its mean is off by what the phase is.
+    """
     n, per_cycle = middle.size, path.per_cycle
+    if n > _EDGE * per_cycle:
+        inside = slice(per_cycle * _is_fast(path, 1), n - per_cycle * _is_fast(path, -1))
+        middle, shapes = middle[inside], shapes[inside]
+        n = middle.size
     if n < 3 * per_cycle:
         return None
     basis = np.linalg.qr(shapes / np.maximum(np.abs(shapes).max(axis=0), 1e-300))[0]
@@ -206,6 +216,15 @@ def _slow_noise(middle: FloatArray, shapes: FloatArray, path: Track, spectrum: N
             asked.append((level, power))
             logs.append(_log_likelihood(density, known + level * shape))
     return _averaged(np.array(logs), np.array(asked), top, _alone(len(asked)))
+
+
+def _is_fast(path: Track, way: int) -> bool:
+    """Return whether the motion changes fast at the beginning (``way`` 1) or the end (-1) of a track."""
+    places = slice(None, None, way * path.per_cycle)
+    time, amplitude = path.time[places][:3], np.maximum(path.amplitude[places][:2], 1e-300)
+    periods = np.abs(np.diff(time))
+    changes = np.abs(np.diff(np.log(periods))), np.abs(np.diff(np.log(amplitude)))
+    return any(change.size > 0 and change[0] > most for change, most in zip(changes, _CHANGES, strict=True))
 
 
 def of_one_sensor(wanders: Sequence[Wander | None]) -> list[Wander | None]:
