@@ -35,6 +35,25 @@ def _as_released(monkeypatch):
     monkeypatch.setattr(module, "settled", lambda _search, _behind, chosen: chosen)
 
 
+@pytest.mark.parametrize(("passes", "is_cut"), [([3], True), ([3, 1], True), ([3, 3, 3, 3], False)])
+def test_first_cycles_that_come_to_be_off_one_after_the_other_are_no_edge(passes, is_cut, monkeypatch):
+    """A stop that large motions alone reach: where three cycles are left out, it is in the three that follow."""
+    batch, waiting = SimpleNamespace(specimens=("one",)), list(passes)
+
+    def seen(_batch, _found, known):
+        assert (known is None) == (len(waiting) == len(passes))
+        return Edges({"one": 1.0}, cycles=waiting.pop(0)) if waiting else None
+
+    monkeypatch.setattr(module, "edges", seen)
+    monkeypatch.setattr(module, "fitted_on", lambda found, _batch: found)
+    asked = SimpleNamespace(records=[], posed=lambda: SimpleNamespace(batch=batch))
+    asked.but = lambda _sentence, **_changes: asked
+    cut = module._cut_by(asked, SimpleNamespace(batch=batch, fits={(): "a fit"}), ())
+    assert (cut is not None) == is_cut
+    if is_cut:
+        assert cut.lost.cycles == sum(passes)
+
+
 @pytest.mark.parametrize("is_drifting", [True, False])
 def test_a_drift_is_asked_before_cycles_are_left_out_and_noise_is_weighed(is_drifting, monkeypatch):
     left = {"base": False, "drift": is_drifting}
