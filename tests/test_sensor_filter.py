@@ -24,6 +24,7 @@ from .discrepancy_cases import (
     AMPLITUDE,
     FREQUENCY,
     MASS,
+    RELEASE_TIME,
     TIME,
     batch_of,
     decaying_sinusoid,
@@ -82,6 +83,18 @@ def test_the_response_of_a_high_pass_is_butterworths(order):
     _, expected = freqs(*butter(order, 2.0 * np.pi * 2.7, "highpass", analog=True), worN=2.0 * np.pi * at)
     np.testing.assert_allclose(gain * np.exp(1j * phase), expected, rtol=1e-9)
     assert SensorFilter(order, 2.7, "high-pass").response(np.zeros(1))[0] == 0.0
+
+
+def test_a_start_that_creeps_is_no_filter(rng):
+    """Of a displacement it looks like a high-pass, but its past explains nearly all that one does."""
+    slow = 0.04 * AMPLITUDE * np.exp(-np.maximum(TIME - RELEASE_TIME, 0.0) * FREQUENCY / 0.3)
+    exact = make_records(rng, ("cubic_stiffness",), specimens=3, decibels=200.0, share=8.0)
+    records = [
+        noisy(rng, record.specimen, TIME, record.values + np.sign(record.values[0]) * slow, 55.0) for record in exact
+    ]
+    without = searched(records)
+    assert not evidence.leaves_noise(without.batch, without.fits[without.best()])
+    assert sensor_filter(without) is None
 
 
 @pytest.mark.parametrize("share", [0.3])
