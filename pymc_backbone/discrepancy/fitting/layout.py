@@ -97,6 +97,17 @@ class Layout:
                 found.append((place["strength"], place["slip_force"], place["exponent"]))
         return found
 
+    @property
+    def lags(self) -> list[tuple[int, list[int]]]:
+        """Coordinates of each displacement that lags: strength, and what it saturates by."""
+        found = []
+        for effect in self.oscillator.effects:
+            free = [(q.role, self.names.index(q.name)) for q in effect.parameters if q.name in self.names]
+            saturates = [place for role, place in free if role == "power_coefficient"]
+            if effect.n_states and saturates:
+                found += [(place, saturates) for role, place in free if role == "strength"]
+        return found
+
     def room(self, eta: FloatArray, scatter: float, most: float) -> tuple[FloatArray, FloatArray]:
         """Return the least and largest deviations (q,) of a specimen: the most, or where coordinates have their limits.
 

@@ -29,6 +29,8 @@ _SIZES, _ANGLES = (0.4, 0.7, 1.0), 24  # amplitudes over the typical one, and in
 _ODD = 1e-6  # share of a force that is the same on both sides, up to which it is none
 _SLIPPING = (0.9, 0.6)  # displacement at which a bed of sliders slips as a whole, over the largest of the motion
 _STICKING = 1.5  # the same at which it certainly does not
+_SATURATED = (0.5, 1.0)  # share of the motion that a lagging displacement loses at the amplitude of the records
+_NEARER = 2.0  # times as much as where a fit ended, at least
 _LINEAR = 1e-6  # the same of what a linear spring leaves
 
 
@@ -268,6 +270,28 @@ def _edges(layout: Layout, state: State) -> list[tuple[tuple[int, int, int], flo
     released = np.abs(state.own[:, 2])
     reach = max(float(released.max()), layout.amplitude) / layout.amplitude
     return [(bed, reach * (1.0 + state.eta[bed[2]]) / (2.0 + state.eta[bed[2]])) for bed in layout.beds]
+
+
+def saturating(layout: Layout, state: State) -> list[State]:
+    """Return starts with hysteresis that comes nearer to saturation, where a fit has it far from that.
+
+    A lagging displacement ``z' = x' - (beta |x'| z / |z| + gamma x') |z|^n`` that hardly lags has the force
+    ``k (x - C x^(1 + n))``: a valley along which a stiffer ``k`` goes with less of ``beta`` and ``gamma``, down to
+    where the spring beside it is used up and holds the fit. In the starts the product is as before, and that spring
+    takes up what the hysteretic one has less of stiffness.
+    """
+    found: list[State] = []
+    for strength, coefficients in layout.lags:
+        bend = float(state.eta[coefficients].sum())
+        if not (state.eta[strength] > 0.0 and 0.0 < bend < _SATURATED[0] / _NEARER):
+            continue
+        for goal in _SATURATED:
+            eta, own = state.eta.copy(), state.own.copy()
+            eta[strength] *= bend / goal
+            eta[coefficients] *= goal / bend
+            own[:, 0] += state.eta[strength] - eta[strength]
+            found.append(State(eta, own))
+    return found
 
 
 def slipping_each(layout: Layout, state: State, lags: BoolArray) -> list[State]:

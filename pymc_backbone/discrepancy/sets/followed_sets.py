@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from itertools import chain, zip_longest
+from itertools import batched, chain, zip_longest
 
 import numpy as np
 
 from ..proposals.proposal import Proposal
 from ..proposals.set_fits import Set
 from ..weighing import evidence
+from .known_sets import POSSIBLE_BACKBONE
 from .revisited_sets import CLOSE
 from .side_by_side import ABREAST, fit_side_by_side
 from .varied_sets import VariedSets
@@ -24,6 +25,7 @@ _FIRST = 3  # sets that are followed before it is asked whether something is in 
 _LEAST_FOLLOWED = 2  # sets that are followed although a base with a law of its own has taken all the effort
 _STILL = 6  # simple sets within reach that are followed although the effort is spent
 _STILL_COSTLY, _AS_LIKELY = 2, 6.0  # costly ones that are, as likely as the likeliest but for this logarithm of odds
+_SIMPLER = 3  # costly sets that are asked because they hold fewer effects than the best one
 _PASSED = 6  # less likely simple sets that are followed before one that costs much
 _FLOOR = 1.1  # ratio of costs within which sets leave the same
 _TOLD = 0.9  # probability of a drift in time beside the base, from which larger sets are not asked
@@ -84,6 +86,7 @@ class FollowedSets(VariedSets):
                     so_far.reach = max(so_far.reach, likely - REACH)
         if not self._is_halted():
             self._follow_left(so_far)
+            self._ask_simpler(so_far)
 
     def _is_halted(self) -> bool:
         """Return whether the search ends here, as it is known what is in front of the records or beside the motion."""
@@ -163,6 +166,21 @@ class FollowedSets(VariedSets):
             is_relative = any(set(known) < set(names) for known in near)
             if self.proposals[names].log_evidence > so_far.reach and not (is_slow or is_relative or self._is_spent):
                 self.fit_set(names)
+
+    def _ask_simpler(self, so_far: _Followed) -> None:
+        """Fit what remembers and explains the backbones with fewer effects than the best set, whatever was spent.
+
+        Two simple laws imitate it, and are asked before it because they cost less.
+        """
+        fewer = len(self.best()) if so_far.explained else 0
+        asked = [
+            names
+            for names, proposal in self.proposals.items()
+            if len(names) < fewer and names not in self.fits and self._is_costly(names)
+            if proposal.log_evidence > so_far.reach and proposal.chi_square < POSSIBLE_BACKBONE * self._level_values
+        ]
+        for few in batched(asked[:_SIMPLER], ABREAST):
+            fit_side_by_side(self, few)
 
     def _queue(self) -> list[tuple[Set, Proposal]]:
         """Return the sets by their backbones, those that cost much behind the simple ones within reach.

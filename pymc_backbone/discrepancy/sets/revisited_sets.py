@@ -48,20 +48,39 @@ class RevisitedSets(FittedSets):
         """Return the best fit of a set, from several starts; kept for the next time.
 
         Where it came to rest on the plateau of a bed of sliders that does not slip as a whole, or of a slider that
-        holds in some specimens, it begins again from beyond the edge of that.
+        holds in some specimens, it begins again from beyond the edge of that; hysteresis that is far from saturation,
+        which a stiffer spring makes up for, from nearer to it.
         """
         is_known = names in self.fits
         found = super().fit_set(names)
         if is_known or found is None or not found.is_converged or not found.cost < IN_REACH * self.count:
             return found
-        states = []
         if self.batch.has_records:
-            states = starts.slipping(found.layout, found.state)
-            states += starts.slipping_each(found.layout, found.state, self._lagging(found))
-        beyond = self.descent.from_near(found.layout, states, rival=found.cost) if states else None
-        if beyond is not None and beyond.cost < found.cost:
-            self.fits[names] = beyond
+            self.fits[names] = min(
+                [found, *self._slipping(found), *self._saturating(found)], key=lambda item: item.cost
+            )
         return self.fits[names]
+
+    def _slipping(self, known: Fit) -> list[Fit]:
+        """Return the fit from beyond the edge of the plateau of a slider, where one came to rest on that."""
+        states = starts.slipping(known.layout, known.state)
+        states += starts.slipping_each(known.layout, known.state, self._lagging(known))
+        beyond = self.descent.from_near(known.layout, states, rival=known.cost) if states else None
+        return [] if beyond is None else [beyond]
+
+    def _saturating(self, known: Fit) -> list[Fit]:
+        """Return the fits of hysteresis from nearer to its saturation, where one came to rest far from that."""
+        layout = known.layout
+        states = [
+            self.descent.released(layout, state.eta, state.own[:, :2])
+            for state in starts.saturating(layout, known.state)
+        ]
+        begun = [self.descent.from_afar(layout, state, rival=known.cost) for state in states]
+        lowest = min((item for item in begun if item is not None), key=lambda item: item.cost, default=None)
+        if lowest is None or not lowest.cost < known.cost or lowest.is_converged:
+            return [] if lowest is None else [lowest]
+        settled = self.descent.from_near(layout, [lowest.state])
+        return [lowest] if settled is None else [settled]
 
     def _lagging(self, found: Fit) -> BoolArray:
         """Return which specimens (r,) a fit leaves more of than noise would, by what it leaves of most of them."""

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import partial
 from itertools import batched, combinations
 
 import numpy as np
 
+from ..._common.threads import in_threads
 from ...effects import LIBRARY
 from ..fitting import starts
 from ..fitting.joint_fit import Fit
@@ -21,6 +24,8 @@ _AS_LIKELY = 4.0  # logarithm of evidence of the backbones, within which others 
 _MOST_PROMISED = 8  # ... and how many
 _COMMON = 3  # sets without a variant, of those that leave as little of the backbones as one with a variant does
 _LACKING = 3  # likeliest sets without a variant, to which one more effect may be added
+_AS_MUCH = 0.5  # of what the effect that is replaced gained, that another promises at least where the effort is spent
+_MOST_REPLACED = 4  # such sets for each effect of the best one
 NEEDED = 5.0
 """Chi-square by which a less simple set of the same mechanisms must leave less."""
 
@@ -39,6 +44,9 @@ class VariedSets(RevisitedSets):
             for variant in self.variants:
                 self._vary_one(best, name, variant)
         for few in batched(self._promised_variants(), ABREAST):
+            self.progress("variants of effects", 0.5)
+            fit_side_by_side(self, few)
+        for few in batched(self._in_place_of_memory(), ABREAST):
             self.progress("variants of effects", 0.5)
             fit_side_by_side(self, few)
         self._ask_plain()
@@ -120,6 +128,39 @@ class VariedSets(RevisitedSets):
         ]
         new = [names for names in near if names not in self.fits and not {*names}.isdisjoint(self.variants)]
         return [names for names in new if not (self._is_costly(names) or self._is_far(names))][:_MOST_PROMISED]
+
+    def _in_place_of_memory(self) -> list[Set]:
+        """Return sets with variants that a linear step promises in the place of what remembers in the best set.
+
+        A slider beside a gap stands in for what acts beyond the gap only, which is no variant of a slider.
+        """
+        best = self.best()
+        if len(best) < 2 or self.is_refuted(best) or not self.explains(self.fits[best]):
+            return []
+        promised: list[Set] = []
+        for name in best:
+            rest = tuple(other for other in best if other != name)
+            if (self.own.get(name) or LIBRARY[name]).n_states:
+                varied = [tuple(sorted((*rest, variant))) for variant in self.variants if variant not in best]
+                promised += self._promised_in_place(varied, rest)
+        return promised
+
+    def _promised_in_place(self, sets: Sequence[Set], rest: Set) -> list[Set]:
+        """Return those sets that a linear step from what they share with the best one brings near, most first.
+
+        No law is named that another one would have beaten, had there been the effort to ask.
+        """
+        known, best = self.fits.get(rest), self.best()
+        if known is None or not known.is_converged or self.is_refuted(rest):
+            return []
+        new = [names for names in sets if names not in self.fits and not self._is_costly(names)]
+        least = _AS_MUCH * (known.cost - self.fits[best].cost)
+        for names in new:
+            self.layout(names)
+        beside = [next(name for name in names if name not in rest) for names in new]
+        gains = in_threads([partial(self._score, rest, name) for name in beside])
+        ranked = sorted(zip(gains, new, strict=True), reverse=True)
+        return [names for gain, names in ranked[:_MOST_REPLACED] if gain > least]
 
     def _vary_one(self, varied: Set, name: str, variant: str) -> None:
         """Fit a set with a variant in the place of one of its effects, where that is new and worth its cost."""
