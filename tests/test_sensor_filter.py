@@ -13,7 +13,7 @@ import pymc_backbone as pb
 from pymc_backbone.discrepancy import workflow
 from pymc_backbone.discrepancy.checks import data_checks
 from pymc_backbone.discrepancy.disturbances.filter_search import early_high_pass, sensor_filter
-from pymc_backbone.discrepancy.disturbances.high_passes import _lowest
+from pymc_backbone.discrepancy.disturbances.high_passes import lowest_cut
 from pymc_backbone.discrepancy.disturbances.sensor_filter import Chain, SensorFilter, with_past
 from pymc_backbone.discrepancy.fitting.normal_equations import State
 from pymc_backbone.discrepancy.fitting.telling import most_telling
@@ -28,6 +28,8 @@ from .discrepancy_cases import (
     TIME,
     batch_of,
     decaying_sinusoid,
+    force_of,
+    free_decay,
     make_records,
     noisy,
     truth_of,
@@ -107,7 +109,7 @@ def test_a_coupling_to_alternating_current_is_found_and_the_law_behind_it(share,
     behind = Search(found.passed(without.batch), pb.Oscillator(MASS), CANDIDATES, 2)
     behind.run()
     assert behind.best() == ("cubic_stiffness",) and evidence.leaves_noise(behind.batch, behind.fits[behind.best()])
-    assert "as behind a high-pass of order 1" in found.sentence(behind.batch)
+    assert "as behind a high-pass of order 1" in " ".join(found.sentences(behind.batch))
 
 
 def test_where_nothing_has_harmonics_the_release_shows_a_high_pass(rng):
@@ -129,7 +131,7 @@ def test_where_nothing_has_harmonics_the_release_shows_a_high_pass(rng):
     assert not evidence.leaves_noise(without.batch, without.fits[without.best()])
     found = sensor_filter(without)
     assert (found.kind, found.shows_at_release) == ("high-pass", True) and found.cut < FREQUENCY
-    assert "begin with a slow decay" in found.sentence(without.batch)
+    assert "begin with a slow decay" in " ".join(found.sentences(without.batch))
     early = SimpleNamespace(batch=without.batch, fits={(): without.fits[()]})  # nothing but the base was fitted so far
     assert early_high_pass(early).kind == "high-pass"
     assert early_high_pass(SimpleNamespace(batch=batch_of(measured(rng)), fits={})) is None  # displacements
@@ -159,7 +161,7 @@ def test_a_linear_structure_shows_no_harmonics_that_a_high_pass_turns(rng):
     found = early_high_pass(SimpleNamespace(batch=without.batch, fits={(): without.fits[()]}))
     assert found.kind == "high-pass" and found.shows_at_release
     assert set(found.gains(without.batch).values()) == {1.0}
-    assert "were added" not in found.sentence(without.batch)
+    assert "were added" not in " ".join(found.sentences(without.batch))
 
 
 @pytest.mark.parametrize("shows_at_release", [False, True])
@@ -173,7 +175,7 @@ def test_what_a_filter_takes_from_the_motion_is_given_back(shows_at_release, rng
     for before, after, place in zip(records, undone, places, strict=True):
         gain = 1.0 if shows_at_release else 1.0 / np.hypot(1.0, FREQUENCY / 3.0 / place)
         np.testing.assert_allclose(gain * after.values, before.values, rtol=1e-12)
-    assert ("that it takes from the motion were added" in coupling.sentence(batch)) == (not shows_at_release)
+    assert ("that it takes from the motion were added" in " ".join(coupling.sentences(batch))) == (not shows_at_release)
     if shows_at_release:  # its cut-off is not known well enough
         return
     found = searched(undone, coupling).fits[("cubic_stiffness",)]
@@ -191,10 +193,10 @@ def test_a_past_of_several_times_the_motion_is_forgotten(rng):
     assert np.linalg.norm(with_past(term, filtered).whiten(term.compared(past))) < 1.0
 
 
-def test_the_cut_off_is_where_the_costs_around_it_are_lowest():
+def test_the_cut_off_is_where_the_costs_around_it_arelowest_cut():
     costs = [(np.log(cut) - np.log(1.04)) ** 2 for cut in (1.0 / 1.1, 1.0, 1.1)]
-    assert _lowest(1.0, 1.1, tuple(costs)) == pytest.approx(1.04, rel=1e-12)
-    assert _lowest(1.0, 1.1, (3.0, 2.0, 0.5)) == pytest.approx(1.1) and _lowest(1.0, 1.1, (1.0, 2.0, 3.0)) < 0.92
+    assert lowest_cut(1.0, 1.1, tuple(costs)) == pytest.approx(1.04, rel=1e-12)
+    assert lowest_cut(1.0, 1.1, (3.0, 2.0, 0.5)) == pytest.approx(1.1) and lowest_cut(1.0, 1.1, (1.0, 2.0, 3.0)) < 0.92
 
 
 @pytest.mark.parametrize("order", [2, 4, 8])
@@ -222,7 +224,37 @@ def test_a_filter_is_found_and_the_law_behind_it(rng):
     behind = searched(records, found)
     best = behind.best()
     assert best == ("cubic_stiffness",) and evidence.leaves_noise(behind.batch, behind.fits[best])
-    assert f"order {found.order}" in found.sentence(behind.batch) and sensor_filter(behind) is None
+    assert f"order {found.order}" in " ".join(found.sentences(behind.batch)) and sensor_filter(behind) is None
+
+
+def test_a_coupling_and_a_low_pass_are_found_together(rng):
+    """An accelerometer and its logger: either filter alone, elsewhere, makes up for a part of what both do."""
+    coupled, against_aliases, finer = 0.1 * FREQUENCY, 5.0 * FREQUENCY, 6
+    truth = truth_of(("cubic_stiffness",), share=6.0)
+    time = np.arange(1600) / (40.0 * FREQUENCY)
+    fine = np.arange(finer * time.size) * time[1] / finer
+    moving, records = fine >= RELEASE_TIME, []
+    for name, release in (("one", AMPLITUDE), ("two", 0.8 * AMPLITUDE)):
+        elapsed = fine[moving] - fine[moving][0]
+        law = force_of(("cubic_stiffness",), truth)
+        displacement = free_decay(law, release, elapsed)
+        exact = np.zeros(fine.size)
+        exact[moving] = -law(displacement, np.gradient(displacement, elapsed), 0.0) / MASS
+        values = sosfilt(butter(1, 2.0 * coupled * fine[1], "highpass", output="sos"), exact)
+        values = sosfilt(butter(6, 2.0 * against_aliases * fine[1], output="sos"), values)[::finer]
+        values += 1.2e-3 * np.abs(values).max() * rng.standard_normal(time.size)
+        records.append(pb.Record(name, time, values, "acceleration", "m/s^2"))
+    without = Search(batch_of(records), pb.Oscillator(MASS), ("cubic_stiffness", "quadratic_damping"), 2)
+    without.run()
+    found = sensor_filter(without)
+    low, high = sorted(found.parts, key=lambda part: part.kind, reverse=True)
+    assert (low.kind, low.order, high.kind, high.order) == ("low-pass", 6, "high-pass", 1)
+    assert low.cut == pytest.approx(against_aliases, rel=0.05) and high.cut == pytest.approx(coupled, rel=0.1)
+    behind = searched(records, found)
+    assert evidence.leaves_noise(behind.batch, behind.fits[("cubic_stiffness",)])
+    assert not evidence.leaves_noise(without.batch, without.fits[without.best()])
+    (said,) = found.sentences(behind.batch)
+    assert "a high-pass of order 1 at 0.5" in said and ", and a low-pass of order 6 at 2" in said
 
 
 @pytest.mark.parametrize("line", [0.0, 2e-5])

@@ -123,7 +123,7 @@ def test_sensors_are_straightened_beside_a_drift_where_less_noise_is_left(quiete
 def test_a_low_pass_that_explains_nothing_to_the_noise_has_to_make_the_difference(same_set_leaves, most, monkeypatch):
     """And not the larger set behind it, which leaves nearly as little without."""
     behind = SimpleNamespace(
-        sentence=lambda _: "a filter", passed=lambda batch: "filtered", undone=lambda records, _batch: records
+        sentences=lambda _: ["a filter"], passed=lambda batch: "filtered", undone=lambda records, _batch: records
     )
     left = {"base": 0.1, "large behind": 0.01, "large": same_set_leaves}
     for name in ("earlier", "edges", "motion_noise", "disturbed", "drifting_zero", "drop_outs"):
@@ -152,7 +152,7 @@ def test_a_low_pass_that_explains_nothing_to_the_noise_has_to_make_the_differenc
 def test_a_low_pass_is_kept_where_more_is_explained_behind_it(helps, monkeypatch):
     """It is said, and what follows is asked of the search behind it; else nothing of it is left."""
     behind = SimpleNamespace(
-        sentence=lambda _: "a filter", passed=lambda batch: "filtered", undone=lambda records, _batch: records
+        sentences=lambda _: ["a filter"], passed=lambda batch: "filtered", undone=lambda records, _batch: records
     )
     seen = []
     for name in ("earlier", "motion_noise", "disturbed"):
@@ -312,7 +312,7 @@ def test_a_filter_that_straightened_records_do_not_need_is_taken_back(plain, is_
     monkeypatch.setattr(module.Disturbed, "undisturbed", lambda _self, records: ["straight"])
     monkeypatch.setattr(SensorFilter, "passed", lambda _self, batch: {**batch, "is_behind": True})
     monkeypatch.setattr(SensorFilter, "undone", lambda _self, records, _batch: records)
-    monkeypatch.setattr(SensorFilter, "sentence", lambda *_: "behind a filter")
+    monkeypatch.setattr(SensorFilter, "sentences", lambda *_: ["behind a filter"])
 
     @dataclass
     class Question:

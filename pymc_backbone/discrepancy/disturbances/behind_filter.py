@@ -13,7 +13,7 @@ from ..fitting.telling import Telling
 from ..fitting.waveform_term import WaveformTerm
 from ..fitting.whitening import with_slow_noise
 from ..weighing import evidence
-from .sensor_filter import GIBBS, SensorFilter, first_values
+from .sensor_filter import SensorFilter, first_values
 
 PRICE = 16.0
 """Chi-square that order and cut-off must be worth."""
@@ -40,22 +40,25 @@ class FittedBehind:
 
 @dataclass(frozen=True)
 class Behind:
-    """A set behind the filter that suits it best: its cost, what its parameters must be worth, if it leaves noise."""
+    """A set behind the filter that suits it best: its cost, what its parameters must be worth, if it leaves noise.
+
+    And the fit, whose own cost is that of the values that are compared behind the filter.
+    """
 
     cost: float
     price: float
     is_exact: bool
     filter: SensorFilter
+    found: Fit
 
 
 def behind_it(batch: Batch, best: SensorFilter, found: Fit) -> Behind:
     """Return what a fit behind a filter says of both."""
     behind = best.passed(batch)
     lost = sum(term.size for term in batch.waveform) - sum(term.size for term in behind.waveform)
-    each = 2.0 * best.order + GIBBS * (best.kind == "high-pass")  # amounts of what a filter held before, all fitted
-    past = each * len(batch.specimens)
+    past = float(best.unknown_past * len(batch.specimens))  # amounts of what a filter held before, all fitted
     price = EACH * found.layout.free.size
-    return Behind(found.cost + lost + past, price, evidence.leaves_noise(behind, found), best)
+    return Behind(found.cost + lost + past, price, evidence.leaves_noise(behind, found), best, found)
 
 
 def is_promising_part(part: Telling, best: FittedBehind) -> bool:

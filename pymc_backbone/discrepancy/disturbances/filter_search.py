@@ -17,6 +17,7 @@ from .behind_filter import ITERATIONS, PRICE, behind_it, free_at_first, left_by
 from .high_passes import COUPLED, high_pass, high_passes
 from .low_passes import low_passes
 from .sensor_filter import SensorFilter, first_values
+from .two_filters import two_filters
 
 _FEWEST_CYCLES = 8  # of a record, that a look needs
 _ASKED = 3  # likeliest sets that are asked where none leaves noise, and what is in them
@@ -44,6 +45,8 @@ def sensor_filter(search: Search) -> SensorFilter | None:
     if not is_exact or (best and all(term.order for term in batch.waveform)):
         fast = [start for start in starts if not is_heavy(start.layout)]
         found += high_passes(batch, search.fits[()], fast, frequency)
+    if not is_exact and not any(item.is_exact for item in found):
+        found += two_filters(batch, found, frequency)
     # a filter's past is fitted, too: first cycles that it left are explained
     kept = [item for item in found if item.cost < best_cost - PRICE]
     noise = float(search.count)

@@ -111,12 +111,12 @@ def high_pass(batch: Batch, start: Fit, filters: Sequence[SensorFilter]) -> Fitt
     lower, upper = (fitted(batch, replace(at, cut=by * at.cut), known.state) for by in (1.0 / _MEASURED, _MEASURED))
     best = min([best, *lower, *upper], key=FittedBehind.cost)
     if lower and upper:
-        cut = _lowest(at.cut, _MEASURED, (lower[0].cost(), known.cost, upper[0].cost()))
+        cut = lowest_cut(at.cut, _MEASURED, (lower[0].cost(), known.cost, upper[0].cost()))
         best = min([best, *fitted(batch, replace(at, cut=cut), best.found.state)], key=FittedBehind.cost)
     return replace(best, filter=replace(best.filter, shows_at_release=shows_at_release))
 
 
-def _lowest(cut: float, ratio: float, costs: tuple[float, float, float]) -> float:
+def lowest_cut(cut: float, ratio: float, costs: tuple[float, float, float]) -> float:
     """Return where the parabola through the costs at ``cut / ratio``, ``cut`` and ``cut * ratio`` is lowest.
 
     One of the outer two where it is nowhere between them.
@@ -127,4 +127,4 @@ def _lowest(cut: float, ratio: float, costs: tuple[float, float, float]) -> floa
     return float(cut * ratio ** np.clip(step, -1.0, 1.0))
 
 
-__all__ = ["COUPLED", "high_pass", "high_passes"]
+__all__ = ["COUPLED", "high_pass", "high_passes", "lowest_cut"]

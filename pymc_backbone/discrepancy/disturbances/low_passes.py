@@ -14,7 +14,16 @@ from ..fitting.normal_equations import derivatives
 from ..fitting.telling import most_telling
 from ..fitting.waveform_term import WaveformTerm
 from ..weighing import evidence
-from .behind_filter import EACH, ITERATIONS, MOST_FITTED, PRICE, Behind, FittedBehind, behind_it, is_promising_part
+from .behind_filter import (
+    EACH,
+    ITERATIONS,
+    MOST_FITTED,
+    PRICE,
+    Behind,
+    FittedBehind,
+    behind_it,
+    is_promising_part,
+)
 from .sensor_filter import Chain, SensorFilter
 
 Spectrum = tuple[FloatArray, FloatArray]
@@ -26,18 +35,19 @@ _ERASED = 0.1  # of a third harmonic, what a low-pass passes at most that takes 
 _FALLEN = 0.1  # of the noise below the cut-off, what there is beyond it at most where the noise went through, too
 _FINER = ((1.25, 9), (1.06, 7), (1.015, 5))  # ratio and number of cut-offs around the best, with the set fitted to it
 _BELOW, _BEYOND = (0.1, 0.9), (1.5, 4.0)  # frequencies over the cut-off at which the noise is held against itself
-_MASKED = (3.0, 0.5)  # cycles at the beginning and the end that a look leaves out
+_MASKED = (3.0, 0.5)  # cycles at the beginning and the end that a look leaves out ...
+_DECAYED, _MOST_MASKED = 4.0, 0.5  # ... and time constants of another filter, up to that share of a record
 
 
 def low_passes(batch: Batch, starts: Sequence[Fit], frequency: float) -> list[Behind]:
     """Return sets behind the low-passes that suit them, those of which a look promises most."""
-    filters = [SensorFilter(order, float(cut)) for order in _ORDERS for cut in np.geomspace(*_CUTS, _LOOKS) * frequency]
+    filters = low_passes_at(frequency, _LOOKS)
     promised = []
     for start in starts:
         part = most_telling(batch, start)
-        left = _spectra(batch, start)
-        seen = [item for item in filters if _is_seen(item, left, frequency)]
-        looked = _look(part.batch, part.batch, part.found, seen) if seen else None
+        left = spectra(batch, start)
+        seen = [item for item in filters if is_seen(item, left, frequency)]
+        looked = look(part.batch, None, part.found, seen) if seen else None
         if looked is not None and looked.gain > PRICE:
             price = EACH * start.layout.free.size
             promised.append((looked.cost * batch.count / part.batch.count + price, start, looked.best))
@@ -62,16 +72,22 @@ def _behind(batch: Batch, start: Fit, first: SensorFilter) -> Behind | None:
         return None
     best = FittedBehind(best.filter, found)
     if len(part.specimens) < len(batch.specimens):
-        measured = _nearer(batch, behind, best, *_FINER[-1])
+        measured = _nearer(batch, best, *_FINER[-1])
         best = best if measured is None or measured.cost() > best.cost() else measured
     frequency = float(np.median([record.frequency for record in batch.records]))
     is_inside = _CUTS[0] < best.filter.cut / frequency < _CUTS[1]
-    if not (is_inside and _is_seen(best.filter, _spectra(batch, start), frequency)):
+    if not (is_inside and is_seen(best.filter, spectra(batch, start), frequency)):
         return None
     return behind_it(batch, best.filter, best.found)
 
 
-def _is_seen(low_pass: SensorFilter, left: Sequence[Spectrum], frequency: float) -> bool:
+def low_passes_at(frequency: float, count: int) -> list[SensorFilter]:
+    """Return low-passes of all orders, and so many cut-offs of each, for a mode at this frequency [Hz]."""
+    cuts = [float(cut) for cut in np.geomspace(*_CUTS, count) * frequency]
+    return [SensorFilter(order, cut) for order in _ORDERS for cut in cuts]
+
+
+def is_seen(low_pass: SensorFilter, left: Sequence[Spectrum], frequency: float) -> bool:
     """Return whether a low-pass shows in the records: in harmonics that it turns and weakens, or in their noise.
 
     One that takes all harmonics away makes up for any law whose harmonics are wrong. It is one of the records only
@@ -88,7 +104,7 @@ def _falls(cut: float, at: FloatArray, power: FloatArray) -> bool:
     return bool(below.size and beyond.size and np.median(beyond) < _FALLEN * np.median(below))
 
 
-def _spectra(batch: Batch, found: Fit) -> list[Spectrum]:
+def spectra(batch: Batch, found: Fit) -> list[Spectrum]:
     """Return frequencies (n,) [Hz] and the power (n,) of what a set leaves of each record."""
     spectra = []
     for r, term in enumerate(batch.waveform):
@@ -104,14 +120,14 @@ def _looked_for(batch: Batch, begun: FittedBehind) -> FittedBehind | None:
     found = fit(known.layout, terms, known.state, iterations=ITERATIONS, nuisances=batch.nuisances)
     best = None if found is None else FittedBehind(begun.filter, found)
     for ratio, count in _FINER:
-        best = None if best is None else _nearer(batch, best.filter.passed(batch), best, ratio, count)
+        best = None if best is None else _nearer(batch, best, ratio, count)
     return best
 
 
-def _nearer(batch: Batch, behind: Batch, known: FittedBehind, ratio: float, count: int) -> FittedBehind | None:
+def _nearer(batch: Batch, known: FittedBehind, ratio: float, count: int) -> FittedBehind | None:
     """Return the best of so many cut-offs within a ratio of the known one as a look has it, and the set behind it."""
     cuts = np.geomspace(known.filter.cut / ratio, known.filter.cut * ratio, count)
-    looked = _look(batch, behind, known.found, [replace(known.filter, cut=float(cut)) for cut in cuts])
+    looked = look(batch, known.filter, known.found, [replace(known.filter, cut=float(cut)) for cut in cuts])
     if looked is None:
         return None
     terms = looked.best.passed(batch).waveform
@@ -120,7 +136,7 @@ def _nearer(batch: Batch, behind: Batch, known: FittedBehind, ratio: float, coun
 
 
 @dataclass(frozen=True)
-class _Looked:
+class Looked:
     """What the best of some filters promises where it does not begin: the cost, by how much less that is, and which."""
 
     cost: float
@@ -128,28 +144,28 @@ class _Looked:
     best: SensorFilter
 
 
-def _look(batch: Batch, behind: Batch, found: Fit, filters: list[SensorFilter]) -> _Looked | None:
+def look(batch: Batch, known: SensorFilter | None, found: Fit, filters: Sequence[SensorFilter]) -> Looked | None:
     """Return what the best of some filters and one step of the set's values promise; None where that fails.
 
-    ``behind`` is the batch whose terms the set was fitted to, ``batch`` the same without a filter.
+    ``known`` is the filter behind which the set was fitted, if any, and ``batch`` the records without one.
     """
     kept = np.flatnonzero(found.active)
     scatter = found.layout.scatter if found.active[-1] and len(batch.specimens) > 1 else 0.0
     shared: list[FloatArray] = []
     left: list[FloatArray] = []
-    for r, (term, known, record) in enumerate(zip(batch.waveform, behind.waveform, batch.records, strict=True)):
-        slopes = derivatives(found.layout, known, found.state.eta, found.state.own[r], scatter, found.active)
+    behind = batch if known is None else known.passed(batch)
+    for r, (term, reached, record) in enumerate(zip(batch.waveform, behind.waveform, batch.records, strict=True)):
+        slopes = derivatives(found.layout, reached, found.state.eta, found.state.own[r], scatter, found.active)
         if slopes is None:
             return None
-        rows = _rows(term, known)
+        rows = _rows(term, reached, record.frequency, filters)
         own = np.linalg.qr(slopes.own[rows][:, kept])[0]
         bare = replace(term, whiten=lambda columns: columns)
         seen = bare.compared(term.values)
         simulated = seen - evidence.residuals_of(bare, found, r)
         step = float(np.median(np.diff(term.time)))
-        columns = [simulated]
-        columns += [Chain(item, record.frequency, step, seen.size)(simulated[:, None])[:, 0] for item in filters]
-        residuals = term.whiten(seen[:, None] - np.column_stack(columns))[rows]
+        chains = [Chain(item, record.frequency, step, seen.size)(simulated[:, None])[:, 0] for item in filters]
+        residuals = term.whiten(seen[:, None] - np.column_stack([simulated, *chains]))[rows]
         for items, wanted in ((shared, slopes.shared[rows]), (left, residuals)):
             items.append(wanted - own @ (own.T @ wanted))
     effects, residuals = np.vstack(shared), np.vstack(left)
@@ -158,16 +174,19 @@ def _look(batch: Batch, behind: Batch, found: Fit, filters: list[SensorFilter]) 
         residuals = residuals - basis @ (basis.T @ residuals)
     costs = (residuals**2).sum(axis=0)
     best = int(np.argmin(costs[1:]))
-    return _Looked(float(costs[1 + best]), float(costs[0] - costs[1 + best]), filters[best])
+    return Looked(float(costs[1 + best]), float(costs[0] - costs[1 + best]), filters[best])
 
 
-def _rows(term: WaveformTerm, known: WaveformTerm) -> slice:
-    """Return the standardised values that a look compares: those that the past of the filter does not reach.
+def _rows(term: WaveformTerm, reached: WaveformTerm, frequency: float, filters: Sequence[SensorFilter]) -> slice:
+    """Return the standardised values that a look compares: those that the past of the filters does not reach.
 
-    ``known`` is the term behind a filter, which ends earlier.
+    ``reached`` is the term behind a filter, which ends earlier.
     """
     each = term.size / term.cycles
-    return slice(round(_MASKED[0] * each), min(term.size - round(_MASKED[1] * each), known.size))
+    high = [part.cut for item in filters for part in item.parts if part.kind == "high-pass"]
+    slow = _DECAYED * frequency / (2.0 * np.pi * min(high)) if high else 0.0
+    begun = min(max(_MASKED[0], slow), _MOST_MASKED * term.cycles)
+    return slice(round(begun * each), min(term.size - round(_MASKED[1] * each), reached.size))
 
 
-__all__ = ["low_passes"]
+__all__ = ["is_seen", "look", "low_passes", "low_passes_at", "spectra"]

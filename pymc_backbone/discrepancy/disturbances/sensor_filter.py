@@ -32,6 +32,7 @@ GIBBS = 8
 """Samples beyond the delay by which the filter looks ahead."""
 _FEWEST = 4  # values of a window
 _SAME = 0.999  # of the motion: a filter that passes so much leaves it as it is
+_TAKES = {False: "it takes", True: "they take"}
 _PAST = 10.0  # largest values of the motion that a filter's past may come to
 
 
@@ -49,27 +50,49 @@ class SensorFilter:
         Which frequencies pass.
     shows_at_release : bool
         Whether it is told by the slow decay after the release alone, and not by the harmonics.
+    beside : SensorFilter, optional
+        Another one that the records went through as well: a coupling to alternating current stands in front of most
+        filters against aliases.
     """
 
     order: int
     cut: float
     kind: Kind = "low-pass"
     shows_at_release: bool = False
+    beside: SensorFilter | None = None
+
+    @property
+    def parts(self) -> tuple[SensorFilter, ...]:
+        """The filters that the records went through, each by itself."""
+        return (self,) if self.beside is None else (replace(self, beside=None), *self.beside.parts)
+
+    @property
+    def has_high_pass(self) -> bool:
+        """Whether low frequencies are kept back."""
+        return any(part.kind == "high-pass" for part in self.parts)
+
+    @property
+    def unknown_past(self) -> int:
+        """How many values say what it may hold of the past of one record."""
+        return sum(2 * part.order for part in self.parts) + GIBBS * self.has_high_pass
 
     @property
     def poles(self) -> Any:
-        """The poles (order,) over the angular frequency of the cut-off, complex."""
+        """The poles (order,) over the angular frequency of the cut-off, complex; not those of another one beside."""
         k = np.arange(1, self.order + 1)
         return np.exp(0.5j * np.pi * (2 * k + self.order - 1) / self.order)
 
     def response(self, frequency: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return gain (n,) and phase (n,) [rad], which falls steadily, at frequencies (n,) [Hz]."""
-        ratio = np.asarray(frequency, dtype=np.float64)[:, None] / self.cut
-        if self.kind == "high-pass":
-            factors = ratio / (ratio + 1j / self.poles)
-        else:
-            factors = 1.0 / (1.0 - 1j * ratio / self.poles)
+        factors = np.hstack([part._factors(np.asarray(frequency, dtype=np.float64)) for part in self.parts])
         return np.abs(factors).prod(axis=1), np.angle(factors).sum(axis=1)
+
+    def _factors(self, frequency: FloatArray) -> Any:
+        """Return what each pole makes (n, order) of frequencies (n,) [Hz]."""
+        ratio = frequency[:, None] / self.cut
+        if self.kind == "high-pass":
+            return ratio / (ratio + 1j / self.poles)
+        return 1.0 / (1.0 - 1j * ratio / self.poles)
 
     def passed(self, batch: Batch) -> Batch:
         """Return a batch whose simulations go through the filter before they are compared."""
@@ -84,7 +107,8 @@ class SensorFilter:
         The cut-off is not known well enough then.
         """
         frequencies = np.array([record.frequency for record in batch.records])
-        gain = np.ones(frequencies.size) if self.shows_at_release else self.response(frequencies)[0]
+        known = [part.response(frequencies)[0] for part in self.parts if not part.shows_at_release]
+        gain = np.prod([np.ones(frequencies.size), *known], axis=0)
         return dict(zip(batch.specimens, gain.tolist(), strict=True))
 
     def undone(self, records: Iterable[Record], batch: Batch) -> list[Record]:
@@ -95,31 +119,41 @@ class SensorFilter:
         gains = self.gains(batch)
         return [replace(record, values=record.values / gains.get(record.specimen, 1.0)) for record in records]
 
-    def sentence(self, batch: Batch) -> str:
-        """Return what was found, in one sentence."""
+    def sentences(self, batch: Batch) -> list[str]:
+        """Return what was found: a sentence on what the harmonics tell, one on what the release alone does."""
         look = "Look at the filters of sensor, amplifier and logger"
-        if self.shows_at_release:  # which says little of its order and cut-off
-            return (
-                f"warning: the records begin with a slow decay beside the motion, as behind a {self.kind} below the "
-                "frequency of the mode, from a hand that lets go slowly, or of a sensor that bends; the simulation was "
-                f"sent through a {self.kind}, which draws it. {look}, and at the release"
-            )
-        ratio = self.cut / float(np.median([record.frequency for record in batch.records]))
-        done = "turned" if self.kind == "high-pass" else "turned and weakened"
+        found = [
+            "warning: the records begin with a slow decay beside the motion, as behind a "
+            f"{part.kind} below the frequency of the mode, from a hand that lets go slowly, or of a sensor that bends; "
+            f"the simulation was sent through a {part.kind}, which draws it. {look}, and at the release"
+            for part in self.parts
+            if part.shows_at_release  # which says little of its order and cut-off
+        ]
+        shown = sorted((part for part in self.parts if not part.shows_at_release), key=lambda part: part.cut)
+        if not shown:
+            return found
+        frequency = float(np.median([record.frequency for record in batch.records]))
+        filters = [
+            f"a {part.kind} of order {part.order} at {part.cut:.3g} Hz, {part.cut / frequency:.2g} times the frequency "
+            "of the mode"
+            for part in shown
+        ]
+        done = "turned and weakened" if any(part.kind == "low-pass" for part in shown) else "turned"
+        same = "filter" if len(shown) == 1 else "filters"
         gain = float(np.median(list(self.gains(batch).values())))
-        undone = f", and the {per_cent(1.0 - gain)} that it takes from the motion were added" if gain < _SAME else ""
-        return (
-            f"warning: the harmonics of the motion are {done} as behind a {self.kind} of order "
-            f"{self.order} at {self.cut:.3g} Hz, {ratio:.2g} times the frequency of the mode; the simulation was sent "
-            f"through the same filter{undone}. {look}"
-        )
+        undone = f", and the {per_cent(1.0 - gain)} that {_TAKES[len(shown) > 1]} from the motion were added"
+        return [
+            f"warning: the harmonics of the motion are {done} as behind {', and '.join(filters)}; the simulation was "
+            f"sent through the same {same}{undone if gain < _SAME else ''}. {look}",
+            *found,
+        ]
 
 
 class Chain:
     """The filter on equally spaced columns: delay and gain of the fundamental, which the release holds, taken off."""
 
     def __init__(self, chosen: SensorFilter, frequency: float, step: float, count: int) -> None:
-        slowest = 2.0 * np.pi * chosen.cut * float(np.abs(chosen.poles.real).min())
+        slowest = min(2.0 * np.pi * part.cut * float(np.abs(part.poles.real).min()) for part in chosen.parts)
         gain, phase = chosen.response(np.array([frequency]))
         delay = -float(phase[0]) / (2.0 * np.pi * frequency)
         self.count = count
@@ -145,8 +179,9 @@ def _transients(chosen: SensorFilter, elapsed: FloatArray) -> FloatArray:
     Its decays, and what they change by where the poles are a little elsewhere: no filter is exactly Butterworth's.
     """
     columns = []
-    for pole in chosen.poles[chosen.poles.imag >= -1e-9]:
-        past = 2.0 * np.pi * chosen.cut * elapsed
+    poles = [(part.cut, pole) for part in chosen.parts for pole in part.poles[part.poles.imag >= -1e-9]]
+    for cut, pole in poles:
+        past = 2.0 * np.pi * cut * elapsed
         wave = np.exp(pole * past)
         waves = (wave, past * wave)
         columns += [part.real for part in waves]
@@ -166,7 +201,7 @@ def _passed(term: WaveformTerm, chosen: SensorFilter, frequency: float) -> Wavef
 def with_past(term: WaveformTerm, chosen: SensorFilter) -> WaveformTerm:
     """Return a term that may hold what a filter still has of the past."""
     modes = _loudest(term) * _transients(chosen, term.time - term.time[0])
-    if chosen.kind == "high-pass":  # which is ahead of the motion: its first values lie between samples not all known
+    if chosen.has_high_pass:  # which is ahead of the motion: its first values lie between samples not all known
         modes = np.hstack([modes, first_values(term)])
     return replace(term, whiten=with_slow_noise(term.whiten, term.compared(modes)))
 

@@ -184,7 +184,7 @@ def _halted(changed: Changed, search: Search) -> tuple[Undisturbed | None, bool]
 def _behind(changed: Changed, search: Search, found: SensorFilter) -> Known:
     """Return the question with a filter in front of the records."""
     undone = found.undone(changed.records, search.batch)
-    return changed.but(found.sentence(search.batch), records=undone, sensor_filter=found).asked()
+    return changed.but(*found.sentences(search.batch), records=undone, sensor_filter=found).asked()
 
 
 def _steadied(known: Known) -> Undisturbed | None:

@@ -25,7 +25,7 @@ _FIRST = 3  # sets that are followed before it is asked whether something is in 
 _LEAST_FOLLOWED = 2  # sets that are followed although a base with a law of its own has taken all the effort
 _STILL = 6  # simple sets within reach that are followed although the effort is spent
 _STILL_COSTLY, _AS_LIKELY = 2, 6.0  # costly ones that are, as likely as the likeliest but for this logarithm of odds
-_SIMPLER = 3  # costly sets that are asked because they hold fewer effects than the best one
+_SIMPLER = 3  # costly sets that are asked because they hold fewer effects than what explains
 _PASSED = 6  # less likely simple sets that are followed before one that costs much
 _FLOOR = 1.1  # ratio of costs within which sets leave the same
 _TOLD = 0.9  # probability of a drift in time beside the base, from which larger sets are not asked
@@ -168,11 +168,11 @@ class FollowedSets(VariedSets):
                 self.fit_set(names)
 
     def _ask_simpler(self, so_far: _Followed) -> None:
-        """Fit what remembers and explains the backbones with fewer effects than the best set, whatever was spent.
+        """Fit what remembers and may explain with fewer effects than what was found to explain, whatever was spent.
 
         Two simple laws imitate it, and are asked before it because they cost less.
         """
-        fewer = len(self.best()) if so_far.explained else 0
+        fewer = min(map(len, so_far.explained), default=0)
         asked = [
             names
             for names, proposal in self.proposals.items()
