@@ -82,13 +82,16 @@ def test_nothing_is_mended_where_nothing_is_wild_or_something_comes_again(what, 
         assert drop_outs(searched(clean if what == "noise" else records)) is None
 
 
-def test_first_samples_that_are_off_are_told_as_the_release_and_not_as_a_cable():
+@pytest.mark.parametrize("rings", [False, True])
+def test_first_samples_that_are_off_are_told_as_the_release_and_not_as_a_cable(rings):
     """A sensor that rings when it is let go, or a joint that was not loaded slowly: the record begins with it."""
     records, _ = with_drop_outs(np.random.default_rng(1))
     search = searched(records)
     begin = int(np.flatnonzero(records[1].time >= search.batch.waveform[1].time[0])[0])
     values = records[1].values.copy()
     values[begin : begin + 4] += 12.0 * NOISE * np.array([1.0, 0.8, 0.5, 0.3])
+    if rings:  # the swing after it is no event of its own
+        values[begin + 8 : begin + 10] -= 10.0 * NOISE
     found = drop_outs(searched([records[0], replace(records[1], values=values)]))
     assert (found.events, found.jumping, list(found.begins)) == (2, ("specimen 1",), ["specimen 2"])
     assert "one record (specimen 1) jumps 2 times" in found.sentence

@@ -56,7 +56,7 @@ def behind_it(batch: Batch, best: SensorFilter, found: Fit) -> Behind:
     """Return what a fit behind a filter says of both."""
     behind = best.passed(batch)
     lost = sum(term.size for term in batch.waveform) - sum(term.size for term in behind.waveform)
-    past = float(best.unknown_past * len(batch.specimens))  # amounts of what a filter held before, all fitted
+    past = float(sum(map(best.unknown_past, batch.waveform)))  # amounts of what a filter held before, all fitted
     price = EACH * found.layout.free.size
     return Behind(found.cost + lost + past, price, evidence.leaves_noise(behind, found), best, found)
 
@@ -77,14 +77,26 @@ def left_by(start: Fit, batch: Batch, terms: Sequence[WaveformTerm]) -> float:
     return np.inf if solved is None else solved.cost
 
 
-def free_at_first(batch: Batch) -> list[WaveformTerm]:
-    """Return the terms of records whose first values say nothing."""
-    return [
-        replace(term, whiten=with_slow_noise(term.whiten, term.compared(first_values(term)))) for term in batch.waveform
+def left_without_start(start: Fit, batch: Batch) -> float:
+    """Return the cost of a set with records whose first cycle says nothing, and one for each value of that."""
+    columns = [first_values(term, whole_cycle=True) for term in batch.waveform]
+    terms = [
+        replace(term, whiten=with_slow_noise(term.whiten, term.compared(first)))
+        for term, first in zip(batch.waveform, columns, strict=True)
     ]
+    return left_by(start, batch, terms) + float(sum(first.shape[1] for first in columns))
 
 
 __all__ = [
-    "EACH", "ITERATIONS", "MOST_FITTED", "PRICE", "Behind", "FittedBehind", "behind_it", "free_at_first",
-    "is_exact_behind", "is_promising_part", "left_by",
+    "EACH",
+    "ITERATIONS",
+    "MOST_FITTED",
+    "PRICE",
+    "Behind",
+    "FittedBehind",
+    "behind_it",
+    "is_exact_behind",
+    "is_promising_part",
+    "left_by",
+    "left_without_start",
 ]  # fmt: skip

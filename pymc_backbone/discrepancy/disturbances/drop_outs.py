@@ -25,7 +25,7 @@ _SCALE = 1.2  # of the residuals, robust, up to which the set explains the other
 _NORMAL = 1.4826  # median absolute deviation to standard deviation, for a normal distribution
 _WIDEST = 5  # values of an event
 _FIRST = 2  # values, one of which is off where a record begins with what is no free motion
-_AGAIN = 2  # times as many are left out: what settles rings
+_AGAIN = 2  # times as many as are off are left out: what settles rings
 _AT_A_PHASE = 0.01  # p-value of phases that are no chance: what comes at one of them is a law's lack
 
 
@@ -117,14 +117,15 @@ def drop_outs(search: Search) -> DropOuts | None:
         step = float(np.median(np.diff(time)))
         near = np.abs(time - instants[_nearest(time, instants)]) <= (0.5 * term.averaged + 1e-6) * step
         found[name], steps[name] = (time[near], plain[near]), step
-        is_begun = bool(wild[:_FIRST].any())
-        if is_begun:
-            ringing = _AGAIN * (1 + int(np.argmin(wild[1:])))
+        first = wild[: max(round(term.size / term.cycles), _FIRST)]  # what rings stands in the first cycle
+        at_first = _begun(first).size if first[:_FIRST].any() else 0
+        if at_first:
+            ringing = _AGAIN * int(np.flatnonzero(first)[-1])
             beginning[name] = float(time[min(ringing * term.averaged, time.size - 1)])
-        jumping += [name] if count > is_begun else []
-        events += count - is_begun
+        begins = term.standardised(term.time)[_begun(wild)][at_first:]
+        jumping += [name] if begins.size else []
+        events += begins.size
         turning = batch.cycles[r].turning_times
-        begins = instants[np.flatnonzero(np.diff(wild.astype(int), prepend=0)[wild] > 0)][int(is_begun) :]
         phases.append(np.pi * np.interp(begins, turning, np.arange(turning.size)))
     if phases and _come_at_a_phase(np.concatenate(phases)):
         return None
@@ -144,6 +145,11 @@ def _nearest(time: FloatArray, places: FloatArray) -> IntArray:
     after = np.clip(np.searchsorted(places, time), 1, places.size - 1) if places.size > 1 else np.zeros_like(time, int)
     before = np.maximum(after - 1, 0)
     return np.where(np.abs(time - places[before]) <= np.abs(time - places[after]), before, after)
+
+
+def _begun(wild: BoolArray) -> IntArray:
+    """Return at which values events begin."""
+    return np.flatnonzero(np.diff(wild.astype(int), prepend=0) > 0)
 
 
 def _wild(left: FloatArray) -> tuple[BoolArray, int]:

@@ -13,10 +13,10 @@ from ..sets.fitted_sets import FittedSets
 from ..sets.relaxed_release import relaxed_fit, remembers
 from ..sets.search import Search
 from ..weighing import evidence
-from .behind_filter import ITERATIONS, PRICE, behind_it, free_at_first, left_by
+from .behind_filter import ITERATIONS, PRICE, Behind, behind_it, left_without_start
 from .high_passes import COUPLED, high_pass, high_passes
 from .low_passes import low_passes
-from .sensor_filter import SensorFilter, first_values
+from .sensor_filter import SensorFilter
 from .two_filters import two_filters
 
 _FEWEST_CYCLES = 8  # of a record, that a look needs
@@ -44,7 +44,7 @@ def sensor_filter(search: Search) -> SensorFilter | None:
     found = low_passes(batch, starts, frequency)
     if not is_exact or (best and all(term.order for term in batch.waveform)):
         fast = [start for start in starts if not is_heavy(start.layout)]
-        found += high_passes(batch, search.fits[()], fast, frequency)
+        found = _but_for_starts(batch, found, high_passes(batch, search.fits[()], fast, frequency))
     if not is_exact and not any(item.is_exact for item in found):
         found += two_filters(batch, found, frequency)
     # a filter's past is fitted, too: first cycles that it left are explained
@@ -53,6 +53,19 @@ def sensor_filter(search: Search) -> SensorFilter | None:
     nearly = min(_NEAR * noise, noise + _LEFT * (best_cost - noise))
     kept = [item for item in kept if item.is_exact or (not is_exact and item.cost < nearly)]
     return min(kept, key=lambda item: item.cost + item.price).filter if kept else None
+
+
+def _but_for_starts(batch: Batch, low: list[Behind], high: list[Behind]) -> list[Behind]:
+    """Return sets behind low-passes and high-passes, but for what may be a start that settles.
+
+    Of displacements that and a high-pass look alike, where the release alone shows it; what explains the records so
+    needs no low-pass.
+    """
+    if all(term.order for term in batch.waveform):
+        return low + high
+    settles = [item.cost for item in high if item.filter.shows_at_release and item.is_exact]
+    least = min(settles, default=np.inf)
+    return [item for item in low if item.cost < least] + [item for item in high if not item.filter.shows_at_release]
 
 
 def early_high_pass(search: FittedSets) -> SensorFilter | None:
@@ -89,8 +102,7 @@ def settled(search: Search, behind: Search, chosen: SensorFilter) -> SensorFilte
     if eased is not None and evidence.leaves_noise(batch, eased) and eased.cost < found[0].cost + PRICE:
         return None
     if chosen.shows_at_release:
-        free = sum(first_values(term).shape[1] for term in batch.waveform)
-        if left_by(start, batch, free_at_first(batch)) + free < found[0].cost + PRICE:
+        if left_without_start(start, batch) < found[0].cost + PRICE:
             return None  # it is something at the release
     frequency = float(np.median([record.frequency for record in batch.records]))
     if chosen.order == 1:

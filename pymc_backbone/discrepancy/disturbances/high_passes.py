@@ -21,18 +21,20 @@ from .behind_filter import (  # fmt: skip
     Behind,
     FittedBehind,
     behind_it,
-    free_at_first,
     is_exact_behind,
     is_promising_part,
     left_by,
+    left_without_start,
 )
 from .sensor_filter import SensorFilter, with_past
 
 COUPLED = (0.02, 0.045, 0.1, 0.2, 0.4)
 """Cut-offs over the frequency of the mode behind which sets are fitted at first ..."""
 _NEARER = (1.4, 1.18)  # ... and ratios to the best of them of those that are tried then
-_MEASURED = 1.08  # that of those between which the cut-off is measured
-_BY_HARMONICS = 0.25  # of what a high-pass explains, that its past alone leaves at least where harmonics show it
+_MEASURED = (1.08,)  # that of those between which the cut-off is measured ...
+_AFTER_FIRST = (1.5, 1.08)  # ... where the first cycle says nothing
+_BY_HARMONICS = {False: 0.1, True: 0.25}  # of what a high-pass explains, that its past alone leaves at least where
+# harmonics show it; of displacements, and of velocities and accelerations, whose own start holds more
 _LESS = 0.7  # of what is left where records only begin as behind a high-pass, that is left behind it at most
 
 
@@ -67,18 +69,12 @@ def high_pass(batch: Batch, start: Fit, filters: Sequence[SensorFilter]) -> Fitt
 
     Looked for with the records that the set leaves most of, and measured with all. A motion without harmonics shows it
     at the release alone, where records begin with what it has of the past: it then has to leave noise where the set
-    without it does not, nor free first values do.
+    without it does not, nor does without the first cycle; and that says nothing behind it.
     """
-
-    def fitted(on: Batch, chosen: SensorFilter, state: State) -> list[FittedBehind]:
-        terms = chosen.passed(on).waveform
-        solved = fit(start.layout, terms, state, iterations=ITERATIONS, nuisances=on.nuisances)
-        return [] if solved is None else [FittedBehind(chosen, solved)]
-
     part = most_telling(batch, start)
     tried: list[FittedBehind] = []
     for chosen in filters:
-        tried += fitted(part.batch, chosen, (tried[-1].found if tried else part.found).state)
+        tried += _fitted(part.batch, start, chosen, (tried[-1].found if tried else part.found).state)
     best = min(tried, key=FittedBehind.cost, default=None)
     if best is None or not is_promising_part(part, best):
         return None
@@ -87,33 +83,55 @@ def high_pass(batch: Batch, start: Fit, filters: Sequence[SensorFilter]) -> Fitt
         sides = [
             item
             for by in (1.0 / ratio, ratio)
-            for item in fitted(part.batch, replace(near, cut=by * near.cut), reached)
+            for item in _fitted(part.batch, start, replace(near, cut=by * near.cut), reached)
         ]
         best = min([best, *sides], key=FittedBehind.cost)
-    whole = fitted(batch, best.filter, part.whole(best.found.state, start))
+    whole = _fitted(batch, start, best.filter, part.whole(best.found.state, start))
     whole += [
-        again for item in whole if not item.found.is_converged for again in fitted(batch, item.filter, item.found.state)
+        again
+        for item in whole
+        if not item.found.is_converged
+        for again in _fitted(batch, start, item.filter, item.found.state)
     ]
     if not whole:
         return None
     best = whole[-1]
+    if not is_exact_behind(batch, best) and all(term.order for term in batch.waveform):
+        ringing = _fitted(batch, start, replace(best.filter, rings=True), best.found.state)
+        best = next((item for item in ringing if is_exact_behind(batch, item)), best)
     past = left_by(start, batch, [with_past(term, best.filter) for term in batch.waveform])
     is_exact = best.cost() < start.cost - PRICE and is_exact_behind(batch, best)
     if not is_exact and not best.cost() < _LESS * past - PRICE:
         return None
     is_linear = all(effect.name in BASE_EFFECTS for effect in start.layout.oscillator.effects)  # without harmonics
-    shows_at_release = is_linear or past - best.cost() < _BY_HARMONICS * (start.cost - best.cost())
-    if shows_at_release and not all(term.order for term in batch.waveform):
-        return None  # of a displacement, a start that settles looks alike
-    if shows_at_release and not best.cost() < left_by(start, batch, free_at_first(batch)) - PRICE:
-        return None
-    at, known = best.filter, best.found
-    lower, upper = (fitted(batch, replace(at, cut=by * at.cut), known.state) for by in (1.0 / _MEASURED, _MEASURED))
-    best = min([best, *lower, *upper], key=FittedBehind.cost)
-    if lower and upper:
-        cut = lowest_cut(at.cut, _MEASURED, (lower[0].cost(), known.cost, upper[0].cost()))
-        best = min([best, *fitted(batch, replace(at, cut=cut), best.found.state)], key=FittedBehind.cost)
+    least = _BY_HARMONICS[all(term.order for term in batch.waveform)]
+    shows_at_release = is_linear or past - best.cost() < least * (start.cost - best.cost())
+    if shows_at_release:
+        if not behind_it(batch, best.filter, best.found).cost < left_without_start(start, batch) - PRICE:
+            return None
+        # another filter may ring there: the cut-off is told by what follows
+        best = next(iter(_fitted(batch, start, replace(best.filter, rings=True), best.found.state)), best)
+    best = _measured(batch, start, best, _AFTER_FIRST if shows_at_release else _MEASURED)
     return replace(best, filter=replace(best.filter, shows_at_release=shows_at_release))
+
+
+def _fitted(batch: Batch, start: Fit, chosen: SensorFilter, state: State) -> list[FittedBehind]:
+    """Return a set behind a filter from a state on; none where it cannot be simulated there."""
+    terms = chosen.passed(batch).waveform
+    solved = fit(start.layout, terms, state, iterations=ITERATIONS, nuisances=batch.nuisances)
+    return [] if solved is None else [FittedBehind(chosen, solved)]
+
+
+def _measured(batch: Batch, start: Fit, best: FittedBehind, ratios: Sequence[float]) -> FittedBehind:
+    """Return a set behind the high-pass whose cut-off suits it best, between some to either side of the one it has."""
+    for ratio in ratios:
+        at, known = best.filter, best.found
+        lower, upper = (_fitted(batch, start, replace(at, cut=by * at.cut), known.state) for by in (1.0 / ratio, ratio))
+        best = min([best, *lower, *upper], key=FittedBehind.cost)
+        if lower and upper:
+            cut = lowest_cut(at.cut, ratio, (lower[0].cost(), known.cost, upper[0].cost()))
+            best = min([best, *_fitted(batch, start, replace(at, cut=cut), best.found.state)], key=FittedBehind.cost)
+    return best
 
 
 def lowest_cut(cut: float, ratio: float, costs: tuple[float, float, float]) -> float:

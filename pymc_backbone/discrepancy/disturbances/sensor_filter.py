@@ -53,6 +53,8 @@ class SensorFilter:
     beside : SensorFilter, optional
         Another one that the records went through as well: a coupling to alternating current stands in front of most
         filters against aliases.
+    rings : bool
+        Whether the first cycle says nothing, as where another filter, which is not known, rings after the release.
     """
 
     order: int
@@ -60,6 +62,7 @@ class SensorFilter:
     kind: Kind = "low-pass"
     shows_at_release: bool = False
     beside: SensorFilter | None = None
+    rings: bool = False
 
     @property
     def parts(self) -> tuple[SensorFilter, ...]:
@@ -71,10 +74,10 @@ class SensorFilter:
         """Whether low frequencies are kept back."""
         return any(part.kind == "high-pass" for part in self.parts)
 
-    @property
-    def unknown_past(self) -> int:
-        """How many values say what it may hold of the past of one record."""
-        return sum(2 * part.order for part in self.parts) + GIBBS * self.has_high_pass
+    def unknown_past(self, term: WaveformTerm) -> int:
+        """Return how many values say what it may hold of the past of a record."""
+        begun = first_values(term, whole_cycle=self.rings).shape[1] if self.has_high_pass else 0
+        return sum(2 * part.order for part in self.parts) + begun
 
     @property
     def poles(self) -> Any:
@@ -124,8 +127,9 @@ class SensorFilter:
         look = "Look at the filters of sensor, amplifier and logger"
         found = [
             "warning: the records begin with a slow decay beside the motion, as behind a "
-            f"{part.kind} below the frequency of the mode, from a hand that lets go slowly, or of a sensor that bends; "
-            f"the simulation was sent through a {part.kind}, which draws it. {look}, and at the release"
+            f"{part.kind} below the frequency of the mode, from a hand that lets go slowly, of a sensor that bends, or "
+            f"of a filter against aliases that rings; the simulation was sent through a {part.kind}, which draws it. "
+            f"{look}, and at the release"
             for part in self.parts
             if part.shows_at_release  # which says little of its order and cut-off
         ]
@@ -202,13 +206,17 @@ def with_past(term: WaveformTerm, chosen: SensorFilter) -> WaveformTerm:
     """Return a term that may hold what a filter still has of the past."""
     modes = _loudest(term) * _transients(chosen, term.time - term.time[0])
     if chosen.has_high_pass:  # which is ahead of the motion: its first values lie between samples not all known
-        modes = np.hstack([modes, first_values(term)])
+        modes = np.hstack([modes, first_values(term, whole_cycle=chosen.rings)])
     return replace(term, whiten=with_slow_noise(term.whiten, term.compared(modes)))
 
 
-def first_values(term: WaveformTerm) -> FloatArray:
-    """Return what leaves the first values of a record free (n, `GIBBS`)."""
-    return _loudest(term) * np.eye(term.time.size, min(GIBBS, term.time.size))
+def first_values(term: WaveformTerm, *, whole_cycle: bool) -> FloatArray:
+    """Return what leaves the first values of a record free (n, m): `GIBBS` of them, or those of the first cycle.
+
+    A filter against aliases rings that long after the jump at a release, or after a blow.
+    """
+    count = round(term.time.size / max(term.cycles, 1.0)) if whole_cycle else 0
+    return _loudest(term) * np.eye(term.time.size, min(max(GIBBS, count), term.time.size))
 
 
 def _loudest(term: WaveformTerm) -> float:

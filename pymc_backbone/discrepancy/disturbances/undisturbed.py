@@ -178,6 +178,8 @@ def _halted(changed: Changed, search: Search) -> tuple[Undisturbed | None, bool]
         search.resume()
     elif better != chosen and is_exact((again := _behind(changed, search, better)).search):
         tried = again
+    if better is not None and tried.search.best() and is_exact(tried.search):
+        tried = _begun_otherwise(tried.changed, tried.search) or tried  # what rings after the release, or a hand
     return tried.found, better is not None
 
 
