@@ -120,7 +120,7 @@ def drop_outs(search: Search) -> DropOuts | None:
         first = wild[: max(round(term.size / term.cycles), _FIRST)]  # what rings stands in the first cycle
         at_first = _begun(first).size if first[:_FIRST].any() else 0
         if at_first:
-            ringing = _AGAIN * int(np.flatnonzero(first)[-1])
+            ringing = _AGAIN * (1 + int(np.flatnonzero(first)[-1]))
             beginning[name] = float(time[min(ringing * term.averaged, time.size - 1)])
         begins = term.standardised(term.time)[_begun(wild)][at_first:]
         jumping += [name] if begins.size else []

@@ -33,8 +33,9 @@ COUPLED = (0.02, 0.045, 0.1, 0.2, 0.4)
 _NEARER = (1.4, 1.18)  # ... and ratios to the best of them of those that are tried then
 _MEASURED = (1.08,)  # that of those between which the cut-off is measured ...
 _AFTER_FIRST = (1.5, 1.08)  # ... where the first cycle says nothing
-_BY_HARMONICS = {False: 0.1, True: 0.25}  # of what a high-pass explains, that its past alone leaves at least where
-# harmonics show it; of displacements, and of velocities and accelerations, whose own start holds more
+# of what a high-pass explains, what its past alone leaves at least where harmonics show it: of displacements, and of
+# velocities and accelerations
+_BY_HARMONICS = {False: 0.1, True: 0.25}
 _LESS = 0.7  # of what is left where records only begin as behind a high-pass, that is left behind it at most
 
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+from scipy.fft import idct, irfft, next_fast_len, rfft, rfftfreq
 
 from ..._common.checks import FloatArray
 from ..._common.text import per_cent
@@ -30,6 +30,7 @@ _FORGOTTEN = 13.8  # time constants of the slowest pole after which a filter's p
 _TAPER = (0.75, 1.0)  # of the highest frequency that the samples hold: beyond, the filter is closed smoothly
 GIBBS = 8
 """Samples beyond the delay by which the filter looks ahead."""
+_WAVES = 64  # by which a first cycle of more values is free: up to 32 periods in it
 _FEWEST = 4  # values of a window
 _SAME = 0.999  # of the motion: a filter that passes so much leaves it as it is
 _TAKES = {False: "it takes", True: "they take"}
@@ -213,10 +214,14 @@ def with_past(term: WaveformTerm, chosen: SensorFilter) -> WaveformTerm:
 def first_values(term: WaveformTerm, *, whole_cycle: bool) -> FloatArray:
     """Return what leaves the first values of a record free (n, m): `GIBBS` of them, or those of the first cycle.
 
-    A filter against aliases rings that long after the jump at a release, or after a blow.
+    A filter against aliases rings that long after the jump at a release, or after a blow. Of many values those waves
+    are free that it may ring at.
     """
     count = round(term.time.size / max(term.cycles, 1.0)) if whole_cycle else 0
-    return _loudest(term) * np.eye(term.time.size, min(max(GIBBS, count), term.time.size))
+    count = min(max(GIBBS, count), term.time.size)
+    columns = np.zeros((term.time.size, min(count, _WAVES)))
+    columns[:count] = idct(np.eye(count, columns.shape[1]), axis=0, norm="ortho")
+    return _loudest(term) * columns
 
 
 def _loudest(term: WaveformTerm) -> float:
