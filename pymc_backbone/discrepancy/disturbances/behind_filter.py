@@ -88,15 +88,6 @@ def left_without_start(start: Fit, batch: Batch) -> float:
 
 
 __all__ = [
-    "EACH",
-    "ITERATIONS",
-    "MOST_FITTED",
-    "PRICE",
-    "Behind",
-    "FittedBehind",
-    "behind_it",
-    "is_exact_behind",
-    "is_promising_part",
-    "left_by",
-    "left_without_start",
+    "EACH", "ITERATIONS", "MOST_FITTED", "PRICE", "Behind", "FittedBehind", "behind_it", "is_exact_behind",
+    "is_promising_part", "left_by", "left_without_start",
 ]  # fmt: skip

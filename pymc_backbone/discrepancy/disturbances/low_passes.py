@@ -14,16 +14,7 @@ from ..fitting.normal_equations import derivatives
 from ..fitting.telling import most_telling
 from ..fitting.waveform_term import WaveformTerm
 from ..weighing import evidence
-from .behind_filter import (
-    EACH,
-    ITERATIONS,
-    MOST_FITTED,
-    PRICE,
-    Behind,
-    FittedBehind,
-    behind_it,
-    is_promising_part,
-)
+from .behind_filter import EACH, ITERATIONS, MOST_FITTED, PRICE, Behind, FittedBehind, behind_it, is_promising_part
 from .sensor_filter import Chain, SensorFilter
 
 Spectrum = tuple[FloatArray, FloatArray]
