@@ -80,10 +80,14 @@ class EnlargedSets(FollowedSets):
             others = [tuple(sorted((*rest, name))) for name in self.candidates if name not in best]
             others = [names for names in others if self._is_costly(best) or not self._is_costly(names)]
             near = self._within_reach(others, best)
-            for few in batched(self._promised_in_place(near, rest) if self._is_spent else near, ABREAST):
+            for few in batched(near, ABREAST):
+                if self._is_spent:
+                    break
                 fit_side_by_side(self, few)
                 for names in few:
                     self.fit_beside(names)
+            for few in batched(self._promised_in_place(near, rest) if self._is_spent else (), ABREAST):
+                fit_side_by_side(self, few)
         if len(best) < self.max_effects:
             self._extend([best], len(best) + 1)
         return self.best() != best

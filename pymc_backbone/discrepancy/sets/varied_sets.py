@@ -24,7 +24,7 @@ _AS_LIKELY = 4.0  # logarithm of evidence of the backbones, within which others 
 _MOST_PROMISED = 8  # ... and how many
 _COMMON = 3  # sets without a variant, of those that leave as little of the backbones as one with a variant does
 _LACKING = 3  # likeliest sets without a variant, to which one more effect may be added
-_AS_MUCH = 0.5  # of what the effect that is replaced gained, that another promises at least where the effort is spent
+_AS_MUCH = 0.5  # of what the effect that is replaced gained, that another promises at least
 _MOST_REPLACED = 4  # such sets for each effect of the best one
 NEEDED = 5.0
 """Chi-square by which a less simple set of the same mechanisms must leave less."""
