@@ -9,6 +9,7 @@ import numpy as np
 
 from ..fitting.batch import Batch
 from ..fitting.joint_fit import Fit, fit
+from ..fitting.normal_equations import State
 from ..fitting.telling import Telling
 from ..fitting.waveform_term import WaveformTerm
 from ..fitting.whitening import with_slow_noise
@@ -61,6 +62,13 @@ def behind_it(batch: Batch, best: SensorFilter, found: Fit) -> Behind:
     return Behind(found.cost + lost + past, price, evidence.leaves_noise(behind, found), best, found)
 
 
+def fitted_behind(batch: Batch, chosen: SensorFilter, known: Fit, state: State) -> FittedBehind | None:
+    """Return a set behind a filter, from a state on; None where it cannot be simulated there."""
+    terms = chosen.passed(batch).waveform
+    solved = fit(known.layout, terms, state, iterations=ITERATIONS, nuisances=batch.nuisances)
+    return None if solved is None else FittedBehind(chosen, solved)
+
+
 def is_promising_part(part: Telling, best: FittedBehind) -> bool:
     """Return whether a set leaves clearly less of some records behind a filter than without one."""
     return best.cost() < _PROMISING * part.left or is_exact_behind(part.batch, best)
@@ -88,6 +96,6 @@ def left_without_start(start: Fit, batch: Batch) -> float:
 
 
 __all__ = [
-    "EACH", "ITERATIONS", "MOST_FITTED", "PRICE", "Behind", "FittedBehind", "behind_it", "is_exact_behind",
-    "is_promising_part", "left_by", "left_without_start",
+    "EACH", "ITERATIONS", "MOST_FITTED", "PRICE", "Behind", "FittedBehind", "behind_it", "fitted_behind",
+    "is_exact_behind", "is_promising_part", "left_by", "left_without_start",
 ]  # fmt: skip

@@ -11,16 +11,16 @@ import numpy as np
 from ..._common.threads import in_threads
 from ...effects import BASE_EFFECTS
 from ..fitting.batch import Batch
-from ..fitting.joint_fit import Fit, fit
+from ..fitting.joint_fit import Fit
 from ..fitting.normal_equations import State
 from ..fitting.telling import most_telling
 from .behind_filter import (  # fmt: skip
-    ITERATIONS,
     MOST_FITTED,
     PRICE,
     Behind,
     FittedBehind,
     behind_it,
+    fitted_behind,
     is_exact_behind,
     is_promising_part,
     left_by,
@@ -118,9 +118,8 @@ def high_pass(batch: Batch, start: Fit, filters: Sequence[SensorFilter]) -> Fitt
 
 def _fitted(batch: Batch, start: Fit, chosen: SensorFilter, state: State) -> list[FittedBehind]:
     """Return a set behind a filter from a state on; none where it cannot be simulated there."""
-    terms = chosen.passed(batch).waveform
-    solved = fit(start.layout, terms, state, iterations=ITERATIONS, nuisances=batch.nuisances)
-    return [] if solved is None else [FittedBehind(chosen, solved)]
+    found = fitted_behind(batch, chosen, start, state)
+    return [] if found is None else [found]
 
 
 def _measured(batch: Batch, start: Fit, best: FittedBehind, ratios: Sequence[float]) -> FittedBehind:

@@ -10,10 +10,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from ..fitting.batch import Batch
-from ..fitting.joint_fit import Fit, fit
-from ..fitting.normal_equations import State
 from ..fitting.telling import most_telling
-from .behind_filter import ITERATIONS, PRICE, Behind, FittedBehind, behind_it, is_promising_part
+from .behind_filter import PRICE, Behind, FittedBehind, behind_it, fitted_behind, is_promising_part
 from .high_passes import COUPLED, lowest_cut
 from .low_passes import is_seen, look, low_passes_at, spectra
 from .sensor_filter import SensorFilter
@@ -54,11 +52,11 @@ def _pair(batch: Batch, known: Behind, frequency: float) -> Behind | None:
     low = [item for item in low_passes_at(frequency, _LOOKS) if is_seen(item, left, frequency)]
     high = [SensorFilter(1, cut * frequency, "high-pass") for cut in COUPLED]
     looked = look(part.batch, known.filter, part.found, [replace(item, beside=other) for item in low for other in high])
-    begun = None if looked is None else _fitted(part.batch, looked.best, part.found, part.found.state)
+    begun = None if looked is None else fitted_behind(part.batch, looked.best, part.found, part.found.state)
     near = None if begun is None else _nearer(part.batch, begun, _NEARER)
     if near is None or not is_promising_part(part, near):
         return None
-    whole = _fitted(batch, near.filter, known.found, part.whole(near.found.state, known.found))
+    whole = fitted_behind(batch, near.filter, known.found, part.whole(near.found.state, known.found))
     if whole is None:
         return None
     best = _nearer(batch, whole, _MEASURED)
@@ -72,13 +70,13 @@ def _nearer(batch: Batch, best: FittedBehind, ratios: Sequence[float]) -> Fitted
         for k in range(len(best.filter.parts)):
             middle = best
             lower, upper = (
-                _fitted(batch, _moved(middle.filter, k, by), middle.found, middle.found.state)
+                fitted_behind(batch, _moved(middle.filter, k, by), middle.found, middle.found.state)
                 for by in (1.0 / ratio, ratio)
             )
             if lower is None or upper is None:
                 continue
             step = lowest_cut(1.0, ratio, (lower.cost(), middle.cost(), upper.cost()))
-            lowest = _fitted(batch, _moved(middle.filter, k, step), middle.found, middle.found.state)
+            lowest = fitted_behind(batch, _moved(middle.filter, k, step), middle.found, middle.found.state)
             tried = (middle, lower, upper, *(() if lowest is None else (lowest,)))
             best = min(tried, key=FittedBehind.cost)
     return best
@@ -88,13 +86,6 @@ def _moved(pair: SensorFilter, k: int, by: float) -> SensorFilter:
     """Return a pair of filters, one of them with another cut-off."""
     one, other = (replace(part, cut=part.cut * (by if place == k else 1.0)) for place, part in enumerate(pair.parts))
     return replace(one, beside=other)
-
-
-def _fitted(batch: Batch, chosen: SensorFilter, known: Fit, state: State) -> FittedBehind | None:
-    """Return a set behind a filter, from where it was; None where it cannot be simulated there."""
-    terms = chosen.passed(batch).waveform
-    solved = fit(known.layout, terms, state, iterations=ITERATIONS, nuisances=batch.nuisances)
-    return None if solved is None else FittedBehind(chosen, solved)
 
 
 __all__ = ["two_filters"]
