@@ -40,10 +40,11 @@ def _batch(
     amplitude: float = AMPLITUDE,
     scatter: float = 0.02,
     reached: int = 10,
+    others_reach: int = 10,
 ) -> Batch:
     """Return backbones of specimens whose effects scatter, with errors of 1e-4 of frequency and 0.5 % of damping.
 
-    The first specimen reaches so many of the ten levels.
+    The first specimen reaches so many of the ten levels, and the others as many as they do.
     """
     rng = np.random.default_rng(17)
     rows = []
@@ -62,7 +63,7 @@ def _batch(
     error[:, 0], error[:, 1] = 1e-4 * typical[:, 0], 5e-3 * typical[:, 1]
     error[:, 2] = 1e-3
     noisy = data["value"].values + error * rng.standard_normal(error.shape)
-    noisy[0, :, reached:] = np.nan
+    noisy[0, :, reached:], noisy[1:, :, others_reach:] = np.nan, np.nan
     batch = batch_of_backbones(MASS, data.assign(value=(data["value"].dims, noisy),
                                                  standard_error=(data["value"].dims, error)))  # fmt: skip
     return batch
@@ -427,3 +428,16 @@ def test_a_costly_law_is_fitted_to_all_backbones_by_way_of_some(law):
     reduced = found.chi_square.sum() / sum(term.size for term in batch.levels)
     # errors of unit variance over some 150 values, of which 16 are fitted: 1.5 is five standard deviations above
     assert reduced < 1.5 if law == 0 else reduced > 10.0
+
+
+@pytest.mark.parametrize(("share", "slips"), [(0.06, 0.76), (0.06, 0.86)])
+def test_a_slider_that_slips_at_the_largest_amplitudes_alone_is_found(share, slips):
+    """In one specimen and at one level: above that no derivative tells it, and of a coarse grid no slip was near."""
+    values = {"slider_stiffness": share * SPRING, "slip_force": share * slips * SPRING * AMPLITUDE}
+    batch = _batch(Oscillator(MASS, ["jenkins"]), values, specimens=3, others_reach=9)
+    candidates = ("quadratic_damping", "freeplay", "jenkins", "iwan", "cubic_stiffness", "cubic_damping")
+    variants = ("dead_band_damping", "damped_stop", "hertz_contact")
+    found = propose(batch, Oscillator(MASS), candidates, 2, None, variants)
+    slider = next(item for item in found if item.names == ("jenkins",))
+    assert slider.chi_square < 1.5 * sum(term.size for term in batch.levels)
+    assert slider.eta[1] * batch.amplitude == pytest.approx(slips * AMPLITUDE, rel=0.05)

@@ -73,6 +73,7 @@ def drifting_sets(search: Search) -> dict[Set, Drifting]:
             _ask_backbones(search, found)
     if not is_exact and not _is_explained(search, found):
         _ask_variants(search, found, limit)
+    _ask_parts(search, found, limit)
     return _settled(search, found)
 
 
@@ -150,6 +151,34 @@ def _ask_plain(search: Search, found: dict[Set, Drifting], limit: float) -> None
             continue
         if drifting.cost < alone.cost - _HELPED:
             found[names] = weighed(search.batch, drifting, alone)
+
+
+def _ask_parts(search: Search, found: dict[Set, Drifting], limit: float) -> None:
+    """Add what is in the sets that a drift brought to leave noise, from where these ended, one effect less at a time.
+
+    Alone such a part had followed the drift, and beside one it begins where it ended then: a contact of which the
+    frequency rises with the temperature never found its gap, and a spring that is not there had to help.
+    """
+    exact = [
+        names
+        for names, item in found.items()
+        if names and item.fit.cost < search.fits[names].cost - _HELPED and evidence.leaves_noise(search.batch, item.fit)
+    ]
+    while exact:
+        names = max(exact, key=len)
+        exact.remove(names)
+        larger = found[names].fit
+        for part in combinations(names, len(names) - 1):
+            layout = search.layout(part)
+            known = found[part].fit.cost if part in found else np.inf
+            if is_heavy(layout) or known < larger.cost + NEEDED or (alone := search.fit_set(part)) is None:
+                continue
+            drifting = drift_fit(search.batch, layout, starts.restricted(layout, larger.layout, larger.state), limit)
+            if drifting is None or drifting.cost > known - NEEDED:
+                continue
+            found[part] = weighed(search.batch, drifting, alone)
+            if part and evidence.leaves_noise(search.batch, drifting):
+                exact.append(part)
 
 
 def _is_explained(search: Search, found: dict[Set, Drifting]) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,9 +12,8 @@ from ..fitting.joint_fit import Fit, fit
 from ..fitting.normal_equations import State
 from ..fitting.telling import Telling
 from ..fitting.waveform_term import WaveformTerm
-from ..fitting.whitening import with_slow_noise
 from ..weighing import evidence
-from .sensor_filter import SensorFilter, first_values
+from .sensor_filter import SensorFilter
 
 PRICE = 16.0
 """Chi-square that order and cut-off must be worth."""
@@ -85,17 +84,7 @@ def left_by(start: Fit, batch: Batch, terms: Sequence[WaveformTerm]) -> float:
     return np.inf if solved is None else solved.cost
 
 
-def left_without_start(start: Fit, batch: Batch) -> float:
-    """Return the cost of a set with records whose first cycle says nothing, and one for each value of that."""
-    columns = [first_values(term, whole_cycle=True) for term in batch.waveform]
-    terms = [
-        replace(term, whiten=with_slow_noise(term.whiten, term.compared(first)))
-        for term, first in zip(batch.waveform, columns, strict=True)
-    ]
-    return left_by(start, batch, terms) + float(sum(first.shape[1] for first in columns))
-
-
 __all__ = [
     "EACH", "ITERATIONS", "MOST_FITTED", "PRICE", "Behind", "FittedBehind", "behind_it", "fitted_behind",
-    "is_exact_behind", "is_promising_part", "left_by", "left_without_start",
+    "is_exact_behind", "is_promising_part", "left_by",
 ]  # fmt: skip

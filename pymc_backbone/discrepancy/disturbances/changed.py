@@ -17,7 +17,8 @@ from ..sets.search import Search, Set
 from ..weighing import evidence
 from ..weighing.evidence import Drifting
 from .disturbance import Disturbed, sentences
-from .earlier_release import Earlier
+from .earlier_release import Earlier, run_in
+from .edges import Edges
 from .motion_noise import MotionNoise
 from .sensor_filter import SensorFilter
 
@@ -57,8 +58,8 @@ class Undisturbed:
 class Changed:
     """Records as they were changed, how they are measured and searched, and what is said of all that.
 
-    ``question`` is that of the records as they were given; what was found on the way (lines, a release, a filter, a
-    noise) holds for every question that follows.
+    ``question`` is that of the records as they were given; what was found on the way (lines, records that
+    begin late, a release, a filter, a noise) holds for every question that follows.
     """
 
     question: Question
@@ -68,6 +69,7 @@ class Changed:
     records: Sequence[Record]
     lines: tuple[Disturbed, ...] = ()
     said: tuple[str, ...] = ()
+    begun_late: frozenset[str] = frozenset()
     release: Earlier | None = None
     is_relaxed: bool = False
     sensor_filter: SensorFilter | None = None
@@ -81,6 +83,11 @@ class Changed:
     def but(self, *said: str, **changes: Any) -> Changed:
         """Return these with other attributes, and what is said of that."""
         return replace(self, said=(*self.said, *said), **changes)
+
+    def within(self, lost: Edges) -> Changed:
+        """Return these without the edges of records."""
+        cut = self.but(lost.sentence, records=lost.undisturbed(self.records))
+        return replace(cut, begun_late=self.begun_late | lost.first.keys())
 
     def asked(self, *early: Callable[..., Any]) -> Known:
         """Return the question of these records, searched; ``early`` is what a search is asked as it begins."""
@@ -99,6 +106,8 @@ class Changed:
         other = self.question.of_records(self.records, self.measuring, (*sentences(self.lines), *self.said))
         if self.is_relaxed:
             other = replace(other, batch=replace(other.batch, is_relaxed=True))
+        if self.begun_late:
+            other = replace(other, batch=run_in(other.batch, sorted(self.begun_late)))
         if self.release is not None:
             other = replace(other, batch=self.release.released(other.batch))
         if self.sensor_filter is not None:

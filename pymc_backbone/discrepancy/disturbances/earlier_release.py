@@ -6,7 +6,7 @@ assumption: every turning point is a release. What remembers begins as the relea
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,6 +23,7 @@ _ASKED = 3  # likeliest sets that remember, which are asked
 _MOST = 2  # turning points by which a record that begins within a cycle of its release may be too late
 _BEGUN, _SETTLED = 8, 12  # iterations over the turning points and the samples, the shared values held
 _FEWEST = 4  # turning points that tell those before them
+_RUN_IN, _LARGER = 4, 1.25  # turning points from which a cut record runs in, and how much larger these may be
 _WORTH = 25.0  # fall of chi-square of one record from which it was released earlier
 
 
@@ -62,6 +63,20 @@ def earlier(search: Search) -> Earlier | None:
         return None
     turns = min(found, key=lambda item: item[0])[1]
     return Earlier(turns) if turns else None
+
+
+def run_in(batch: Batch, specimens: Iterable[str]) -> Batch:
+    """Return a batch of which some specimens move for up to two cycles before the simulation is compared.
+
+    Where the first cycles of a record were cut, what remembers has the history of those: loaded from rest up to the
+    first turning point that is left, it would hold another force than after them, by much for some laws. Not so many
+    cycles that the motion had been much larger: nobody knows what acts there.
+    """
+    for r in [batch.specimens.index(name) for name in specimens if name in batch.specimens]:
+        limit = _LARGER * abs(float(batch.own[r, 2]))
+        tried = (_earlier(batch, r, count) for count in range(_RUN_IN, 0, -1))
+        batch = next((item for item in tried if abs(float(item.own[r, 2])) <= limit), batch)
+    return batch
 
 
 def _released(batch: Batch, found: Fit) -> tuple[float, dict[str, int]] | None:
@@ -124,4 +139,4 @@ def _earlier(batch: Batch, specimen: int, count: int) -> Batch:
     )
 
 
-__all__ = ["Earlier", "earlier"]
+__all__ = ["Earlier", "earlier", "run_in"]

@@ -13,7 +13,8 @@ from ..sets.fitted_sets import FittedSets
 from ..sets.relaxed_release import relaxed_fit, remembers
 from ..sets.search import Search
 from ..weighing import evidence
-from .behind_filter import ITERATIONS, PRICE, Behind, behind_it, left_without_start
+from .behind_filter import ITERATIONS, PRICE, Behind, behind_it
+from .free_start import left_without_start
 from .high_passes import COUPLED, high_pass, high_passes
 from .low_passes import low_passes
 from .sensor_filter import SensorFilter

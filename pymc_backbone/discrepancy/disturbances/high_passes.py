@@ -24,8 +24,8 @@ from .behind_filter import (  # fmt: skip
     is_exact_behind,
     is_promising_part,
     left_by,
-    left_without_start,
 )
+from .free_start import left_without_start
 from .sensor_filter import SensorFilter, with_past
 
 COUPLED = (0.02, 0.045, 0.1, 0.2, 0.4)

@@ -28,6 +28,7 @@ from .disturbance import Disturbed, sentences
 from .drifting_zero import drifting_zero
 from .drop_outs import drop_outs
 from .earlier_release import earlier
+from .early_edges import early_edges
 from .edges import Edges, begun_otherwise, edges
 from .filter_search import early_high_pass, sensor_filter, settled
 from .motion_noise import motion_noise
@@ -41,12 +42,17 @@ _AS_QUIET = 1.02  # noise over the motion, with and without a filter in front of
 _QUIETER = 0.8  # of the noise that a drift leaves over the motion, up to which straightened records explain more
 
 
-def in_the_way(search: FittedSets) -> SensorFilter | Disturbed | None:
+def in_the_way(search: FittedSets) -> SensorFilter | Disturbed | Edges | None:
     """Return what runs beside the motion, or stands in front of the records, and ends a search that has just begun.
 
     The line first: noise that was estimated from records with a line holds it, and sets seem to leave noise behind any
-    filter.
+    filter. First cycles that are no free motion last: a filter may explain them.
     """
+    return _beside(search) or early_edges(search)
+
+
+def _beside(search: FittedSets) -> SensorFilter | Disturbed | None:
+    """Return what is in the way but for the edges of records, which were cut."""
     return early_line(search) or _in_front(search)
 
 
@@ -100,6 +106,10 @@ def _without_filter_at_first(known: Known) -> Undisturbed:
     changed, search = known.changed, known.search
     if (on_time := _on_time(known)) is not None:
         return _undisturbed(on_time)
+    if isinstance(search.halted, Edges):
+        if (late := _begun_late(known, search.halted)) is not None:
+            return late
+        search.resume()
     if search.is_told:
         told = with_drifts(known.found, changed.drifts)
         if told.is_drifting and likeliest(search, told.drifting or {}) == evidence.DRIFT:
@@ -108,6 +118,22 @@ def _without_filter_at_first(known: Known) -> Undisturbed:
     if not changed.is_of_rates and (steady := _steadied(known)) is not None:
         return steady
     return _one_by_one(known)
+
+
+def _begun_late(known: Known, lost: Edges) -> Undisturbed | None:
+    """Return the question and search of records whose first cycles are no free motion; None where no set leaves noise.
+
+    How what remembers was released is asked before they are left out, for they say it.
+    """
+    changed, search = known.changed, known.search
+    ways = [changed.but(RELAXED, is_relaxed=True)] if is_relaxed_at_release(search) else []
+    ways += [] if (release := earlier(search)) is None else [changed.but(release.sentence, release=release)]
+    for way in ways:
+        whole = way.if_promising(search, 0.0)
+        if whole is not None and is_exact(whole.search):
+            return whole.found
+    rest = _undisturbed(changed.within(lost).asked(_beside, drift_alone))
+    return rest if is_exact(rest.search) or rest.is_drifting else None
 
 
 def _one_by_one(first: Known) -> Undisturbed:
@@ -256,7 +282,7 @@ def _without_edges(changed: Changed, known: Undisturbed) -> Known | None:
         if evidence.leaves_noise(cut.batch, cut.found) and (is_needed or cut.lost.cycles == 1):
             beside = "" if is_needed else _in_words(idle)
             said = replace(cut.lost, beside=beside)
-            return changed.but(said.sentence, records=said.undisturbed(changed.records)).asked()
+            return changed.within(said).asked()
     return None if is_needed else _begun_otherwise(changed, search)
 
 
@@ -267,7 +293,7 @@ def _begun_otherwise(changed: Changed, search: Search) -> Known | None:
         if (lost := begun_otherwise(search.batch, search.fits[names], search.fits[best])) is None:
             continue
         said = replace(lost, beside=_in_words(name for name in best if name not in names))
-        tried = changed.but(said.sentence, records=said.undisturbed(changed.records))
+        tried = changed.within(said)
         batch = tried.posed().batch
         again = fitted_on(search.fits[names], batch) if batch.specimens == search.batch.specimens else None
         if again is not None and evidence.leaves_noise(batch, again):
@@ -304,7 +330,7 @@ def _cut_by(changed: Changed, search: Search, names: Set) -> _Cut | None:
         lost = more if lost is None else more.within(lost)
         if lost.are_too_many:
             return None
-        shorter = changed.but(lost.sentence, records=lost.undisturbed(changed.records))
+        shorter = changed.within(lost)
         batch = shorter.posed().batch
         again = fitted_on(found, batch) if batch.specimens == search.batch.specimens else None
         cut = _Cut(shorter, lost, batch, again or found)

@@ -26,6 +26,7 @@ ROUNDS = 4
 """Times that the harmonics of the motion are brought up to date."""
 _SMALLEST_SLIP = 0.005  # of the amplitude
 _PER_DECADE = 6
+_OFTEN = 0.6  # slip displacement over the amplitude up to which most cycles of a decay tell it
 _GAPS = (0.02, 0.05, 0.1, 0.17, 0.25, 0.33, 0.42, 0.5, 0.58, 0.67, 0.75, 0.83, 0.9, 0.96)
 _ASYMMETRIES = (-0.4, 0.0, 0.4)
 _EXPONENTS = (0.1, 0.5, 0.95)  # where these lie between their limits
@@ -217,7 +218,9 @@ def shape_grid(layout: Layout, where: list[int]) -> tuple[FloatArray, Any]:
         if place in forces:
             high = min(layout.high[place], 10.0)
             number = round(_PER_DECADE * np.log10(high / _SMALLEST_SLIP)) + 1
-            axes.append(list(enumerate(np.geomspace(_SMALLEST_SLIP, 0.95 * high, number))))
+            slips = np.geomspace(_SMALLEST_SLIP, 0.95 * high, number)
+            # what slips at the largest amplitudes alone is as local in them as a gap that hardly closes
+            axes.append(list(enumerate(np.unique([*slips, *(gap for gap in _GAPS if gap > _OFTEN)]))))
         elif place in layout.ordinates:
             axes.append([(0, 0.0)])
         elif place in pairs:  # asymmetry of a pair whose sum is on the other axis

@@ -45,7 +45,7 @@ _LEADERS = 8  # sets whose relatives are asked
 _NEARLY_AS_GOOD = 10.0  # chi-square above that of the best point of a set
 _POLISHED = 16
 _LARGEST_VARIED = 2  # effects of the sets that hold variants
-_NEAR = 100  # sets that are refined from several starts
+_NEAR = 100  # sets that are refined from several starts, beside single effects
 
 
 def propose(
@@ -191,7 +191,7 @@ class _Proposer:
     def _start_all(self, found: tuple[FloatArray, Any, FloatArray], defect: FloatArray) -> None:
         """Refine the best points of all sets by looks with the common defect."""
         order = np.argsort(found[0][:, 0] + np.array([self._penalty(names) for names in self.sets]))
-        near = set(order[:_NEAR].tolist())
+        near = set(order[:_NEAR].tolist()) | {s for s, names in enumerate(self.sets) if len(names) == 1}
 
         def work(s: int) -> None:
             names = self.sets[s]

@@ -1,0 +1,188 @@
+"""First cycles that are no free motion: seen in the middle of a search, and what remembers runs in behind them."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.signal import butter, sosfilt
+
+import pymc_backbone as pb
+from pymc_backbone.discrepancy.checks import rivals
+from pymc_backbone.discrepancy.disturbances import undisturbed as module
+from pymc_backbone.discrepancy.disturbances.changed import Changed
+from pymc_backbone.discrepancy.disturbances.earlier_release import Earlier, run_in
+from pymc_backbone.discrepancy.disturbances.early_edges import early_edges
+from pymc_backbone.discrepancy.disturbances.edges import Edges, between
+from pymc_backbone.discrepancy.drift.drift_fits import drift_fit, weighed
+from pymc_backbone.discrepancy.fitting.joint_fit import fit
+from pymc_backbone.discrepancy.fitting.normal_equations import State
+from pymc_backbone.discrepancy.sets.search import Search
+from pymc_backbone.discrepancy.weighing import evidence
+
+from .discrepancy_cases import (
+    AMPLITUDE,
+    DAMPING,
+    FREQUENCY,
+    MASS,
+    OMEGA,
+    PER_CYCLE,
+    RELEASE_TIME,
+    STIFFNESS,
+    TIME,
+    batch_of,
+    drifting_records,
+    make_records,
+    noisy,
+)
+from .test_earlier_release import REMEMBERS
+
+_CUT = 2.2  # cycles
+
+
+def filtered(records):
+    """Records that went through a causal low-pass after they were made, which began at rest with them."""
+    sections = butter(4, 3.0 * FREQUENCY, fs=PER_CYCLE * FREQUENCY, output="sos")
+    found = []
+    for record in records:
+        begun = record.time >= RELEASE_TIME
+        time = record.time[begun] - RELEASE_TIME
+        found.append(pb.Record(record.specimen, time, sosfilt(sections, record.values[begun]), record.quantity,
+                               record.unit, "made in a test", ()))  # fmt: skip
+    return found
+
+
+def searched(records, candidates=("cubic_stiffness", "freeplay")):
+    search = Search(batch_of(records), pb.Oscillator(MASS), candidates, 2, lambda _stage, _share: None)
+    search.fit_set(())
+    return search
+
+
+def test_cycles_in_which_a_filter_settles_are_seen_before_all_sets_were_fitted(rng):
+    search = searched(filtered(make_records(rng, ("cubic_stiffness",), specimens=3)))
+    assert early_edges(search) is None  # of what follows nothing is known yet
+    search.fit_set(("cubic_stiffness",))
+    lost = early_edges(search)
+    assert lost is not None and sorted(lost.first) == ["specimen 1", "specimen 2", "specimen 3"]
+    for name, begin in lost.first.items():
+        assert 1.0 < begin * FREQUENCY < 4.0, name
+
+
+def test_beside_a_drift_in_time_they_are_seen_as_well(rng):
+    search = searched(filtered(drifting_records(rng, 0.02, cubic=0.05)))
+    search.fit_set(("cubic_stiffness",))
+    lost = early_edges(search)
+    assert lost is not None and len(lost.first) == 2
+
+
+@pytest.mark.parametrize("effects", [("cubic_stiffness",), ("quadratic_damping",)])
+def test_of_free_motion_no_cycle_is_left_out(effects, rng):
+    """Neither where a set explains the records, nor where none does."""
+    search = searched(make_records(rng, effects))
+    search.fit_set(("cubic_stiffness",))
+    assert early_edges(search) is None
+
+
+def test_what_is_reached_in_the_first_cycle_alone_is_no_edge(rng, monkeypatch):
+    """A stop within reach of the largest motions: fitted beside the simple set, it explains them."""
+    search = searched(filtered(make_records(rng, ("cubic_stiffness",), specimens=3)))
+    search.fit_set(("cubic_stiffness",))
+    assert early_edges(search) is not None
+    stop = ("cubic_stiffness", "freeplay")
+    monkeypatch.setattr(search, "is_any_exact", lambda fits: search.fits[stop] in list(fits))
+    assert early_edges(search) is None
+
+
+def test_what_remembers_runs_in_behind_cycles_that_were_cut(rng):
+    """Loaded from rest up to the first turning point that is left, it would hold another force than after the cut."""
+    base = pb.Oscillator(MASS, ["bouc_wen"])
+    truth = {"linear_stiffness": STIFFNESS, "viscous_damping": DAMPING} | REMEMBERS
+    records = []
+    for r in range(2):
+        exact = pb.simulate_waveform(base, truth, TIME, AMPLITUDE * (1.0 - 0.1 * r), release_time=0.0).displacement
+        whole = noisy(rng, f"specimen {r + 1}", TIME, exact, 65.0)
+        records.append(between(whole, _CUT / FREQUENCY, np.inf))
+    batch = batch_of(records)
+    vector = np.array([truth[name] for name in base.parameter_names])
+    search = Search(batch, base, ("cubic_stiffness",), 1, lambda _stage, _share: None)
+    layout = search.layout(())
+    eta = layout.coordinates(vector[layout.free])
+
+    def fitted(batch):
+        own = np.zeros((2, 7 + layout.free.size))
+        own[:, :2], own[:, 2:4] = vector[:2], batch.own[:, 2:4]
+        return fit(layout, batch.deciding, State(eta, own), iterations=40, nuisances=batch.nuisances)
+
+    cut, run = fitted(batch), fitted(run_in(batch, batch.specimens))
+    assert not evidence.leaves_noise(batch, cut)
+    assert evidence.leaves_noise(batch, run)
+    assert run.cost < cut.cost - 100.0
+
+
+def test_records_run_in_over_motion_that_is_hardly_larger(rng):
+    slowly, fast = (
+        batch_of([noisy(rng, "one", TIME, AMPLITUDE * np.exp(-loss * OMEGA * TIME) * np.cos(OMEGA * TIME), 60.0)])
+        for loss in (0.004, 0.03)
+    )
+    for batch, count in ((slowly, 4), (fast, 2)):
+        begun = run_in(batch, ("one", "another"))
+        assert begun.own[0, 3] == pytest.approx(Earlier({"one": count}).released(batch).own[0, 3])
+        assert abs(begun.own[0, 2]) <= 1.25 * abs(batch.own[0, 2])
+        assert begun.own[0, 3] == pytest.approx(batch.own[0, 3] - 0.5 * count / FREQUENCY, abs=0.02 / FREQUENCY)
+    assert run_in(slowly, ()) is slowly
+
+
+def test_cut_records_are_remembered_to_begin_late():
+    class Question(SimpleNamespace):
+        def of_records(self, records, _measuring, _notes):
+            return SimpleNamespace(batch=SimpleNamespace(specimens=("one", "two")), records=records)
+
+    record = SimpleNamespace(specimen="one", time=np.arange(5.0), values=np.arange(5.0), starts_free=False)
+    changed = Changed(Question(), None, None, None, [record])
+    assert changed.begun_late == frozenset()
+    lost = Edges({"one": -1.0}, {"two": 3.0})
+    assert changed.within(lost).begun_late == {"one"}
+    assert changed.within(lost).within(Edges({"two": -1.0})).begun_late == {"one", "two"}
+    assert changed.within(lost).said == (lost.sentence,)
+
+
+@pytest.mark.parametrize("explains", [True, False])
+def test_a_search_that_first_cycles_halted_goes_on_where_nothing_is_explained_without_them(explains, monkeypatch):
+    monkeypatch.setattr(module, "lines_that_beat", lambda *_: None)
+    monkeypatch.setattr(module, "clock_steps", lambda *_: None)
+    monkeypatch.setattr(module, "is_relaxed_at_release", lambda _: False)
+    monkeypatch.setattr(module, "earlier", lambda _: None)
+    resumed = []
+    search = SimpleNamespace(halted=Edges({"one": 1.0}), is_told=False, batch=None, resume=lambda: resumed.append(1))
+    rest = SimpleNamespace(halted=None)
+    cut = module.Known(None, SimpleNamespace(search=rest, is_drifting=False))
+    changed = SimpleNamespace(lines=(), records=(), is_of_rates=True,
+                              within=lambda lost: SimpleNamespace(asked=lambda *_: cut))  # fmt: skip
+    monkeypatch.setattr(module, "is_exact", lambda item: explains and item is rest)
+    monkeypatch.setattr(module, "_one_by_one", lambda known: known.found)
+    original = module._undisturbed
+    monkeypatch.setattr(module, "_undisturbed", lambda known: known.found if known is cut else original(known))
+    known = module.Known(changed, SimpleNamespace(search=search))
+    found = module._undisturbed(known)
+    assert found is (cut.found if explains else known.found)
+    assert resumed == ([] if explains else [1])
+
+
+def test_what_is_in_a_set_with_a_drift_begins_where_that_ended(rng, monkeypatch):
+    """Alone, a law had followed the drift; so had it beside one, begun there, and what is not there had to help."""
+    search = searched(drifting_records(rng, 0.03, cubic=0.08), ("cubic_stiffness", "quadratic_damping"))
+    law, both = ("cubic_stiffness",), ("cubic_stiffness", "quadratic_damping")
+    layout, truth = search.layout(both), {"cubic_stiffness": 0.08 * STIFFNESS / AMPLITUDE**2, "quadratic_damping": 0.0}
+    own = np.zeros((2, 7 + layout.free.size))
+    own[:, :2], own[:, 2:4] = (STIFFNESS, DAMPING), search.batch.own[:, 2:4]
+    begun = State(layout.coordinates(np.array([truth[name] for name in layout.names])), own)
+    alone, lost = search.fit_set(both), search.fit_set(law)
+    larger = drift_fit(search.batch, layout, begun)
+    assert evidence.leaves_noise(search.batch, larger)
+    found = {both: weighed(search.batch, larger, alone)}
+    assert larger.cost < alone.cost - 100.0
+    rivals._ask_parts(search, found, np.inf)
+    assert evidence.leaves_noise(search.batch, found[law].fit)
+    assert found[law].fit.cost < larger.cost + 10.0 < lost.cost
+    assert () not in found or found[()].fit.cost > 2.0 * larger.cost
