@@ -14,7 +14,8 @@ from pymc_backbone.discrepancy.disturbances import undisturbed as module
 from pymc_backbone.discrepancy.disturbances.changed import Changed
 from pymc_backbone.discrepancy.disturbances.earlier_release import Earlier, run_in
 from pymc_backbone.discrepancy.disturbances.early_edges import early_edges
-from pymc_backbone.discrepancy.disturbances.edges import Edges, between
+from pymc_backbone.discrepancy.disturbances.edges import Edges, between, edges
+from pymc_backbone.discrepancy.disturbances.free_start import without_start
 from pymc_backbone.discrepancy.drift.drift_fits import drift_fit, weighed
 from pymc_backbone.discrepancy.fitting.joint_fit import fit
 from pymc_backbone.discrepancy.fitting.normal_equations import State
@@ -84,13 +85,24 @@ def test_of_free_motion_no_cycle_is_left_out(effects, rng):
     assert early_edges(search) is None
 
 
-def test_what_is_reached_in_the_first_cycle_alone_is_no_edge(rng, monkeypatch):
-    """A stop within reach of the largest motions: fitted beside the simple set, it explains them."""
-    search = searched(filtered(make_records(rng, ("cubic_stiffness",), specimens=3)))
-    search.fit_set(("cubic_stiffness",))
-    assert early_edges(search) is not None
-    stop = ("cubic_stiffness", "freeplay")
-    monkeypatch.setattr(search, "is_any_exact", lambda fits: search.fits[stop] in list(fits))
+@pytest.mark.parametrize("effect", ["jenkins", "freeplay"])
+def test_what_acts_in_the_first_cycle_alone_is_no_edge(effect, rng):
+    """A slider that slips, or a stop that is reached, at the largest amplitudes only: fitted, it explains them."""
+    at = 0.85 * AMPLITUDE
+    truth = {"linear_stiffness": STIFFNESS, "viscous_damping": 4.0 * DAMPING} | {
+        "jenkins": {"slider_stiffness": 0.5 * STIFFNESS, "slip_force": 0.5 * STIFFNESS * at},
+        "freeplay": {"contact_stiffness": STIFFNESS, "gap": at},
+    }[effect]
+    oscillator, records = pb.Oscillator(MASS, effect), []
+    for r in range(3):
+        own = truth | {"linear_stiffness": STIFFNESS * (1.0 + 0.005 * r)}
+        exact = pb.simulate_waveform(oscillator, own, TIME - TIME[0], AMPLITUDE).displacement
+        records.append(noisy(rng, f"specimen {r + 1}", TIME - TIME[0], exact, 60.0))
+    search = searched(records, ("cubic_stiffness", effect))
+    free = without_start(search.batch, search.fits[()])
+    assert free.cost < 1.1 * search.count < 0.5 * search.fits[()].cost  # without the first cycle nothing is missing
+    seen = edges(search.batch, free.found)
+    assert seen is not None and seen.cycles == 1
     assert early_edges(search) is None
 
 

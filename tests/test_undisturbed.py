@@ -32,6 +32,7 @@ def _as_released(monkeypatch):
     monkeypatch.setattr(module, "lines_that_beat", lambda *_: None)
     monkeypatch.setattr(module, "clock_steps", lambda *_: None)
     monkeypatch.setattr(module, "is_relaxed_at_release", lambda *_: False)
+    monkeypatch.setattr(changed, "run_in", lambda batch, _specimens: batch)
     monkeypatch.setattr(module, "settled", lambda _search, _behind, chosen: chosen)
 
 
@@ -47,7 +48,7 @@ def test_first_cycles_that_come_to_be_off_one_after_the_other_are_no_edge(passes
     monkeypatch.setattr(module, "edges", seen)
     monkeypatch.setattr(module, "fitted_on", lambda found, _batch: found)
     asked = SimpleNamespace(records=[], posed=lambda: SimpleNamespace(batch=batch))
-    asked.but = lambda _sentence, **_changes: asked
+    asked.within = lambda _lost: asked
     cut = module._cut_by(asked, SimpleNamespace(batch=batch, fits={(): "a fit"}), ())
     assert (cut is not None) == is_cut
     if is_cut:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from itertools import batched
+from collections.abc import Iterator
+from itertools import product
+from typing import NamedTuple
 
 from ...effects import LIBRARY
+from ..fitting import starts
 from ..fitting.descent import is_heavy
 from ..fitting.joint_fit import Fit, fit
-from ..fitting.normal_equations import DRIFTS
+from ..fitting.layout import Layout
+from ..fitting.normal_equations import DRIFTS, State
 from ..proposals.set_fits import Set
 from ..sets.fitted_sets import FittedSets
-from ..sets.side_by_side import ABREAST, fit_side_by_side
 from .behind_filter import ITERATIONS
 from .edges import Edges, edges
 from .free_start import FreeStart, without_start
@@ -18,6 +21,9 @@ from .free_start import FreeStart, without_start
 _ASKED = 4  # sets so far that leave least
 _NEAR = 1.1  # reduced chi-square of what follows the first cycles, up to which a set explains it
 _LEFT = 0.5  # of what is left with the first cycles, that is left without them where a drift may explain the rest
+_NEARLY = 0.1  # of what the first cycles leave, that is left where an effect explains them
+_STRENGTHS = (0.02, 0.3)  # of what may act in them, over its largest typical one
+_SHARES, _SLIPPING = (0.03, 0.15), (0.6, 0.95)  # stiffness of a slider over all, slip displacement over the amplitude
 _FROM = ("gap", "slip_force")  # roles of what says from which amplitude on an effect acts
 
 
@@ -31,18 +37,25 @@ def early_edges(search: FittedSets) -> Edges | None:
     lowest = min(search.fits.values(), key=lambda item: item.cost)
     if not search.batch.has_open_records or search.explains(lowest) or (seen := _seen(search)) is None:
         return None
-    names, lost = seen
-    return None if _is_explained_beside(search, names) else lost
+    return None if _is_explained_beside(search, seen) else seen.lost
 
 
-def _seen(search: FittedSets) -> tuple[Set, Edges] | None:
+class Seen(NamedTuple):
+    """A set that explains what follows the first cycles, how, and these."""
+
+    names: Set
+    found: Fit
+    lost: Edges
+
+
+def _seen(search: FittedSets) -> Seen | None:
     """Return the simplest set that explains what follows the first cycles, and these."""
     for names in sorted(sorted(search.fits, key=lambda item: search.fits[item].cost)[:_ASKED], key=len):
         free = without_start(search.batch, search.fits[names])
         found = None if free is None else _explaining(search, free, search.fits[names])
         lost = None if found is None else edges(search.batch, found)
-        if lost is not None and lost.first:
-            return names, lost
+        if free is not None and lost is not None and lost.first:
+            return Seen(names, free.found, lost)
     return None
 
 
@@ -56,18 +69,43 @@ def _explaining(search: FittedSets, free: FreeStart, start: Fit) -> Fit | None:
     return drifting if drifting is not None and drifting.cost + free.values < most else None
 
 
-def _is_explained_beside(search: FittedSets, names: Set) -> bool:
-    """Return whether a set explains the records to their first sample with what acts from some amplitude on."""
-    if len(names) >= search.max_effects:
+def _is_explained_beside(search: FittedSets, seen: Seen) -> bool:
+    """Return whether a set explains the first cycles, or nearly, with what acts from some amplitude on."""
+    noise, left = float(search.count), search.fits[seen.names].cost
+    if len(seen.names) >= search.max_effects:
         return False
-    others = [name for name in search.candidates if name not in names and _has_threshold(search, name)]
-    larger: list[Set] = [tuple(sorted((*names, name))) for name in others]
-    for few in batched([item for item in larger if not is_heavy(search.layout(item))], ABREAST):
+    for name in search.candidates:
+        if name in seen.names or not _has_threshold(search, name):
+            continue
+        layout = search.layout(tuple(sorted((*seen.names, name))))
+        if is_heavy(layout):
+            continue
         search.progress("what acts in the first cycles", 0.5)
-        fit_side_by_side(search, few)
-        if search.is_any_exact(search.fits.values()):
+        found = search.descent.from_near(layout, list(_begun(layout, name, seen.found)))
+        if found is not None and found.cost - noise < _NEARLY * (left - noise):
             return True
     return False
+
+
+def _begun(layout: Layout, name: str, known: Fit) -> Iterator[State]:
+    """Yield starts with an effect beside a set as it ended without the first cycles.
+
+    A slider begins as a part of the spring that it is where it sticks, so that the phase is not lost.
+    """
+    begun, _ = starts.embedded(layout, known)
+    where = starts.positions(layout, name)
+    slips = [(strength, slip) for strength, slip in layout.slips if strength in where]
+    for share, slipping in product(_SHARES, _SLIPPING) if slips else ():
+        eta, own = begun.eta.copy(), begun.own.copy()
+        for strength, slip in slips:
+            stiffness = share * float(own[:, 0].mean())
+            eta[[strength, slip]] = stiffness * slipping * layout.amplitude, slipping
+            own[:, 0] -= stiffness
+        yield State(eta, own)
+    for point in starts.grid(layout, name, _STRENGTHS) if not slips else ():
+        eta = begun.eta.copy()
+        eta[where] = point
+        yield State(eta, begun.own)
 
 
 def _has_threshold(search: FittedSets, name: str) -> bool:
