@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,10 +18,12 @@ from pymc_backbone.discrepancy.disturbances.early_edges import early_edges
 from pymc_backbone.discrepancy.disturbances.edges import Edges, between, edges
 from pymc_backbone.discrepancy.disturbances.free_start import without_start
 from pymc_backbone.discrepancy.drift.drift_fits import drift_fit, weighed
+from pymc_backbone.discrepancy.fitting import starts
 from pymc_backbone.discrepancy.fitting.joint_fit import fit
 from pymc_backbone.discrepancy.fitting.normal_equations import State
 from pymc_backbone.discrepancy.sets.search import Search
 from pymc_backbone.discrepancy.weighing import evidence
+from pymc_backbone.discrepancy.weighing.evidence import Drifting
 
 from .discrepancy_cases import (
     AMPLITUDE,
@@ -60,6 +63,20 @@ def searched(records, candidates=("cubic_stiffness", "freeplay")):
     return search
 
 
+def simulated(rng, effect, truth, count):
+    """Records of specimens whose stiffness differs a little."""
+    oscillator, time, records = pb.Oscillator(MASS, effect), TIME - TIME[0], []
+    for r in range(count):
+        own = truth | {"linear_stiffness": STIFFNESS * (1.0 + 0.005 * r)}
+        exact = pb.simulate_waveform(oscillator, own, time, AMPLITUDE * (1.0 - 0.1 * r)).displacement
+        records.append(noisy(rng, f"specimen {r + 1}", time, exact, 60.0))
+    return records
+
+
+PLAY = {"linear_stiffness": STIFFNESS, "viscous_damping": DAMPING, "contact_stiffness": 0.1 * STIFFNESS,
+        "gap": 0.3 * AMPLITUDE}  # fmt: skip
+
+
 def test_cycles_in_which_a_filter_settles_are_seen_before_all_sets_were_fitted(rng):
     search = searched(filtered(make_records(rng, ("cubic_stiffness",), specimens=3)))
     assert early_edges(search) is None  # of what follows nothing is known yet
@@ -93,12 +110,7 @@ def test_what_acts_in_the_first_cycle_alone_is_no_edge(effect, rng):
         "jenkins": {"slider_stiffness": 0.5 * STIFFNESS, "slip_force": 0.5 * STIFFNESS * at},
         "freeplay": {"contact_stiffness": STIFFNESS, "gap": at},
     }[effect]
-    oscillator, records = pb.Oscillator(MASS, effect), []
-    for r in range(3):
-        own = truth | {"linear_stiffness": STIFFNESS * (1.0 + 0.005 * r)}
-        exact = pb.simulate_waveform(oscillator, own, TIME - TIME[0], AMPLITUDE).displacement
-        records.append(noisy(rng, f"specimen {r + 1}", TIME - TIME[0], exact, 60.0))
-    search = searched(records, ("cubic_stiffness", effect))
+    search = searched(simulated(rng, effect, truth, 3), ("cubic_stiffness", effect))
     free = without_start(search.batch, search.fits[()])
     assert free.cost < 1.1 * search.count < 0.5 * search.fits[()].cost  # without the first cycle nothing is missing
     seen = edges(search.batch, free.found)
@@ -198,3 +210,46 @@ def test_what_is_in_a_set_with_a_drift_begins_where_that_ended(rng, monkeypatch)
     assert evidence.leaves_noise(search.batch, found[law].fit)
     assert found[law].fit.cost < larger.cost + 10.0 < lost.cost
     assert () not in found or found[()].fit.cost > 2.0 * larger.cost
+
+
+def test_a_contact_beside_a_drift_is_begun_from_other_gaps(rng, monkeypatch):
+    """Alone it had followed the drift with a gap of a quarter and stops of twice the stiffness, and stayed there."""
+    search = searched(simulated(rng, "freeplay", PLAY, 2), ("freeplay", "cubic_stiffness"))
+    law = ("freeplay",)
+    right = search.fit_set(law)
+    layout = search.layout(law)
+    gap = right.state.eta[1]
+    begun = starts.with_other_gaps(layout, right, search.batch.angular_frequency)
+    displacements = [starts._parameters(layout, state.eta)[layout.oscillator.index("gap")] for state in begun]
+    assert np.array(displacements) / layout.amplitude == pytest.approx([0.1, 0.25, 0.5])
+    asked = []
+
+    def fitted(_batch, _layout, state, _limit):
+        asked.append(state)
+        # what a fit leaves that stays at the gap where it began
+        return replace(right, chi_square=right.chi_square + 50.0 * abs(np.log(state.eta[1] / gap)))
+
+    monkeypatch.setattr(rivals, "drift_fit", fitted)
+    monkeypatch.setattr(rivals, "weighed", lambda _batch, drifting, _alone: Drifting(drifting, 0.0))
+    lost = Drifting(replace(right, chi_square=right.chi_square + 100.0), 0.0)
+    found = {law: lost, (): lost}
+    rivals._ask_other_gaps(search, found, np.inf)
+    assert len(asked) == 3 and found[()] is lost
+    nearest = min(asked, key=lambda state: abs(np.log(state.eta[1] / gap)))
+    assert found[law].fit.cost == pytest.approx(fitted(None, None, nearest, None).cost)
+    assert found[law].fit.cost < lost.fit.cost
+
+
+def test_other_gaps_keep_the_force_over_the_motion(rng):
+    search = searched(simulated(rng, "freeplay", PLAY, 2), ("freeplay",))
+    known = search.fit_set(("freeplay",))
+    layout, omega = known.layout, search.batch.angular_frequency
+    x, v, a = starts._motion(layout, omega)
+    for state in starts.with_other_gaps(layout, known, omega):
+        forces = []
+        for item in (known.state, state):
+            force = starts._forces(layout, layout.oscillator.effects[-1], starts._parameters(layout, item.eta), x, v, a)
+            forces.append(force + item.own[0, 0] * x)
+        before, after = (np.abs(force).max() for force in forces)
+        assert np.abs(forces[1] - forces[0]).max() < 0.05 * before
+        assert after == pytest.approx(before, rel=0.05)

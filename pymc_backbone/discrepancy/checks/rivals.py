@@ -59,6 +59,7 @@ def drifting_sets(search: Search) -> dict[Set, Drifting]:
     found: dict[Set, Drifting] = {}
     limit = search.descent.hopeless(search.fits[best] if is_exact else None)
     _ask(search, asked, found, limit)
+    _ask_other_gaps(search, found, limit)
     helped = [
         names
         for names in found
@@ -151,6 +152,16 @@ def _ask_plain(search: Search, found: dict[Set, Drifting], limit: float) -> None
             continue
         if drifting.cost < alone.cost - _HELPED:
             found[names] = weighed(search.batch, drifting, alone)
+
+
+def _ask_other_gaps(search: Search, found: dict[Set, Drifting], limit: float) -> None:
+    """Begin sets with a contact from other gaps, too: alone it had closed where that followed the drift best."""
+    for names in [item for item in found if not is_heavy(search.layout(item))]:
+        alone, layout = search.fits[names], search.layout(names)
+        for state in starts.with_other_gaps(layout, alone, search.batch.angular_frequency):
+            drifting = drift_fit(search.batch, layout, state, limit)
+            if drifting is not None and drifting.cost < found[names].fit.cost - NEEDED:
+                found[names] = weighed(search.batch, drifting, alone)
 
 
 def _ask_parts(search: Search, found: dict[Set, Drifting], limit: float) -> None:
