@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,20 +9,16 @@ import pytest
 from scipy.signal import butter, sosfilt
 
 import pymc_backbone as pb
-from pymc_backbone.discrepancy.checks import rivals
 from pymc_backbone.discrepancy.disturbances import undisturbed as module
 from pymc_backbone.discrepancy.disturbances.changed import Changed
 from pymc_backbone.discrepancy.disturbances.earlier_release import Earlier, run_in
 from pymc_backbone.discrepancy.disturbances.early_edges import early_edges
 from pymc_backbone.discrepancy.disturbances.edges import Edges, between, edges
 from pymc_backbone.discrepancy.disturbances.free_start import without_start
-from pymc_backbone.discrepancy.drift.drift_fits import drift_fit, weighed
-from pymc_backbone.discrepancy.fitting import starts
 from pymc_backbone.discrepancy.fitting.joint_fit import fit
 from pymc_backbone.discrepancy.fitting.normal_equations import State
 from pymc_backbone.discrepancy.sets.search import Search
 from pymc_backbone.discrepancy.weighing import evidence
-from pymc_backbone.discrepancy.weighing.evidence import Drifting
 
 from .discrepancy_cases import (
     AMPLITUDE,
@@ -191,65 +186,3 @@ def test_a_search_that_first_cycles_halted_goes_on_where_nothing_is_explained_wi
     found = module._undisturbed(known)
     assert found is (cut.found if explains else known.found)
     assert resumed == ([] if explains else [1])
-
-
-def test_what_is_in_a_set_with_a_drift_begins_where_that_ended(rng, monkeypatch):
-    """Alone, a law had followed the drift; so had it beside one, begun there, and what is not there had to help."""
-    search = searched(drifting_records(rng, 0.03, cubic=0.08), ("cubic_stiffness", "quadratic_damping"))
-    law, both = ("cubic_stiffness",), ("cubic_stiffness", "quadratic_damping")
-    layout, truth = search.layout(both), {"cubic_stiffness": 0.08 * STIFFNESS / AMPLITUDE**2, "quadratic_damping": 0.0}
-    own = np.zeros((2, 7 + layout.free.size))
-    own[:, :2], own[:, 2:4] = (STIFFNESS, DAMPING), search.batch.own[:, 2:4]
-    begun = State(layout.coordinates(np.array([truth[name] for name in layout.names])), own)
-    alone, lost = search.fit_set(both), search.fit_set(law)
-    larger = drift_fit(search.batch, layout, begun)
-    assert evidence.leaves_noise(search.batch, larger)
-    found = {both: weighed(search.batch, larger, alone)}
-    assert larger.cost < alone.cost - 100.0
-    rivals._ask_parts(search, found, np.inf)
-    assert evidence.leaves_noise(search.batch, found[law].fit)
-    assert found[law].fit.cost < larger.cost + 10.0 < lost.cost
-    assert () not in found or found[()].fit.cost > 2.0 * larger.cost
-
-
-def test_a_contact_beside_a_drift_is_begun_from_other_gaps(rng, monkeypatch):
-    """Alone it had followed the drift with a gap of a quarter and stops of twice the stiffness, and stayed there."""
-    search = searched(simulated(rng, "freeplay", PLAY, 2), ("freeplay", "cubic_stiffness"))
-    law = ("freeplay",)
-    right = search.fit_set(law)
-    layout = search.layout(law)
-    gap = right.state.eta[1]
-    begun = starts.with_other_gaps(layout, right, search.batch.angular_frequency)
-    displacements = [starts._parameters(layout, state.eta)[layout.oscillator.index("gap")] for state in begun]
-    assert np.array(displacements) / layout.amplitude == pytest.approx([0.1, 0.25, 0.5])
-    asked = []
-
-    def fitted(_batch, _layout, state, _limit):
-        asked.append(state)
-        # what a fit leaves that stays at the gap where it began
-        return replace(right, chi_square=right.chi_square + 50.0 * abs(np.log(state.eta[1] / gap)))
-
-    monkeypatch.setattr(rivals, "drift_fit", fitted)
-    monkeypatch.setattr(rivals, "weighed", lambda _batch, drifting, _alone: Drifting(drifting, 0.0))
-    lost = Drifting(replace(right, chi_square=right.chi_square + 100.0), 0.0)
-    found = {law: lost, (): lost}
-    rivals._ask_other_gaps(search, found, np.inf)
-    assert len(asked) == 3 and found[()] is lost
-    nearest = min(asked, key=lambda state: abs(np.log(state.eta[1] / gap)))
-    assert found[law].fit.cost == pytest.approx(fitted(None, None, nearest, None).cost)
-    assert found[law].fit.cost < lost.fit.cost
-
-
-def test_other_gaps_keep_the_force_over_the_motion(rng):
-    search = searched(simulated(rng, "freeplay", PLAY, 2), ("freeplay",))
-    known = search.fit_set(("freeplay",))
-    layout, omega = known.layout, search.batch.angular_frequency
-    x, v, a = starts._motion(layout, omega)
-    for state in starts.with_other_gaps(layout, known, omega):
-        forces = []
-        for item in (known.state, state):
-            force = starts._forces(layout, layout.oscillator.effects[-1], starts._parameters(layout, item.eta), x, v, a)
-            forces.append(force + item.own[0, 0] * x)
-        before, after = (np.abs(force).max() for force in forces)
-        assert np.abs(forces[1] - forces[0]).max() < 0.05 * before
-        assert after == pytest.approx(before, rel=0.05)

@@ -82,8 +82,8 @@ def _settled(search: Search, found: dict[Set, Drifting]) -> dict[Set, Drifting]:
     """Return the same with drifts that settle, where one beside a set leaves noise, and a steady one more.
 
     Where a set leaves noise, or does so with a steady drift beside it, one that lacks an effect of the best, or holds a
-    plain law in the place of a variant, has to be likelier with a drift that settles than all these. Where none does,
-    releases have to say that it is no law of the amplitude.
+    plain law in the place of a variant, has to be likelier with a drift that settles than all these. In any case
+    releases have to say that it is no law of the amplitude, of which a decay makes the same curve.
     """
     batch, best = search.batch, search.best()
     known = [search.fits[best], *(item.fit for item in found.values())]
@@ -103,7 +103,7 @@ def _settled(search: Search, found: dict[Set, Drifting]) -> dict[Set, Drifting]:
         with_time = settled(batch, alone, steady)
         if with_time is None:
             continue
-        if _is_likeliest(search, found, names, with_time) if is_exact else with_time.is_of_time:
+        if with_time.is_of_time and (not is_exact or _is_likeliest(search, found, names, with_time)):
             search.batch = with_time.batch
             return drifting_sets(search)
     return found
