@@ -186,3 +186,17 @@ def test_a_search_that_first_cycles_halted_goes_on_where_nothing_is_explained_wi
     found = module._undisturbed(known)
     assert found is (cut.found if explains else known.found)
     assert resumed == ([] if explains else [1])
+
+
+@pytest.mark.parametrize(("left", "is_cut"), [(110.0, False), (1500.0, True)])
+def test_cycles_that_a_law_explains_nearly_are_its_own(left, is_cut, monkeypatch):
+    """A slider that slips in the first ones alone, read by a bent sensor: next to all of what is there, if not exact."""
+    fits = {("jenkins",): SimpleNamespace(cost=left), (): SimpleNamespace(cost=2e5)}
+    search = SimpleNamespace(fits=fits, count=100, best=lambda: ("jenkins",))
+    seen = module._Cut(None, Edges({"one": 1.0}, cycles=3), "batch", "fit")
+    monkeypatch.setattr(module, "is_exact", lambda _: False)
+    monkeypatch.setattr(module, "_cut_by", lambda _changed, _search, names: None if names else seen)
+    monkeypatch.setattr(module.evidence, "leaves_noise", lambda *_: True)
+    changed = SimpleNamespace(within=lambda lost: SimpleNamespace(asked=lambda: lost))
+    found = module._without_edges(changed, SimpleNamespace(search=search))
+    assert (found is not None) == is_cut

@@ -11,6 +11,7 @@ import numpy as np
 from ...measurement.options import Measuring
 from ...measurement.reading.record import Record
 from ..fitting.joint_fit import Fit
+from ..sets.fitted_sets import FittedSets
 from ..sets.promising import is_promising
 from ..sets.question import Question
 from ..sets.search import Search, Set
@@ -24,6 +25,8 @@ from .sensor_filter import SensorFilter
 
 LESS = 0.5
 """Share of what the best set left, up to which a set explains more of changed records."""
+
+_NEXT_TO_NOTHING = 1e-3
 
 Drifts = Callable[[Search], Mapping[Set, Drifting]]
 """Asks the sets of a finished search with a drift in time beside them."""
@@ -149,6 +152,15 @@ def is_better(tried: Search, search: Search) -> bool:
     return is_exact(tried) or left(tried).share < LESS * left(search).share
 
 
+def takes_nearly_all(search: FittedSets, best: Set, names: Set) -> bool:
+    """Return whether one set takes next to all of what another leaves beyond the noise: a law, and no imitation.
+
+    What stands in for a hand in the first cycle takes most of it.
+    """
+    left, before = (search.fits[item].cost - search.count for item in (best, names))
+    return bool(left < _NEXT_TO_NOTHING * before)
+
+
 def gains(tried: Search, search: Search) -> bool:
     """Return whether the most probable set of one search leaves half of what it leaves in another at most.
 
@@ -160,4 +172,16 @@ def gains(tried: Search, search: Search) -> bool:
     return same is None or left(tried).share < LESS * evidence.lack_of_fit(search.batch, same).share
 
 
-__all__ = ["LESS", "Changed", "Drifts", "Known", "Undisturbed", "gains", "is_better", "is_exact", "left", "over_motion"]
+__all__ = [
+    "LESS",
+    "Changed",
+    "Drifts",
+    "Known",
+    "Undisturbed",
+    "gains",
+    "is_better",
+    "is_exact",
+    "left",
+    "over_motion",
+    "takes_nearly_all",
+]

@@ -15,6 +15,7 @@ from ..fitting.normal_equations import DRIFTS, State
 from ..proposals.set_fits import Set
 from ..sets.fitted_sets import FittedSets
 from .behind_filter import ITERATIONS
+from .changed import takes_nearly_all
 from .edges import Edges, edges
 from .free_start import FreeStart, without_start
 
@@ -50,7 +51,10 @@ class Seen(NamedTuple):
 
 def _seen(search: FittedSets) -> Seen | None:
     """Return the simplest set that explains what follows the first cycles, and these."""
-    for names in sorted(sorted(search.fits, key=lambda item: search.fits[item].cost)[:_ASKED], key=len):
+    likeliest = sorted(search.fits, key=lambda item: search.fits[item].cost)[:_ASKED]
+    for names in sorted(likeliest, key=len):
+        if takes_nearly_all(search, likeliest[0], names):
+            continue
         free = without_start(search.batch, search.fits[names])
         found = None if free is None else _explaining(search, free, search.fits[names])
         lost = None if found is None else edges(search.batch, found)

@@ -21,7 +21,19 @@ from ..sets.relaxed_release import SENTENCE as RELAXED
 from ..sets.relaxed_release import is_relaxed_at_release
 from ..sets.search import Search
 from ..weighing import evidence
-from .changed import LESS, Changed, Drifts, Known, Undisturbed, gains, is_better, is_exact, left, over_motion
+from .changed import (
+    LESS,
+    Changed,
+    Drifts,
+    Known,
+    Undisturbed,
+    gains,
+    is_better,
+    is_exact,
+    left,
+    over_motion,
+    takes_nearly_all,
+)
 from .clock_steps import clock_steps
 from .close_modes import lines_that_beat
 from .disturbance import Disturbed, sentences
@@ -277,6 +289,8 @@ def _without_edges(changed: Changed, known: Undisturbed) -> Known | None:
     is_needed = not is_exact(search)
     for names in (names for size in range(len(best)) for names in combinations(best, size) if names in search.fits):
         idle = tuple(name for name in best if name not in names)
+        if is_needed and takes_nearly_all(search, best, names):
+            continue  # the first cycles are those of a law
         if not (is_needed or _remember(search, idle)) or (cut := _cut_by(changed, search, names)) is None:
             continue
         if evidence.leaves_noise(cut.batch, cut.found) and (is_needed or cut.lost.cycles == 1):
