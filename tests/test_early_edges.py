@@ -190,7 +190,7 @@ def test_a_search_that_first_cycles_halted_goes_on_where_nothing_is_explained_wi
 
 @pytest.mark.parametrize(("left", "is_cut"), [(110.0, False), (1500.0, True)])
 def test_cycles_that_a_law_explains_nearly_are_its_own(left, is_cut, monkeypatch):
-    """A slider that slips in the first ones alone, read by a bent sensor: next to all of what is there, if not exact."""
+    """A slider that slips in the first ones alone, read by a bent sensor: not exact, but next to all of it."""
     fits = {("jenkins",): SimpleNamespace(cost=left), (): SimpleNamespace(cost=2e5)}
     search = SimpleNamespace(fits=fits, count=100, best=lambda: ("jenkins",))
     seen = module._Cut(None, Edges({"one": 1.0}, cycles=3), "batch", "fit")

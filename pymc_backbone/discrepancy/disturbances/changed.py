@@ -26,7 +26,7 @@ from .sensor_filter import SensorFilter
 LESS = 0.5
 """Share of what the best set left, up to which a set explains more of changed records."""
 
-_NEXT_TO_NOTHING = 1e-3
+_NEXT_TO_NOTHING = 1e-3  # share of what one set leaves beyond the noise
 
 Drifts = Callable[[Search], Mapping[Set, Drifting]]
 """Asks the sets of a finished search with a drift in time beside them."""
@@ -61,8 +61,8 @@ class Undisturbed:
 class Changed:
     """Records as they were changed, how they are measured and searched, and what is said of all that.
 
-    ``question`` is that of the records as they were given; what was found on the way (lines, records that
-    begin late, a release, a filter, a noise) holds for every question that follows.
+    ``question`` is that of the records as they were given; what was found on the way (lines, records that begin late, a
+    release, a filter, a noise) holds for every question that follows.
     """
 
     question: Question
@@ -173,15 +173,6 @@ def gains(tried: Search, search: Search) -> bool:
 
 
 __all__ = [
-    "LESS",
-    "Changed",
-    "Drifts",
-    "Known",
-    "Undisturbed",
-    "gains",
-    "is_better",
-    "is_exact",
-    "left",
-    "over_motion",
+    "LESS", "Changed", "Drifts", "Known", "Undisturbed", "gains", "is_better", "is_exact", "left", "over_motion",
     "takes_nearly_all",
-]
+]  # fmt: skip

@@ -34,8 +34,6 @@ _WAVES = 64  # by which a first cycle of more values is free: up to 32 periods i
 _FEWEST = 4  # values of a window
 _SAME = 0.999  # of the motion: a filter that passes so much leaves it as it is
 _TAKES = {False: "it takes", True: "they take"}
-_HIGHEST = 0.499  # of the sampling rate, that a computed filter passes at most
-_REAL = 1e-9  # imaginary part of a pole, that is rounding
 _PAST = 10.0  # largest values of the motion that a filter's past may come to
 
 
@@ -58,9 +56,6 @@ class SensorFilter:
         filters against aliases.
     rings : bool
         Whether the first cycle says nothing, as where another filter, which is not known, rings after the release.
-    step : float, optional
-        Sampling interval [s] of a filter that was computed from the samples, by the bilinear transform, which warps the
-        frequencies; None for one that stands in front of the sampling.
     """
 
     order: int
@@ -69,7 +64,6 @@ class SensorFilter:
     shows_at_release: bool = False
     beside: SensorFilter | None = None
     rings: bool = False
-    step: float | None = None
 
     @property
     def parts(self) -> tuple[SensorFilter, ...]:
@@ -99,26 +93,10 @@ class SensorFilter:
 
     def _factors(self, frequency: FloatArray) -> Any:
         """Return what each pole makes (n, order) of frequencies (n,) [Hz]."""
-        ratio = self._ratio(frequency)[:, None]
+        ratio = frequency[:, None] / self.cut
         if self.kind == "high-pass":
             return ratio / (ratio + 1j / self.poles)
         return 1.0 / (1.0 - 1j * ratio / self.poles)
-
-    def _ratio(self, frequency: FloatArray) -> FloatArray:
-        """Return frequencies (n,) [Hz] over the cut-off, as the filter has them."""
-        if self.step is None:
-            return frequency / self.cut
-        # up to half the sampling rate, which is warped to infinity
-        angle = np.pi * self.step * np.minimum(frequency, _HIGHEST / self.step)
-        return np.asarray(np.tan(angle) / np.tan(np.pi * self.step * self.cut))
-
-    def decays(self) -> Any:
-        """Return how fast its past dies away (m,) [1/s], complex; one of each conjugate pair."""
-        poles = self.poles[self.poles.imag >= -1e-9]
-        if self.step is None:
-            return 2.0 * np.pi * self.cut * poles
-        half = np.tan(np.pi * self.step * self.cut) * poles
-        return np.log((1.0 + half) / (1.0 - half)) / self.step
 
     def passed(self, batch: Batch) -> Batch:
         """Return a batch whose simulations go through the filter before they are compared."""
@@ -206,19 +184,19 @@ def _transients(chosen: SensorFilter, elapsed: FloatArray) -> FloatArray:
     Its decays, and what they change by where the poles are a little elsewhere: no filter is exactly Butterworth's.
     """
     columns = []
-    for rate in np.concatenate([part.decays() for part in chosen.parts]):
-        past = rate * elapsed
-        wave = np.exp(past)
-        waves = (wave, abs(rate) * elapsed * wave)
+    poles = [(part.cut, pole) for part in chosen.parts for pole in part.poles[part.poles.imag >= -1e-9]]
+    for cut, pole in poles:
+        past = 2.0 * np.pi * cut * elapsed
+        wave = np.exp(pole * past)
+        waves = (wave, past * wave)
         columns += [part.real for part in waves]
-        columns += [] if abs(rate.imag) < _REAL * abs(rate) else [part.imag for part in waves]
+        columns += [] if abs(pole.imag) < 1e-9 else [part.imag for part in waves]
     return np.column_stack(columns)
 
 
 def _passed(term: WaveformTerm, chosen: SensorFilter, frequency: float) -> WaveformTerm:
     """Return a term whose simulation goes through a filter, which begins with an unknown past."""
     step = float(np.median(np.diff(term.time)))
-    chosen = chosen if chosen.step is None else replace(chosen, step=step)
     chain = Chain(chosen, frequency, step, term.time.size)
     ahead = float(chosen.response(np.array([frequency]))[1][0]) / (2.0 * np.pi * frequency)
     behind = replace(with_past(beside_jumps(term, ahead), chosen), chain=chain)

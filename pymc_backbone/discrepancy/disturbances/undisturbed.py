@@ -21,7 +21,7 @@ from ..sets.relaxed_release import SENTENCE as RELAXED
 from ..sets.relaxed_release import is_relaxed_at_release
 from ..sets.search import Search
 from ..weighing import evidence
-from .changed import (
+from .changed import (  # fmt: skip
     LESS,
     Changed,
     Drifts,
