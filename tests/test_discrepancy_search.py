@@ -25,7 +25,7 @@ from pymc_backbone.discrepancy.disturbances.lines import line_beside, line_near
 from pymc_backbone.discrepancy.disturbances.undisturbed import Undisturbed, with_drifts
 from pymc_backbone.discrepancy.drift import drift_fits, drift_kinds
 from pymc_backbone.discrepancy.drift.drift_proposals import beside_drifts, single_beside_drifts
-from pymc_backbone.discrepancy.fitting import starts
+from pymc_backbone.discrepancy.fitting import equal_forces, starts
 from pymc_backbone.discrepancy.fitting.curves import (
     about_zero,
     curve,
@@ -1478,7 +1478,7 @@ def test_a_start_in_the_place_of_another_effect_has_its_force(linear):
     eta = layout.coordinates(np.array([truth[name] for name in layout.names]))
     known = fit(layout, batch.deciding, start_state(layout, eta, batch.own), iterations=1)
     known = replace(known, state=start_state(layout, eta, batch.own))
-    state = starts.in_place_of(plain, known, OMEGA)
+    state = equal_forces.in_place_of(plain, known, OMEGA)
     values = dict(zip(plain.names, plain.physical(state.eta, np.zeros(state.eta.size), 0.0)[0], strict=True))
     assert values["friction_force"] == pytest.approx(0.02)
     # without its asymmetry the variant is the plain law: the same stops, and neither stiffness nor damping changes
@@ -1494,7 +1494,7 @@ def test_a_damper_in_the_place_of_another_takes_the_same_energy(linear):
     eta = starts.typical(layout)
     known = fit(layout, batch.deciding, start_state(layout, eta, batch.own), iterations=1)
     known = replace(known, state=start_state(layout, eta, batch.own))
-    state = starts.in_place_of(plain, known, batch.angular_frequency)
+    state = equal_forces.in_place_of(plain, known, batch.angular_frequency)
 
     def work(one, point):  # of a cycle, of all dampers, by quadrature at an amplitude within those asked
         angle = 2.0 * np.pi * (np.arange(4000) + 0.5) / 4000.0

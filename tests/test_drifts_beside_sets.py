@@ -9,7 +9,7 @@ import pytest
 
 from pymc_backbone.discrepancy.checks import rivals
 from pymc_backbone.discrepancy.drift.drift_fits import Settled, drift_fit, weighed
-from pymc_backbone.discrepancy.fitting import starts
+from pymc_backbone.discrepancy.fitting import equal_forces, starts
 from pymc_backbone.discrepancy.fitting.normal_equations import State
 from pymc_backbone.discrepancy.weighing import evidence
 from pymc_backbone.discrepancy.weighing.evidence import Drifting
@@ -44,8 +44,8 @@ def test_a_contact_beside_a_drift_is_begun_from_other_gaps(rng, monkeypatch):
     right = search.fit_set(law)
     layout = search.layout(law)
     gap = right.state.eta[1]
-    begun = starts.with_other_gaps(layout, right, search.batch.angular_frequency)
-    displacements = [starts._parameters(layout, state.eta)[layout.oscillator.index("gap")] for state in begun]
+    begun = equal_forces.with_other_gaps(layout, right, search.batch.angular_frequency)
+    displacements = [starts.parameters_at(layout, state.eta)[layout.oscillator.index("gap")] for state in begun]
     assert np.array(displacements) / layout.amplitude == pytest.approx([0.1, 0.25, 0.5])
     asked = []
 
@@ -69,11 +69,13 @@ def test_other_gaps_keep_the_force_over_the_motion(rng):
     search = searched(simulated(rng, "freeplay", PLAY, 2), ("freeplay",))
     known = search.fit_set(("freeplay",))
     layout, omega = known.layout, search.batch.angular_frequency
-    x, v, a = starts._motion(layout, omega)
-    for state in starts.with_other_gaps(layout, known, omega):
+    x, v, a = equal_forces.typical_motion(layout, omega)
+    for state in equal_forces.with_other_gaps(layout, known, omega):
         forces = []
         for item in (known.state, state):
-            force = starts._forces(layout, layout.oscillator.effects[-1], starts._parameters(layout, item.eta), x, v, a)
+            force = starts.forces(
+                layout, layout.oscillator.effects[-1], starts.parameters_at(layout, item.eta), x, v, a
+            )
             forces.append(force + item.own[0, 0] * x)
         before, after = (np.abs(force).max() for force in forces)
         assert np.abs(forces[1] - forces[0]).max() < 0.05 * before

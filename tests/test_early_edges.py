@@ -10,6 +10,7 @@ from scipy.signal import butter, sosfilt
 
 import pymc_backbone as pb
 from pymc_backbone.discrepancy.disturbances import undisturbed as module
+from pymc_backbone.discrepancy.disturbances import without_edges as of_edges
 from pymc_backbone.discrepancy.disturbances.changed import Changed
 from pymc_backbone.discrepancy.disturbances.earlier_release import Earlier, run_in
 from pymc_backbone.discrepancy.disturbances.early_edges import early_edges
@@ -193,10 +194,10 @@ def test_cycles_that_a_law_explains_nearly_are_its_own(left, is_cut, monkeypatch
     """A slider that slips in the first ones alone, read by a bent sensor: not exact, but next to all of it."""
     fits = {("jenkins",): SimpleNamespace(cost=left), (): SimpleNamespace(cost=2e5)}
     search = SimpleNamespace(fits=fits, count=100, best=lambda: ("jenkins",))
-    seen = module._Cut(None, Edges({"one": 1.0}, cycles=3), "batch", "fit")
-    monkeypatch.setattr(module, "is_exact", lambda _: False)
-    monkeypatch.setattr(module, "_cut_by", lambda _changed, _search, names: None if names else seen)
-    monkeypatch.setattr(module.evidence, "leaves_noise", lambda *_: True)
+    seen = of_edges._Cut(None, Edges({"one": 1.0}, cycles=3), "batch", "fit")
+    monkeypatch.setattr(of_edges, "is_exact", lambda _: False)
+    monkeypatch.setattr(of_edges, "_cut_by", lambda _changed, _search, names: None if names else seen)
+    monkeypatch.setattr(of_edges.evidence, "leaves_noise", lambda *_: True)
     changed = SimpleNamespace(within=lambda lost: SimpleNamespace(asked=lambda: lost))
-    found = module._without_edges(changed, SimpleNamespace(search=search))
+    found = of_edges.without_edges(changed, SimpleNamespace(search=search))
     assert (found is not None) == is_cut

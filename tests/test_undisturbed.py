@@ -10,6 +10,7 @@ import pytest
 
 from pymc_backbone.discrepancy.disturbances import changed
 from pymc_backbone.discrepancy.disturbances import undisturbed as module
+from pymc_backbone.discrepancy.disturbances import without_edges as of_edges
 from pymc_backbone.discrepancy.disturbances.edges import Edges
 from pymc_backbone.discrepancy.disturbances.sensor_filter import SensorFilter
 from pymc_backbone.discrepancy.weighing import evidence
@@ -24,6 +25,11 @@ class Unmeasured:
 
     def of_records(self, *_):
         return Unmeasured(SimpleNamespace(records=(), waveform=(), specimens=("one",), count=4))
+
+
+def _asked_in(name):
+    """The module that asks this."""
+    return of_edges if name == "edges" else module
 
 
 @pytest.fixture(autouse=True)
@@ -45,11 +51,11 @@ def test_first_cycles_that_come_to_be_off_one_after_the_other_are_no_edge(passes
         assert (known is None) == (len(waiting) == len(passes))
         return Edges({"one": 1.0}, cycles=waiting.pop(0)) if waiting else None
 
-    monkeypatch.setattr(module, "edges", seen)
-    monkeypatch.setattr(module, "fitted_on", lambda found, _batch: found)
+    monkeypatch.setattr(of_edges, "edges", seen)
+    monkeypatch.setattr(of_edges, "fitted_on", lambda found, _batch: found)
     asked = SimpleNamespace(records=[], posed=lambda: SimpleNamespace(batch=batch))
     asked.within = lambda _lost: asked
-    cut = module._cut_by(asked, SimpleNamespace(batch=batch, fits={(): "a fit"}), ())
+    cut = of_edges._cut_by(asked, SimpleNamespace(batch=batch, fits={(): "a fit"}), ())
     assert (cut is not None) == is_cut
     if is_cut:
         assert cut.lost.cycles == sum(passes)
@@ -65,7 +71,7 @@ def test_a_drift_is_asked_before_cycles_are_left_out_and_noise_is_weighed(is_dri
 
     names = ("drifting_zero", "is_relaxed_at_release", "drop_outs", "sensor_filter", "earlier", "edges")
     for name in (*names, "motion_noise", "disturbed"):
-        monkeypatch.setattr(module, name, says(name))
+        monkeypatch.setattr(_asked_in(name), name, says(name))
     monkeypatch.setattr(changed.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
     monkeypatch.setattr(changed.evidence, "leaves_noise", lambda _, found: left[found])
     monkeypatch.setattr(changed, "over_motion", lambda *_: 1e-3)
@@ -87,7 +93,7 @@ def test_a_drift_is_asked_before_cycles_are_left_out_and_noise_is_weighed(is_dri
 def test_of_velocities_and_accelerations_a_filter_is_asked_before_the_zero(monkeypatch):
     asked = []
     for name in ("drifting_zero", "drop_outs", "sensor_filter", "earlier", "edges", "motion_noise", "disturbed"):
-        monkeypatch.setattr(module, name, lambda *_, name=name: asked.append(name))
+        monkeypatch.setattr(_asked_in(name), name, lambda *_, name=name: asked.append(name))
     monkeypatch.setattr(changed.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
     monkeypatch.setattr(changed.evidence, "leaves_noise", lambda *_: False)
     search = SimpleNamespace(halted=None, is_told=False, batch=None, fits={(): "base"}, best=tuple)
@@ -100,7 +106,7 @@ def test_of_velocities_and_accelerations_a_filter_is_asked_before_the_zero(monke
 def test_sensors_are_straightened_beside_a_drift_where_less_noise_is_left(quieter, is_straightened, monkeypatch):
     """A noise that was estimated with the disturbance in it hides that, and a drift takes the rest."""
     for name in ("drifting_zero", "drop_outs", "sensor_filter", "earlier", "edges", "motion_noise"):
-        monkeypatch.setattr(module, name, lambda *_: None)
+        monkeypatch.setattr(_asked_in(name), name, lambda *_: None)
     bent = SimpleNamespace(is_bent=True, undisturbed=lambda records: records)
     monkeypatch.setattr(module, "disturbed", lambda _: bent)
     monkeypatch.setattr(changed, "sentences", lambda found: [])
@@ -128,7 +134,7 @@ def test_a_low_pass_that_explains_nothing_to_the_noise_has_to_make_the_differenc
     )
     left = {"base": 0.1, "large behind": 0.01, "large": same_set_leaves}
     for name in ("earlier", "edges", "motion_noise", "disturbed", "drifting_zero", "drop_outs"):
-        monkeypatch.setattr(module, name, lambda *_: None)
+        monkeypatch.setattr(_asked_in(name), name, lambda *_: None)
     monkeypatch.setattr(module, "sensor_filter", lambda _: behind)
     monkeypatch.setattr(
         changed.evidence, "lack_of_fit", lambda _, found: SimpleNamespace(share=left[found], p_value=0.0)
@@ -157,10 +163,10 @@ def test_a_low_pass_is_kept_where_more_is_explained_behind_it(helps, monkeypatch
     )
     seen = []
     for name in ("earlier", "motion_noise", "disturbed"):
-        monkeypatch.setattr(module, name, lambda search, name=name: seen.append(search.fits[()]))
-    monkeypatch.setattr(module, "edges", lambda _batch, found, _known: seen.append(found))
+        monkeypatch.setattr(_asked_in(name), name, lambda search, name=name: seen.append(search.fits[()]))
+    monkeypatch.setattr(of_edges, "edges", lambda _batch, found, _known: seen.append(found))
     for name in ("drifting_zero", "drop_outs"):
-        monkeypatch.setattr(module, name, lambda *_: None)
+        monkeypatch.setattr(_asked_in(name), name, lambda *_: None)
     monkeypatch.setattr(module, "sensor_filter", lambda _: behind)
     monkeypatch.setattr(changed.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
     monkeypatch.setattr(changed.evidence, "leaves_noise", lambda _, found: found == "explained")
@@ -193,7 +199,7 @@ def test_a_search_that_a_filter_halted_goes_on_where_nothing_is_explained_behind
     """Where a set leaves noise behind the filter, nothing else is asked."""
     seen = []
     for name in ("drop_outs", "drifting_zero", "sensor_filter", "earlier", "edges", "motion_noise", "disturbed"):
-        monkeypatch.setattr(module, name, lambda *_, name=name: seen.append(name))
+        monkeypatch.setattr(_asked_in(name), name, lambda *_, name=name: seen.append(name))
     monkeypatch.setattr(changed.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
     monkeypatch.setattr(changed.evidence, "leaves_noise", lambda _, found: found == "explained")
     before = SimpleNamespace(halted=SensorFilter(1, 0.5, "high-pass"), is_told=False, fits={(): "base"}, best=tuple)
@@ -214,7 +220,7 @@ def test_a_search_that_a_filter_halted_goes_on_where_nothing_is_explained_behind
 def test_records_are_searched_without_the_line_that_halted_a_search_or_beats(beats, monkeypatch):
     """Again with all that is asked early, and at last without lines; what follows is asked of the last."""
     for name in ("drop_outs", "drifting_zero", "sensor_filter", "earlier", "edges", "motion_noise", "disturbed"):
-        monkeypatch.setattr(module, name, lambda *_: None)
+        monkeypatch.setattr(_asked_in(name), name, lambda *_: None)
     monkeypatch.setattr(changed, "sentences", lambda found: [f"{len(found)} taken away"])
     monkeypatch.setattr(module, "sentences", lambda found: [f"{len(found)} taken away"])
     monkeypatch.setattr(changed.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
@@ -262,7 +268,7 @@ def test_records_are_searched_without_the_line_that_halted_a_search_or_beats(bea
 def test_everything_is_asked_anew_where_a_line_is_not_all_that_disturbs_records(is_bent, explains, monkeypatch):
     """A hum beside a baseline that tilts: a bent sensor and another mode had stood for what the tilt left."""
     for name in ("drop_outs", "drifting_zero", "sensor_filter", "earlier", "edges", "motion_noise"):
-        monkeypatch.setattr(module, name, lambda *_: None)
+        monkeypatch.setattr(_asked_in(name), name, lambda *_: None)
     monkeypatch.setattr(changed.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
     monkeypatch.setattr(changed.evidence, "leaves_noise", lambda _, found: found == "explained")
     item = module.Disturbed({"one": SimpleNamespace(bent=0.01 * is_bent, frequency=1.0)}, ())
@@ -298,7 +304,7 @@ def test_everything_is_asked_anew_where_a_line_is_not_all_that_disturbs_records(
 def test_a_filter_that_straightened_records_do_not_need_is_taken_back(plain, is_kept, monkeypatch):
     """The second harmonic of a bent sensor had been that of a spring that a high-pass turns."""
     for name in ("drop_outs", "drifting_zero", "earlier", "edges", "motion_noise"):
-        monkeypatch.setattr(module, name, lambda *_: None)
+        monkeypatch.setattr(_asked_in(name), name, lambda *_: None)
     monkeypatch.setattr(module, "sensor_filter", lambda _: SensorFilter(1, 0.5, "high-pass"))
     monkeypatch.setattr(module, "gains", lambda *_: True)
     left = {"base": 1.0, "behind": 0.1, "straight behind": 1e-3, "straight": plain}
@@ -338,7 +344,7 @@ def test_everything_is_asked_anew_of_records_whose_clock_was_set_right(explains,
     """Where that explains more: else the records are as they were, and everything else is asked of these."""
     asked = []
     for name in ("drop_outs", "drifting_zero", "sensor_filter", "earlier", "edges", "motion_noise", "disturbed"):
-        monkeypatch.setattr(module, name, lambda *_, name=name: asked.append(name))
+        monkeypatch.setattr(_asked_in(name), name, lambda *_, name=name: asked.append(name))
     steps = SimpleNamespace(sentence="set right", undisturbed=lambda records: ["right"])
     monkeypatch.setattr(module, "clock_steps", lambda search, records: steps if records == ["wrong"] else None)
     monkeypatch.setattr(changed.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
@@ -357,7 +363,7 @@ def test_everything_is_asked_anew_of_records_whose_clock_was_set_right(explains,
 def test_a_high_pass_that_what_was_found_behind_it_needs_not_is_taken_back(explains, monkeypatch):
     """The search without it is taken to its end; where that leaves more than noise, the one behind it stands."""
     for name in ("drop_outs", "drifting_zero", "sensor_filter", "earlier", "edges", "motion_noise", "disturbed"):
-        monkeypatch.setattr(module, name, lambda *_: None)
+        monkeypatch.setattr(_asked_in(name), name, lambda *_: None)
     monkeypatch.setattr(module, "settled", lambda *_: None)
     monkeypatch.setattr(changed.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
     monkeypatch.setattr(changed.evidence, "leaves_noise", lambda _, found: found == "explained")
@@ -377,7 +383,7 @@ def test_a_zero_that_drifts_is_the_answer_where_nothing_is_left_without_the_mid_
     monkeypatch.setattr(module, "drifting_zero", lambda *_: "steady")
     asked = []
     for name in ("drop_outs", "sensor_filter", "earlier", "edges", "motion_noise", "disturbed"):
-        monkeypatch.setattr(module, name, lambda *_, name=name: asked.append(name))
+        monkeypatch.setattr(_asked_in(name), name, lambda *_, name=name: asked.append(name))
     monkeypatch.setattr(changed.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
     monkeypatch.setattr(changed.evidence, "leaves_noise", lambda _, found: found == "explained")
     before = SimpleNamespace(halted=None, is_told=False, batch=None, fits={(): "base"}, best=tuple)
@@ -427,12 +433,12 @@ def test_records_without_first_cycles_or_of_weighed_noise_are_searched_where_set
 ):
     asked = []
     for name in ("drifting_zero", "drop_outs", "sensor_filter", "earlier", "disturbed"):
-        monkeypatch.setattr(module, name, lambda *_: None)
+        monkeypatch.setattr(_asked_in(name), name, lambda *_: None)
     passes = iter([Edges({"one": 0.2}), Edges({}, {"one": 0.8}), None])
     noise = SimpleNamespace(sentence="noise", weighed=lambda batch: batch)
-    monkeypatch.setattr(module, "edges", lambda *_: next(passes))
+    monkeypatch.setattr(of_edges, "edges", lambda *_: next(passes))
     left = SimpleNamespace(chi_square=np.array([4.0]))
-    monkeypatch.setattr(module, "fitted_on", lambda *_: left)
+    monkeypatch.setattr(of_edges, "fitted_on", lambda *_: left)
     monkeypatch.setattr(module, "motion_noise", lambda *_: noise)
     monkeypatch.setattr(changed, "is_promising", lambda search, batch, less: asked.append(less) or is_worth_it)
     monkeypatch.setattr(changed.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))

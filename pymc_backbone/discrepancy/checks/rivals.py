@@ -12,7 +12,7 @@ from ..._common.text import per_cent
 from ..._common.threads import in_threads
 from ..drift.drift_fits import Settled, drift_fit, likeliest, settled, weighed
 from ..drift.drift_proposals import sets_beside_drifts, single_beside_drifts
-from ..fitting import starts
+from ..fitting import equal_forces, starts
 from ..fitting.descent import is_heavy
 from ..fitting.drift_course import changes_of, stand_out
 from ..fitting.joint_fit import Fit
@@ -158,7 +158,7 @@ def _ask_other_gaps(search: Search, found: dict[Set, Drifting], limit: float) ->
     """Begin sets with a contact from other gaps, too: alone it had closed where that followed the drift best."""
     for names in [item for item in found if not is_heavy(search.layout(item))]:
         alone, layout = search.fits[names], search.layout(names)
-        for state in starts.with_other_gaps(layout, alone, search.batch.angular_frequency):
+        for state in equal_forces.with_other_gaps(layout, alone, search.batch.angular_frequency):
             drifting = drift_fit(search.batch, layout, state, limit)
             if drifting is not None and drifting.cost < found[names].fit.cost - NEEDED:
                 found[names] = weighed(search.batch, drifting, alone)
@@ -214,7 +214,7 @@ def _ask_variants(search: Search, found: dict[Set, Drifting], limit: float) -> N
             if variant in names or not is_akin(name, variant) or is_heavy(search.layout(varied)):
                 continue
             layout = search.layout(varied)
-            begun = starts.in_place_of(layout, plain, search.batch.angular_frequency)
+            begun = equal_forces.in_place_of(layout, plain, search.batch.angular_frequency)
             drifting = drift_fit(search.batch, layout, begun, limit)
             known = found[varied].fit.cost if varied in found else np.inf
             if drifting is None or drifting.cost > min(plain.cost - NEEDED, known):

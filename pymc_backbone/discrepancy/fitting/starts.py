@@ -17,8 +17,6 @@ from .joint_fit import Fit
 from .layout import Layout
 from .normal_equations import State
 
-Motion = tuple[FloatArray, FloatArray, FloatArray]
-
 _STRENGTHS = (0.02, 0.3)
 _TINY = 1e-4
 _UNMOVED, _FAR_SMALLER, _SMALLER = 1.0, 1e-2, 3  # rise of chi-square by what should be too small to matter
@@ -27,8 +25,6 @@ _SLIPS = (0.03, 0.15, 0.5, 0.85)  # slip displacement over amplitude; at the las
 _MANY = 4  # parameters beyond which each shape has two values only
 _KEPT = 2
 _SIDES = (-0.9, -0.5, -0.2, 0.2, 0.5, 0.9)  # displacements over the amplitude
-_OTHER_GAPS = (0.1, 0.25, 0.5)  # displacements over the amplitude at which a contact may close
-_SIZES, _ANGLES = (0.4, 0.7, 1.0), 24  # amplitudes over the typical one, and instants of a cycle
 _ODD = 1e-6  # share of a force that is the same on both sides, up to which it is none
 _SLIPPING = (0.9, 0.6)  # displacement at which a bed of sliders slips as a whole, over the largest of the motion
 _STICKING = 1.5  # the same at which it certainly does not
@@ -157,7 +153,7 @@ def mirrored(layout: Layout, state: State) -> State | None:
     None where no effect is asymmetric, or one that is has no mirror image of its own kind. A contact on one side is a
     softer spring on the other: the linear spring takes the difference.
     """
-    vector = _parameters(layout, state.eta)
+    vector = parameters_at(layout, state.eta)
     eta, own = state.eta.copy(), state.own.copy()
     for effect in layout.oscillator.effects:
         if effect.name in BASE_EFFECTS or effect.n_states or effect.has_memory:
@@ -196,79 +192,15 @@ def _turned(layout: Layout, effect: Effect, vector: FloatArray, before: FloatArr
 def _at_rest(layout: Layout, effect: Effect, vector: FloatArray) -> FloatArray:
     """Return the forces of an effect at some displacements to either side, at rest."""
     x, none = layout.amplitude * np.array(_SIDES), np.zeros(len(_SIDES))
-    return _forces(layout, effect, vector, x, none, none)
+    return forces(layout, effect, vector, x, none, none)
 
 
-def _forces(
+def forces(
     layout: Layout, effect: Effect, vector: FloatArray, x: FloatArray, v: FloatArray, a: FloatArray
 ) -> FloatArray:
     """Return the forces (n,) of an effect without states at displacements, velocities and accelerations (n,)."""
     p = vector[[layout.oscillator.index(name) for name in effect.parameter_names]]
     return np.array([effect.along(*motion, np.zeros(0), p) for motion in zip(x, v, a, strict=True)])
-
-
-def in_place_of(layout: Layout, known: Fit, angular_frequency: float) -> State:
-    """Return a fit as a start of a model with another effect in the place of one, neither of them with states.
-
-    Its gap is taken over; the strength, and what it changes in stiffness and damping, bring its force over the motion
-    as near as they can to that of the effect which it stands for.
-    """
-    state, _ = embedded(layout, known)
-    new, old = (
-        next(effect for effect in one.oscillator.effects if effect not in other.oscillator.effects)
-        for one, other in ((layout, known.layout), (known.layout, layout))
-    )
-    before, after = _parameters(known.layout, known.state.eta), _parameters(layout, state.eta)
-    gaps = [before[known.layout.oscillator.index(q.name)] for q in old.parameters if q.role == "gap"]
-    for q in new.parameters:
-        if q.role == "gap" and gaps:
-            after[layout.oscillator.index(q.name)] = gaps[0]
-    motion = _motion(layout, angular_frequency)
-    force = _forces(known.layout, old, before, *motion)
-    return _as_strong(layout, new, after, state, motion, force)
-
-
-def with_other_gaps(layout: Layout, known: Fit, angular_frequency: float) -> list[State]:
-    """Return starts with contacts that close at other displacements than where a fit has them, in none of any states.
-
-    Strength, and the spring and damper beside it, bring the force over the motion as near as they can to what it was:
-    a small gap between stiff stops and a larger one between soft ones have much the same backbone.
-    """
-    found: list[State] = []
-    before, motion = _parameters(layout, known.state.eta), _motion(layout, angular_frequency)
-    for effect in layout.oscillator.effects:
-        gaps = [layout.oscillator.index(q.name) for q in effect.parameters if q.role == "gap"]
-        if effect.n_states or effect.has_memory or len(gaps) != 1 or gaps[0] not in layout.free:
-            continue
-        force = _forces(layout, effect, before, *motion)
-        for share in _OTHER_GAPS:
-            after = before.copy()
-            after[gaps[0]] = share * layout.amplitude * (np.sign(before[gaps[0]]) or 1.0)
-            found.append(_as_strong(layout, effect, after, known.state, motion, force))
-    return found
-
-
-def _motion(layout: Layout, angular_frequency: float) -> Motion:
-    """Return displacements, velocities and accelerations (n,) of motion at some amplitudes."""
-    angle = 2.0 * np.pi * (np.arange(_ANGLES) + 0.5) / _ANGLES
-    size = layout.amplitude * np.repeat(_SIZES, _ANGLES)
-    x, v = size * np.tile(np.cos(angle), len(_SIZES)), -angular_frequency * size * np.tile(np.sin(angle), len(_SIZES))
-    return x, v, -(angular_frequency**2) * x
-
-
-def _as_strong(
-    layout: Layout, effect: Effect, vector: FloatArray, state: State, motion: Motion, force: FloatArray
-) -> State:
-    """Return a state whose effect, with spring and damper beside it, comes as near to a force as it can."""
-    x, v, _ = motion
-    columns = np.column_stack([_forces(layout, effect, vector, *motion), x, v])
-    scale = np.maximum(np.abs(columns).max(axis=0), 1e-300)
-    factor, stiffness, damping = np.linalg.lstsq(columns / scale, force, rcond=None)[0] / scale
-    vector[layout.free[positions(layout, effect.name)[0]]] *= factor
-    own = state.own.copy()
-    own[:, 0] += stiffness
-    own[:, 1] = np.maximum(own[:, 1] + damping, 0.0)
-    return State(layout.within(layout.coordinates(vector[layout.free])), own)
 
 
 def slipping(layout: Layout, state: State) -> list[State]:
@@ -380,7 +312,7 @@ def _at_slip(layout: Layout, state: State, bed: tuple[int, int, int], slip: floa
     return State(eta, own)
 
 
-def _parameters(layout: Layout, eta: FloatArray) -> FloatArray:
+def parameters_at(layout: Layout, eta: FloatArray) -> FloatArray:
     """Return the parameter vector (p,) at these coordinates, stiffness and damping zero."""
     vector = layout.template.copy()
     vector[layout.free] = layout.physical(eta, np.zeros(eta.size), 0.0)[0]

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..._common.threads import in_threads
 from ...effects import LIBRARY
-from ..fitting import starts
+from ..fitting import equal_forces
 from ..fitting.joint_fit import Fit
 from ..proposals.propose import propose
 from ..proposals.set_fits import Set
@@ -215,7 +215,7 @@ class VariedSets(RevisitedSets):
                 if len(plain) < len(names):
                     state = self._smaller(layout, varied)
                 else:
-                    state = starts.in_place_of(layout, varied, self.batch.angular_frequency)
+                    state = equal_forces.in_place_of(layout, varied, self.batch.angular_frequency)
                 found = self.descent.from_near(layout, [state])
                 if found is not None and (known is None or found.cost < known.cost):
                     self.fits[plain] = found
