@@ -107,7 +107,7 @@ def test_what_acts_in_the_first_cycle_alone_is_no_edge(effect, rng):
         "freeplay": {"contact_stiffness": STIFFNESS, "gap": at},
     }[effect]
     search = searched(simulated(rng, effect, truth, 3), ("cubic_stiffness", effect))
-    free = without_start(search.batch, search.fits[()])
+    free = without_start(search.fits[()], search.batch)
     assert free.cost < 1.1 * search.count < 0.5 * search.fits[()].cost  # without the first cycle nothing is missing
     seen = edges(search.batch, free.found)
     assert seen is not None and seen.cycles == 1

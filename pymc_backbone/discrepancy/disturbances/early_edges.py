@@ -41,7 +41,7 @@ def early_edges(search: FittedSets) -> Edges | None:
     return None if _is_explained_beside(search, seen) else seen.lost
 
 
-class Seen(NamedTuple):
+class _Seen(NamedTuple):
     """A set that explains what follows the first cycles, how, and these."""
 
     names: Set
@@ -49,17 +49,17 @@ class Seen(NamedTuple):
     lost: Edges
 
 
-def _seen(search: FittedSets) -> Seen | None:
+def _seen(search: FittedSets) -> _Seen | None:
     """Return the simplest set that explains what follows the first cycles, and these."""
     likeliest = sorted(search.fits, key=lambda item: search.fits[item].cost)[:_ASKED]
     for names in sorted(likeliest, key=len):
         if takes_nearly_all(search, likeliest[0], names):
             continue
-        free = without_start(search.batch, search.fits[names])
+        free = without_start(search.fits[names], search.batch)
         found = None if free is None else _explaining(search, free, search.fits[names])
         lost = None if found is None else edges(search.batch, found)
         if free is not None and lost is not None and lost.first:
-            return Seen(names, free.found, lost)
+            return _Seen(names, free.found, lost)
     return None
 
 
@@ -73,7 +73,7 @@ def _explaining(search: FittedSets, free: FreeStart, start: Fit) -> Fit | None:
     return drifting if drifting is not None and drifting.cost + free.values < most else None
 
 
-def _is_explained_beside(search: FittedSets, seen: Seen) -> bool:
+def _is_explained_beside(search: FittedSets, seen: _Seen) -> bool:
     """Return whether a set explains the first cycles, or nearly, with what acts from some amplitude on."""
     noise, left = float(search.count), search.fits[seen.names].cost
     if len(seen.names) >= search.max_effects:

@@ -37,7 +37,7 @@ class FreeStart:
         return self.found.cost + float(self.values)
 
 
-def without_start(batch: Batch, start: Fit) -> FreeStart | None:
+def without_start(start: Fit, batch: Batch) -> FreeStart | None:
     """Return a set fitted to records whose first cycle says nothing; None where it cannot be simulated there."""
     columns = [first_values(term, whole_cycle=True) for term in batch.waveform]
     terms = tuple(
@@ -52,7 +52,7 @@ def without_start(batch: Batch, start: Fit) -> FreeStart | None:
 
 def left_without_start(start: Fit, batch: Batch) -> float:
     """Return the cost of a set with records whose first cycle says nothing, and one for each value of that."""
-    free = without_start(batch, start)
+    free = without_start(start, batch)
     return np.inf if free is None else free.cost
 
 
