@@ -126,6 +126,43 @@ def test_sensors_are_straightened_beside_a_drift_where_less_noise_is_left(quiete
     assert known.search is (straight if is_straightened else search) and known.is_bent == is_straightened
 
 
+@pytest.mark.parametrize(
+    ("likelier", "p_value", "is_drift"),
+    [(("law", *evidence.DRIFT), 0.4, True), (("law", *evidence.DRIFT), 0.01, False), (("law", "more"), 0.4, False)],
+)
+def test_a_drift_that_leaves_nothing_goes_before_a_bent_sensor_beside_a_larger_set(
+    likelier, p_value, is_drift, monkeypatch
+):
+    """A bilinear spring that drifts had been a stop and a play that left noise, and then a sensor seemed bent."""
+    for name in ("drifting_zero", "drop_outs", "sensor_filter", "earlier", "edges", "motion_noise"):
+        monkeypatch.setattr(_asked_in(name), name, lambda *_: None)
+    bent = SimpleNamespace(is_bent=True, undisturbed=lambda records: records)
+    monkeypatch.setattr(module, "disturbed", lambda _: bent)
+    monkeypatch.setattr(module, "sentences", lambda _: [])
+    monkeypatch.setattr(module, "over_motion", lambda *_: 1e-3)
+    monkeypatch.setattr(changed, "over_motion", lambda *_: 1e-3)
+    monkeypatch.setattr(module, "likeliest", lambda *_: likelier)
+    for where in (module.evidence, changed.evidence):
+        monkeypatch.setattr(where, "leaves_noise", lambda *_: True)
+
+    def left(_batch, found):
+        return SimpleNamespace(share=0.01, p_value=p_value if found == "beside a drift" else 0.02)
+
+    monkeypatch.setattr(module.evidence, "lack_of_fit", left)
+    given = SimpleNamespace(halted=None, is_told=False, batch=None, fits={("law", "more"): "larger"})
+    straight = SimpleNamespace(halted=None, is_told=False, batch=None, fits={("law",): "straight"})
+    given.best, straight.best = lambda: ("law", "more"), lambda: ("law",)
+    asked = []
+
+    def drifts(search):
+        asked.append(search)
+        return {("law",): Drifting("beside a drift", 0.0)}
+
+    known = module.undisturbed(Unmeasured(), given, [], None, lambda _: straight, drifts)
+    assert asked == [given]
+    assert known.search is (given if is_drift else straight) and known.is_drifting == is_drift
+
+
 @pytest.mark.parametrize(("same_set_leaves", "most"), [(0.012, 3), (0.04, 3), (0.04, 1)])
 def test_a_low_pass_that_explains_nothing_to_the_noise_has_to_make_the_difference(same_set_leaves, most, monkeypatch):
     """And not the larger set behind it, which leaves nearly as little without."""

@@ -163,13 +163,33 @@ def _one_by_one(first: Known) -> Undisturbed:
     if (cut is not None or now.changed.release is not None) and is_exact(now.search):
         return known
     known = _with_drifts(known, drifts)
-    straight = _straightened(now)
+    if (seen := disturbed(now.search)) is None:
+        return known
+    if (beside := _beside_drift(known, now.search, drifts)) is not None:
+        return beside
+    straight = _straightened(now, seen)
     if straight is None:
         return known
     if straight.is_bent and now.changed.sensor_filter is not None:
-        straight = _as_quiet(_straightened(unfiltered), straight) or straight
+        straight = _as_quiet(_straightened(unfiltered, disturbed(unfiltered.search)), straight) or straight
     noise = over_motion(straight.search, straight.search.fits[straight.search.best()])
     return straight if noise < _QUIETER * known.noise_beside_drift else known
+
+
+def _beside_drift(known: Undisturbed, search: Search, drifts: Drifts) -> Undisturbed | None:
+    """Return the sets with a drift beside them, where one leaves nothing and is likelier than all that do without.
+
+    Where a sensor seems bent although a set leaves noise: that set was as large as it had to be to follow a drift.
+    """
+    if known.drifting is not None:
+        return None
+    beside = with_drifts(known, drifts)
+    drifting = beside.drifting or {}
+    *names, last = likeliest(search, drifting) or ("",)
+    if (last,) != evidence.DRIFT:
+        return None
+    rest = evidence.lack_of_fit(search.batch, drifting[tuple(names)].fit)
+    return beside if rest.p_value > _RARE else None
 
 
 def _as_quiet(plain: Undisturbed | None, straight: Undisturbed) -> Undisturbed | None:
@@ -297,7 +317,7 @@ def with_drifts(known: Undisturbed, drifts: Drifts) -> Undisturbed:
     return known if known.question.batch is batch else replace(known, question=replace(known.question, batch=batch))
 
 
-def _straightened(known: Known) -> Undisturbed | None:
+def _straightened(known: Known, seen: Disturbed | None) -> Undisturbed | None:
     """Return the question and search of records without bent sensors and lines; None where no set leaves noise then.
 
     Where a line by itself is not all, and nothing else was changed, everything is asked of the records without it: the
@@ -305,14 +325,15 @@ def _straightened(known: Known) -> Undisturbed | None:
     """
     changed, again = known.changed, known.search
     found: list[Disturbed] = []
-    records = changed.records
-    while len(found) < _PASSES and (one := disturbed(again)) is not None:
+    records, one = changed.records, seen
+    while one is not None:
         found.append(one)
         records = one.undisturbed(records)
         tried = changed.but(*sentences(found), records=records).asked().found
         again = tried.search
         if is_exact(again):
             return replace(tried, is_bent=any(item.is_bent for item in found))
+        one = disturbed(again) if len(found) < _PASSES else None
     is_line = bool(found) and not found[0].is_bent
     if not is_line or changed.said or len(changed.lines) + 1 >= _PASSES:
         return None
