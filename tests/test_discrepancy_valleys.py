@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from pymc_backbone.discrepancy.fitting import starts, valleys
+from pymc_backbone.discrepancy.fitting import starts, valley_walk, valleys
 from pymc_backbone.discrepancy.fitting.estimates import estimates_of
 from pymc_backbone.discrepancy.fitting.joint_fit import fit
 from pymc_backbone.discrepancy.fitting.layout import make_layout
-from pymc_backbone.discrepancy.fitting.normal_equations import State, start_state
+from pymc_backbone.discrepancy.fitting.normal_equations import State, linearise, start_state
 from pymc_backbone.discrepancy.results.entries import Estimate
 from pymc_backbone.discrepancy.results.extend import _reaching, _told_by, estimates_from_fit
 from pymc_backbone.discrepancy.results.study import UNMIXED
@@ -230,9 +230,9 @@ def test_a_straight_valley_is_as_long_as_the_curvature_says(monkeypatch):
     effects = ("cubic_stiffness", "quadratic_damping")
     batch, truth = batch_of(make_records(np.random.default_rng(24), effects, share=0.3)), truth_of(effects, 0.3)
     found = fit_from(make_layout(Oscillator(MASS, effects), batch.amplitude, batch.angular_frequency), batch, truth)
-    monkeypatch.setattr(valleys, "LOOSE", 1e-3)  # as if it had to be followed
-    monkeypatch.setattr(valleys, "_MIXED", 0.0)
-    monkeypatch.setattr(valleys, "_FIRST_STEP", 0.02)
+    monkeypatch.setattr(valley_walk, "LOOSE", 1e-3)  # as if it had to be followed
+    monkeypatch.setattr(valley_walk, "_MIXED", 0.0)
+    monkeypatch.setattr(valley_walk, "_FIRST_STEP", 0.02)
     followed = valleys.ranges(found, batch)
     for name, (value, error) in estimates_of(found).items():
         assert followed[name].low == pytest.approx(value - 1.96 * error, abs=0.15 * error)
@@ -247,9 +247,9 @@ def test_a_valley_is_as_wide_as_specimens_are_inferred_to_scatter(monkeypatch, s
     layout = make_layout(oscillator, batch.amplitude, batch.angular_frequency)
     start = start_state(layout, np.array([CUBIC, 0.0]), batch.own)
     found = fit(layout, batch.levels, start, nuisances=batch.nuisances)
-    monkeypatch.setattr(valleys, "LOOSE", 1e-3)
-    monkeypatch.setattr(valleys, "_MIXED", 0.0)
-    monkeypatch.setattr(valleys, "_FIRST_STEP", 0.02)
+    monkeypatch.setattr(valley_walk, "LOOSE", 1e-3)
+    monkeypatch.setattr(valley_walk, "_MIXED", 0.0)
+    monkeypatch.setattr(valley_walk, "_FIRST_STEP", 0.02)
     cubic = valleys.ranges(found, batch)["cubic_stiffness"]
     # ten values of this scatter leave their mean open by it over the root of ten; it is known to a third itself
     assert 0.5 * (cubic.high - cubic.low) / 1.96 == pytest.approx(scatter * CUBIC / np.sqrt(10.0), rel=0.35)
@@ -281,6 +281,51 @@ def test_at_the_edge_of_the_plateau_intervals_are_those_of_the_plateau(slip):
         assert value + 4.0 * error < truth["joint_slip_force"] < followed["joint_slip_force"].high
     else:  # one that slips is well known: nothing lies beyond
         assert not followed or followed["joint_slip_force"].high < 1.2 * value
+
+
+@pytest.mark.parametrize(("above", "is_followed"), [(4.5, True), (25.0, False)])
+def test_a_plateau_that_leaves_more_than_its_edge_is_followed_while_it_is_not_much_less_likely(
+    above, is_followed, monkeypatch
+):
+    """It is so much wider: a slip force of a third of the truth, to 6 %, had left 3.5 of chi-square less."""
+    batch, truth = joint_batch(22, 3.0, decibels=55.0)
+    known = fit_from(make_layout(IWAN, batch.amplitude, batch.angular_frequency), batch, truth)
+    edge = fit(known.layout, batch.deciding, starts.slipping(known.layout, known.state)[0], iterations=60,
+               nuisances=batch.nuisances)  # fmt: skip
+    (start,) = starts.sticking(edge.layout, edge.state)
+    plateau = fit(edge.layout, batch.deciding, start, nuisances=batch.nuisances)
+    monkeypatch.setattr(valleys, "_scattering", lambda found, _terms: found)
+    raised = replace(
+        plateau, chi_square=plateau.chi_square + (edge.cost + above - plateau.cost) / plateau.chi_square.size
+    )
+    assert raised.cost == pytest.approx(edge.cost + above)
+    monkeypatch.setattr(valleys, "_fitted", lambda *_: raised)
+    loose = valley_walk.Walk.directions
+    monkeypatch.setattr(valley_walk.Walk, "directions", lambda walk: [] if walk.found is edge else loose(walk))
+    followed = valleys.ranges(edge, batch)
+    name = "joint_slip_force"
+    value, error = estimates_of(edge)[name]
+    assert value + 4.0 * error < truth[name]
+    if is_followed:
+        assert followed[name].high > truth[name] and followed[name].is_high_open
+        assert followed[name].low < value - error  # and what the edge says is in it
+    else:
+        assert followed == {}
+
+
+def test_no_phase_is_lost_on_a_step_along_a_valley(hardly_slipping):
+    """What a joint has less of stiffness the specimen has more: by the tangent, such a step left 1100 to 1400 more."""
+    batch, _, known = hardly_slipping
+    begun = far_along(known.layout, known.state, 4.0)
+    found = fit(known.layout, batch.deciding, begun, iterations=60, nuisances=batch.nuisances)
+    walk = valley_walk.Walk(found, batch.deciding)
+    (along,) = walk.directions()
+    here = valley_walk.Place(0.0, walk.chart.to(found.state.eta), found.state, found.system, found.cost)
+    for side in (1.0, -1.0):
+        chart, own = walk._predicted([here], side * along, 0.1)
+        state = State(walk.layout.within(walk.chart.back(chart)), own)
+        moved = linearise(walk.layout, walk.terms, state, walk.scatter, walk.active)
+        assert moved.cost < found.cost + 30.0
 
 
 def test_a_fit_to_other_data_is_not_followed(hardly_slipping):

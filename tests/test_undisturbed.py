@@ -127,11 +127,17 @@ def test_sensors_are_straightened_beside_a_drift_where_less_noise_is_left(quiete
 
 
 @pytest.mark.parametrize(
-    ("likelier", "p_value", "is_drift"),
-    [(("law", *evidence.DRIFT), 0.4, True), (("law", *evidence.DRIFT), 0.01, False), (("law", "more"), 0.4, False)],
+    ("remain", "likelier", "p_value", "is_drift"),
+    [
+        (("law", "more"), ("law", *evidence.DRIFT), 0.4, True),
+        (("law",), ("law", *evidence.DRIFT), 0.4, False),
+        (("law", "more"), ("law", *evidence.DRIFT), 0.01, False),
+        (("law", "more"), ("law", "more", *evidence.DRIFT), 0.4, False),
+        (("law", "more"), ("law", "more"), 0.4, False),
+    ],
 )
-def test_a_drift_that_leaves_nothing_goes_before_a_bent_sensor_beside_a_larger_set(
-    likelier, p_value, is_drift, monkeypatch
+def test_a_drift_that_leaves_nothing_goes_before_a_bent_sensor_beside_more_effects(
+    remain, likelier, p_value, is_drift, monkeypatch
 ):
     """A bilinear spring that drifts had been a stop and a play that left noise, and then a sensor seemed bent."""
     for name in ("drifting_zero", "drop_outs", "sensor_filter", "earlier", "edges", "motion_noise"):
@@ -142,24 +148,21 @@ def test_a_drift_that_leaves_nothing_goes_before_a_bent_sensor_beside_a_larger_s
     monkeypatch.setattr(module, "over_motion", lambda *_: 1e-3)
     monkeypatch.setattr(changed, "over_motion", lambda *_: 1e-3)
     monkeypatch.setattr(module, "likeliest", lambda *_: likelier)
-    for where in (module.evidence, changed.evidence):
-        monkeypatch.setattr(where, "leaves_noise", lambda *_: True)
+    monkeypatch.setattr(changed.evidence, "leaves_noise", lambda *_: True)
 
     def left(_batch, found):
         return SimpleNamespace(share=0.01, p_value=p_value if found == "beside a drift" else 0.02)
 
     monkeypatch.setattr(module.evidence, "lack_of_fit", left)
-    given = SimpleNamespace(halted=None, is_told=False, batch=None, fits={("law", "more"): "larger"})
-    straight = SimpleNamespace(halted=None, is_told=False, batch=None, fits={("law",): "straight"})
-    given.best, straight.best = lambda: ("law", "more"), lambda: ("law",)
-    asked = []
+    given = SimpleNamespace(halted=None, is_told=False, batch=None, fits={("law", "more", "still"): "larger"})
+    straight = SimpleNamespace(halted=None, is_told=False, batch=None, fits={remain: "straight"})
+    given.best, straight.best = lambda: ("law", "more", "still"), lambda: remain
 
     def drifts(search):
-        asked.append(search)
-        return {("law",): Drifting("beside a drift", 0.0)}
+        assert search is given
+        return dict.fromkeys((("law",), ("law", "more")), Drifting("beside a drift", 0.0))
 
     known = module.undisturbed(Unmeasured(), given, [], None, lambda _: straight, drifts)
-    assert asked == [given]
     assert known.search is (given if is_drift else straight) and known.is_drifting == is_drift
 
 

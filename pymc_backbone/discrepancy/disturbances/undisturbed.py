@@ -43,6 +43,7 @@ from .without_edges import without_edges, without_first_cycle
 _RARE = 0.05  # p-value of noise up to which a few samples are looked at
 _PASSES = 2  # times that bent sensors and lines are looked for
 _AS_QUIET = 1.02  # noise over the motion, with and without a filter in front of straightened records
+_SEVERAL = 2  # effects in straightened records, beside which a drift is asked instead
 _QUIETER = 0.8  # of the noise that a drift leaves over the motion, up to which straightened records explain more
 
 
@@ -163,30 +164,30 @@ def _one_by_one(first: Known) -> Undisturbed:
     if (cut is not None or now.changed.release is not None) and is_exact(now.search):
         return known
     known = _with_drifts(known, drifts)
-    if (seen := disturbed(now.search)) is None:
-        return known
-    if (beside := _beside_drift(known, now.search, drifts)) is not None:
-        return beside
-    straight = _straightened(now, seen)
+    straight = _straightened(now)
     if straight is None:
         return known
     if straight.is_bent and now.changed.sensor_filter is not None:
-        straight = _as_quiet(_straightened(unfiltered, disturbed(unfiltered.search)), straight) or straight
+        straight = _as_quiet(_straightened(unfiltered), straight) or straight
+    if (simpler := _simpler_beside_drift(known, straight.search, drifts)) is not None:
+        return simpler
     noise = over_motion(straight.search, straight.search.fits[straight.search.best()])
     return straight if noise < _QUIETER * known.noise_beside_drift else known
 
 
-def _beside_drift(known: Undisturbed, search: Search, drifts: Drifts) -> Undisturbed | None:
-    """Return the sets with a drift beside them, where one leaves nothing and is likelier than all that do without.
+def _simpler_beside_drift(known: Undisturbed, straight: Search, drifts: Drifts) -> Undisturbed | None:
+    """Return the sets with a drift beside them, where the likeliest leaves nothing and has fewer effects than without.
 
-    Where a sensor seems bent although a set leaves noise: that set was as large as it had to be to follow a drift.
+    Asked where a sensor seemed bent although a set left noise, and several effects remain of straightened records: all
+    of these may follow a drift.
     """
-    if known.drifting is not None:
+    search, best = known.search, straight.best()
+    if known.drifting is not None or len(best) < _SEVERAL:
         return None
     beside = with_drifts(known, drifts)
     drifting = beside.drifting or {}
     *names, last = likeliest(search, drifting) or ("",)
-    if (last,) != evidence.DRIFT:
+    if (last,) != evidence.DRIFT or not len(names) < len(best):
         return None
     rest = evidence.lack_of_fit(search.batch, drifting[tuple(names)].fit)
     return beside if rest.p_value > _RARE else None
@@ -317,7 +318,7 @@ def with_drifts(known: Undisturbed, drifts: Drifts) -> Undisturbed:
     return known if known.question.batch is batch else replace(known, question=replace(known.question, batch=batch))
 
 
-def _straightened(known: Known, seen: Disturbed | None) -> Undisturbed | None:
+def _straightened(known: Known) -> Undisturbed | None:
     """Return the question and search of records without bent sensors and lines; None where no set leaves noise then.
 
     Where a line by itself is not all, and nothing else was changed, everything is asked of the records without it: the
@@ -325,15 +326,14 @@ def _straightened(known: Known, seen: Disturbed | None) -> Undisturbed | None:
     """
     changed, again = known.changed, known.search
     found: list[Disturbed] = []
-    records, one = changed.records, seen
-    while one is not None:
+    records = changed.records
+    while len(found) < _PASSES and (one := disturbed(again)) is not None:
         found.append(one)
         records = one.undisturbed(records)
         tried = changed.but(*sentences(found), records=records).asked().found
         again = tried.search
         if is_exact(again):
             return replace(tried, is_bent=any(item.is_bent for item in found))
-        one = disturbed(again) if len(found) < _PASSES else None
     is_line = bool(found) and not found[0].is_bent
     if not is_line or changed.said or len(changed.lines) + 1 >= _PASSES:
         return None
