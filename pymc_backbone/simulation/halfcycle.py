@@ -34,6 +34,7 @@ from .memory import (
     SAMPLE_SLOPES,
     SENSITIVITY,
     STEP,
+    STEP_BEHIND_KINK,
     TIME,
     TOLERANCE,
     VALUE,
@@ -114,7 +115,7 @@ def _half_cycle(
         radius = _CLOSE_STATES if columns == 0 else _CLOSE_STATE_SENSITIVITIES
     h = memory[STEP] if memory[STEP] > 0.0 else 0.3 / omega
     limit = np.inf
-    rejected, at_kink, hop = False, False, False
+    rejected, at_kink, hop, is_behind = False, False, False, False
     for _ in range(_MAXIMUM_STEPS):
         local = math.sqrt(fx / mass) if fx > 0.0 else 0.0
         h = min(h, memory[LARGEST_STEP] / max(local, omega if samples.size > 0 else 1e-3 * omega))
@@ -187,6 +188,13 @@ def _half_cycle(
             y[k] = y1[k]
         for j in range(n if moving else 0):
             model.scales[2 + j] = max(model.scales[2 + j], abs(z[j]))
+        # behind a kink what is smooth may begin with a root: the step that was right in the last half cycle is tried
+        if hop:
+            is_behind = True
+            h = min(h, memory[STEP_BEHIND_KINK]) if memory[STEP_BEHIND_KINK] > 0.0 else h
+        elif is_behind:
+            is_behind = False
+            memory[STEP_BEHIND_KINK] = step * _growth(error)
         if step >= 0.999 * h:
             growth = _growth(error)
             h = step * (min(growth, 1.0) if rejected else growth)

@@ -27,7 +27,7 @@ MODE, COLUMNS, N_SAMPLES, CURSOR, SAMPLE_SLOPES, QUANTITY, TABLE = range(12, 19)
 # The numbers: of the oscillator and what is asked (tolerance of a step; release, 0 for the default; amplitude at which
 # a decay ends), then of a run under way. Behind them follow the levels in a description, in the memory of a run what
 # `memory_of` places there.
-MASS, TOLERANCE, RELEASE, STOP, TIME, STEP, LARGEST_STEP, AMPLITUDE, N_NUMBERS = range(9)
+MASS, TOLERANCE, RELEASE, STOP, TIME, STEP, STEP_BEHIND_KINK, LARGEST_STEP, AMPLITUDE, N_NUMBERS = range(10)
 
 
 class Description(NamedTuple):

@@ -10,7 +10,7 @@ from .._common.checks import FloatArray, IntArray
 from .curves import compiled
 from .forces import KIND, MEMORY, OWN_EQUATION, ROW, Z_FIRST, Z_LAST
 from .halfcycle import COMPLETED
-from .memory import AMPLITUDE, N_EFFECTS, STEP, TABLE, TIME, Turns
+from .memory import AMPLITUDE, N_EFFECTS, STEP, STEP_BEHIND_KINK, TABLE, TIME, Turns
 from .run import Run, swing
 
 HALVES = 6  # half cycles at a level
@@ -96,6 +96,7 @@ def rest_at(run: Run, y: FloatArray) -> None:
     run.y[:] = y
     run.memory[TIME] = 0.0
     run.memory[STEP] = 0.0
+    run.memory[STEP_BEHIND_KINK] = 0.0
     run.memory[AMPLITUDE] = y[0]
     for c in range(run.columns):
         run.dt[c] = 0.0
