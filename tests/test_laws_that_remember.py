@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -93,6 +95,25 @@ def test_hysteresis_begins_again_from_nearer_to_its_saturation(hysteretic, monke
     assert rested.state.own[:, 0].max() < 0.25 * STIFFNESS
     monkeypatch.setattr(Search, "_set_fits", lambda _self, _names: [rested])
     assert search.fit_set(("bouc_wen",)).cost < known.cost + 0.5
+
+
+@pytest.mark.parametrize(
+    ("of_base", "of_other", "is_asked"),
+    [(None, 0.0, True), (50.0, 0.0, True), (5.0, 0.0, False), (300.0, -200.0, False)],
+)
+def test_hysteresis_that_cannot_count_does_not_begin_again(of_base, of_other, is_asked, hysteretic, monkeypatch):
+    """Of records that the model as it is explains, two whole fits of hysteresis had been most of what was spent."""
+    known_search, known = hysteretic
+    search = Search(known_search.batch, Oscillator(MASS), ("bouc_wen",), 1, budget=BUDGET)
+    asked = []
+    monkeypatch.setattr(Search, "_set_fits", lambda _self, _names: [known])
+    monkeypatch.setattr(Search, "_slipping", lambda _self, _found: [])
+    monkeypatch.setattr(Search, "_saturating", lambda _self, found: asked.append(found) or [])
+    monkeypatch.setattr(Search, "explains", lambda _self, _found: of_base is not None)
+    for names, above in (((), of_base or 1e6), (("cubic_stiffness",), of_other)):
+        search.fits[names] = replace(known, chi_square=known.chi_square + above / known.chi_square.size)
+    assert search.fit_set(("bouc_wen",)) is known
+    assert asked == ([known] if is_asked else [])
 
 
 def test_what_remembers_is_asked_where_two_laws_imitate_it_whatever_was_spent():

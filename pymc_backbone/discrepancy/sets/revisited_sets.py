@@ -56,10 +56,21 @@ class RevisitedSets(FittedSets):
         if is_known or found is None or not found.is_converged or not found.cost < IN_REACH * self.count:
             return found
         if self.batch.has_records:
-            self.fits[names] = min(
-                [found, *self._slipping(found), *self._saturating(found)], key=lambda item: item.cost
-            )
+            others = self._slipping(found)
+            others += self._saturating(found) if self._is_worth_while(found) else []
+            self.fits[names] = min([found, *others], key=lambda item: item.cost)
         return self.fits[names]
+
+    def _is_worth_while(self, found: Fit) -> bool:
+        """Return whether a fit begun again along its valley may count: it costs as much as a whole one.
+
+        Not where the model as it is leaves noise and is hardly worse, or another set is far better.
+        """
+        base = self.fits.get(())
+        if base is None or not self.explains(base):
+            return True
+        lowest = min(item.cost for item in self.fits.values())
+        return found.cost < min(base.cost - _ASKED_FOR, lowest + _REFUTED)
 
     def _slipping(self, known: Fit) -> list[Fit]:
         """Return the fit from beyond the edge of the plateau of a slider, where one came to rest on that."""
