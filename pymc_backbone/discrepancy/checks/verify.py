@@ -23,6 +23,7 @@ from ..fitting.curves import (
 from ..fitting.data_term import level_term
 from ..fitting.descent import is_heavy
 from ..fitting.joint_fit import Fit, fit, parameters_of
+from ..fitting.limits import centred
 from ..fitting.normal_equations import DRIFTS, NUISANCES, State
 from ..results.entries import HeldOut
 
@@ -159,7 +160,8 @@ def held_out_specimens(
         for m, model in enumerate((before, after)):
             if model is None:
                 continue
-            state = State(model.state.eta, model.state.own[rest])
+            # one specimen alone has no deviation: about the middle of all, it had lost its phase
+            state = centred(model.layout, State(model.state.eta, model.state.own[rest]), model.layout.scatter)
             solved = refit(model, others, state)
             if solved is None:
                 continue

@@ -33,12 +33,20 @@ def recentred(layout: Layout, state: State, scatter: float) -> State:
     """
     if not np.any(np.abs(state.own[:, NUISANCES:]) >= MOST_SCATTER):
         return state
+    middle = centred(layout, state, scatter)
+    return state if np.any(np.abs(middle.own[:, NUISANCES:]) > MOST_SCATTER) else middle
+
+
+def centred(layout: Layout, state: State, scatter: float) -> State:
+    """Return the same parameters of every specimen with the shared values in their middle."""
+    if scatter == 0.0 or not layout.free.size:
+        return state
     values = np.clip(state.eta * (1.0 + scatter * state.own[:, NUISANCES:]), layout.low, layout.high)
     eta = values.mean(axis=0)
     own = state.own.copy()
     usable = eta != 0.0
     own[:, NUISANCES:] = np.where(usable, (values / np.where(usable, eta, 1.0) - 1.0) / scatter, own[:, NUISANCES:])
-    return state if np.any(np.abs(own[:, NUISANCES:]) > MOST_SCATTER) else State(eta, own)
+    return State(eta, own)
 
 
 def within(layout: Layout, state: State, scatter: float) -> State:
