@@ -14,7 +14,7 @@ from ..sets.relaxed_release import SENTENCE as RELAXED
 from ..sets.relaxed_release import is_relaxed_at_release
 from ..sets.search import Search
 from ..weighing import evidence
-from .changed import (  # fmt: skip
+from .changed import (
     LESS,
     Changed,
     Drifts,
@@ -86,9 +86,10 @@ def undisturbed(
     a set leaves nothing else then. A bent sensor and another mode's line are taken out where a set leaves noise then;
     what was found with the noise of disturbed records is found again without it. Where a set leaves noise with a drift
     in time beside it, which is likelier, no cycle is left out, and sensors are straightened only where clearly less
-    noise is left then: an estimate of the noise that holds the disturbance hides it. Where the model as it is needs a
-    drift in time and nothing else, nothing else is asked. A line that the search was halted for, or with which records
-    beat that were cut for it, is taken out before all that.
+    noise is left then: an estimate of the noise that holds the disturbance hides it. Nor are they where fewer effects
+    than remain of straightened records leave nothing beside a drift. Where the model as it is needs a drift in time and
+    nothing else, nothing else is asked. A line that the search was halted for, or with which records beat that were cut
+    for it, is taken out before all that.
     """
     return _undisturbed(Known(Changed(question, measuring, searched, drifts, records), Undisturbed(question, search)))
 
