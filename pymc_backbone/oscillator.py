@@ -17,10 +17,9 @@ from numpy.typing import ArrayLike
 
 from ._common.checks import FloatArray, InputError, check_finite_array, check_positive
 from ._common.digests import FunctionDigest
-from .effects import BASE_EFFECTS, LIBRARY, Effect, Parameter, get_effect
+from .effects import BASE_EFFECTS, FUNCTIONS, LIBRARY, Effect, Parameter, get_effect
 
 EffectLike = str | Effect
-_COMPILED = ("force", "gradient", "regime", "state_rate", "state_rate_gradient")
 
 
 @dataclass(frozen=True, init=False, repr=False)
@@ -290,7 +289,7 @@ class Oscillator:
         digest = FunctionDigest()
         for effect in self.effects:
             digest.add("effect", effect.name, *effect.parameter_names, str(effect.has_memory), str(effect.n_states))
-            for label in _COMPILED:
+            for label in FUNCTIONS:
                 digest.add(label)
                 digest.visit(getattr(effect, label))
         return digest.hexdigest()
@@ -353,7 +352,7 @@ def _reference(effect: Effect) -> Effect | tuple[str, str]:
     """Return (module, attribute) under which another process finds the effect, or the effect if there is none."""
     if LIBRARY.get(effect.name) is effect:
         return "", effect.name
-    for label in _COMPILED:
+    for label in FUNCTIONS:
         module = sys.modules.get(getattr(getattr(effect, label), "__module__", ""))
         # What is typed into a session (no file) is not there in another process.
         if module is not None and getattr(module, "__file__", None) is not None:

@@ -37,9 +37,10 @@ from __future__ import annotations
 
 import math
 
-from .forces import Model, force_gradient, force_slopes, plain
+from .forces import Model, force_gradient, force_slopes
 from .pointers import Floats, shifted
 from .states import state_slopes
+from .switches import plain
 
 STAGES = 12
 
@@ -198,8 +199,8 @@ from __future__ import annotations
 
 import math
 
-from .forces import plain
 from .pointers import Floats
+from .switches import plain
 
 LANES = 128
 _ROWS = tuple(LANES * row for row in range(19))

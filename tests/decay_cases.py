@@ -101,6 +101,31 @@ MAXWELL = Effect(
 
 
 @numba.njit
+def _lag_force(x, v, direction, z, p):
+    return p[0] * z[0]
+
+
+@numba.njit
+def _lag_rate(x, v, direction, z, p, out):
+    out[0] = v - direction * v * z[0] / p[1]
+
+
+LAG = Effect(
+    name="lag",
+    summary="Dahl friction by its rate, without any gradient: the way over which it builds up is the second parameter.",
+    text="k z; z' = x' - |x'| z / way",
+    latex="k z",
+    parameters=(
+        _parameter("lag_stiffness", lambda m, a, w: 0.0, lambda m, a, w: m * w * w),
+        _parameter("lag_way", lambda m, a, w: 0.01 * a, lambda m, a, w: a),
+    ),
+    force=_lag_force,
+    n_states=1,
+    state_rate=_lag_rate,
+)
+
+
+@numba.njit
 def _sinh_force(x, v, direction, z, p):
     return p[0] * p[1] * np.sinh(x / p[1])
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -17,6 +19,7 @@ from .decay_cases import (
     COMBINATIONS,
     EFFECTS,
     FOLLOWER,
+    LAG,
     MASS,
     MAXWELL,
     OMEGA,
@@ -238,7 +241,7 @@ def test_user_effects_are_integrated_as_exactly_as_the_librarys(user, monkeypatc
 
 @pytest.mark.parametrize("way", [0.3, 0.01, 0.005, 0.003])
 def test_friction_that_builds_up_over_a_short_way_starts_where_slow_loading_leads(way):
-    """Of the amplitude; down to there a search goes. Steps of slow loading that are too long for it diverge."""
+    """Of the amplitude; down to there a search goes. In closed form, and by the rate: too long a step would diverge."""
     oscillator = Oscillator(MASS, "dahl_friction")
     force = 0.01 * MASS * OMEGA**2 * AMPLITUDE
     p = [MASS * OMEGA**2, 0.02 * MASS * OMEGA, force / (way * AMPLITUDE), force]
@@ -248,7 +251,26 @@ def test_friction_that_builds_up_over_a_short_way_starts_where_slow_loading_lead
     np.testing.assert_allclose(found.turning_times, times[:5], rtol=1e-6)
     as_bouc_wen = [*p[:3], 1.0, 0.0, 1.0 / (way * AMPLITUDE), 0.0, 1.0]
     same = simulate_decay(Oscillator(MASS, "bouc_wen"), as_bouc_wen, AMPLITUDE, n_cycles=2)
-    np.testing.assert_allclose(same.turning_values, found.turning_values, atol=1e-7 * AMPLITUDE)
+    np.testing.assert_allclose(same.turning_values, found.turning_values, atol=1e-9 * AMPLITUDE)
+    by_rate = simulate_decay(Oscillator(MASS, [LAG]), [*p[:3], way * AMPLITUDE], AMPLITUDE, n_cycles=2)
+    np.testing.assert_allclose(by_rate.turning_values, turns[:5], atol=1e-7 * AMPLITUDE)
+
+
+def test_an_effect_of_ones_own_has_room_and_remembers_as_the_librarys():
+    library = LIBRARY["bouc_wen"]
+    mine = replace(library, name="mine")  # reached by another way, with the same functions
+    p = parameters_of(oscillator_of(("bouc_wen", "cubic_stiffness")))
+    results = [
+        simulate_decay(Oscillator(MASS, [effect, "cubic_stiffness"]), p, AMPLITUDE, n_cycles=4)
+        for effect in (library, mine)
+    ]
+    np.testing.assert_allclose(results[1].turning_values, results[0].turning_values, rtol=1e-12)
+    np.testing.assert_allclose(results[1].turning_times, results[0].turning_times, rtol=1e-12)
+    curves = [
+        simulate_backbone(Oscillator(MASS, [effect]), p[:-1], [0.3 * AMPLITUDE, 0.5 * AMPLITUDE], sensitivities=True)
+        for effect in (library, mine)
+    ]
+    np.testing.assert_allclose(curves[1].jacobian, curves[0].jacobian, rtol=1e-9, atol=1e-12)
 
 
 def test_turning_points_are_those_of_heyoka():

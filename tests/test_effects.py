@@ -8,11 +8,13 @@ import math
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numba
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import pymc_backbone.effects as effects_package
 from pymc_backbone._common.checks import InputError
@@ -41,6 +43,11 @@ def draw_parameters(effect: Effect, rng: np.random.Generator) -> np.ndarray:
     return bounds[:, 0] + rng.uniform(0.1, 0.9, len(bounds)) * (bounds[:, 1] - bounds[:, 0])
 
 
+def kept_of(effect: Effect):
+    """Return what an effect with memory keeps of a turning point: its force there, unless it says otherwise."""
+    return effect.remembered or effect.force
+
+
 def draw_state(effect: Effect, p: np.ndarray, rng: np.random.Generator) -> tuple[float, float, float, np.ndarray]:
     """Draw x, v, direction and z that belong together."""
     direction = float(rng.choice([-1.0, 1.0]))
@@ -51,7 +58,7 @@ def draw_state(effect: Effect, p: np.ndarray, rng: np.random.Generator) -> tuple
     if rng.random() < 0.5:
         # After a reversal: the slider was loaded from its virgin state to x_r, where the motion turned round.
         x_r = -direction * AMPLITUDE * rng.uniform(0.2, 1.0)
-        z = np.array([x_r, effect.force(x_r, 0.0, -direction, z, p), 1.0])
+        z = np.array([x_r, kept_of(effect)(x_r, 0.0, -direction, z, effect.with_room(p)), 1.0])
     # At least a fifth of the amplitude away from the turning point, where a bed of sliders has a vertical tangent.
     return z[0] + direction * AMPLITUDE * rng.uniform(0.2, 1.8), v, direction, z
 
@@ -68,7 +75,7 @@ TABULATED = ("tabulated_stiffness", "tabulated_damping")
 
 
 def label_of(effect: Effect, x, v, direction, z, p) -> int:
-    arguments = (x, v, direction, z, p)
+    arguments = (x, v, direction, z, effect.with_room(p))
     if effect.name in TABULATED:  # smooth to the second derivative only where pieces of a spline meet
         place = abs(x if effect.name == "tabulated_stiffness" else v) / p[-1]
         nodes = effect.force.py_func.__globals__["NODES"]
@@ -79,13 +86,15 @@ def label_of(effect: Effect, x, v, direction, z, p) -> int:
 def columns(effect: Effect, p: np.ndarray, n_z: int) -> list[tuple[str, int, float]]:
     """Return (kind, index, scale) of each column of a gradient: x, v, parameters, states."""
     scales = [max(abs(b) for b in parameter.bounds(MASS, AMPLITUDE, OMEGA)) for parameter in effect.parameters]
-    states = [("z", 0, AMPLITUDE), ("z", 1, FORCE)] if effect.has_memory else [("z", i, AMPLITUDE) for i in range(n_z)]
+    kept = AMPLITUDE if effect.remembered else FORCE
+    states = [("z", 0, AMPLITUDE), ("z", 1, kept)] if effect.has_memory else [("z", i, AMPLITUDE) for i in range(n_z)]
     return [("x", 0, AMPLITUDE), ("v", 0, AMPLITUDE * OMEGA), *(("p", i, s) for i, s in enumerate(scales)), *states]
 
 
 def check_against_differences(effect: Effect, evaluate, gradient, output_scale: float, rng) -> None:
     """Compare each column of ``gradient`` with differences of ``evaluate`` at points away from kinks."""
     compared = 0
+    is_lagging = not effect.has_memory or effect.remembered is not None  # a power of a state that is zero
     for _ in range(60):
         p = draw_parameters(effect, rng)
         x, v, direction, z = draw_state(effect, p, rng)
@@ -102,7 +111,7 @@ def check_against_differences(effect: Effect, evaluate, gradient, output_scale: 
             step = 3e-3 * scale
             # Well away from a kink, where the higher derivatives of a power law are out of bounds.
             labels = {label_of(effect, *shifted(at + i * step / 4)) for i in range(-24, 25)}
-            if len(labels) > 1 or (kind == "z" and abs(at) < 2 * step and not effect.has_memory):
+            if len(labels) > 1 or (kind == "z" and abs(at) < 2 * step and is_lagging):
                 continue
             difference = differentiate(lambda value, shifted=shifted: evaluate(*shifted(value)), at, step)
             # Truncation (3e-3)^6 ~ 1e-15 times a growth of the higher derivatives of the power laws of up to ~1e5,
@@ -118,11 +127,48 @@ def check_against_differences(effect: Effect, evaluate, gradient, output_scale: 
 def test_gradient_matches_differences(effect, rng):
     def gradient(x, v, direction, z, p):
         out = np.full(2 + len(p) + len(z), np.nan)
-        effect.gradient(x, v, direction, z, p, out)
+        effect.gradient(x, v, direction, z, effect.with_room(p), out)
         assert np.all(np.isfinite(out))
         return out
 
-    check_against_differences(effect, effect.force, gradient, FORCE, rng)
+    def force(x, v, direction, z, p):
+        return effect.force(x, v, direction, z, effect.with_room(p))
+
+    check_against_differences(effect, force, gradient, FORCE, rng)
+
+
+@having("remembered")
+def test_gradient_of_what_is_remembered_matches_differences(effect, rng):
+    def gradient(x, v, direction, z, p):
+        out = np.full(2 + len(p) + len(z), np.nan)
+        effect.remembered_gradient(x, v, direction, z, effect.with_room(p), out)
+        return out
+
+    def remembered(x, v, direction, z, p):
+        return effect.remembered(x, v, direction, z, effect.with_room(p))
+
+    check_against_differences(effect, remembered, gradient, AMPLITUDE, rng)
+
+
+@pytest.mark.parametrize("effect", [effect for effect in LIBRARY.values() if effect.n_room], ids=lambda e: e.name)
+def test_room_changes_no_number_and_its_lack_gives_none(effect, rng):
+    """What was worked out for other parameters or another turning point before leaves nothing behind."""
+    used = effect.with_room(draw_parameters(effect, rng))
+    for _ in range(100):
+        p = draw_parameters(effect, rng)
+        x, v, direction, z = draw_state(effect, p, rng)
+        if rng.random() < 0.5:  # the same parameters again, elsewhere
+            p = used[: p.size].copy()
+        used[: p.size] = p
+        slopes = np.full((2, 2 + p.size + z.size), np.nan)
+        effect.gradient(x, v, direction, z, used, slopes[0])
+        effect.gradient(x, v, direction, z, effect.with_room(p), slopes[1])
+        np.testing.assert_array_equal(*slopes)
+        expected = effect.force(x, v, direction, z, effect.with_room(p))
+        assert effect.force(x, v, direction, z, used) == pytest.approx(expected, rel=1e-15)
+        assert np.isnan(effect.force(x, v, direction, z, p))
+        effect.gradient(x, v, direction, z, p, slopes[0])
+        assert np.isnan(slopes[0]).all()
 
 
 @having("state_rate_gradient")
@@ -146,10 +192,10 @@ def test_force_is_zero_at_zero_parameters(effect, rng):
     zeros = np.zeros(len(effect.parameters))
     for _ in range(20):
         x, v, direction, z = draw_state(effect, zeros, rng)
-        assert effect.force(x, v, direction, z, zeros) == 0.0
+        assert effect.force(x, v, direction, z, effect.with_room(zeros)) == 0.0
         out = np.full(2 + len(zeros) + len(z), np.nan)
         if effect.gradient is not None:
-            effect.gradient(x, v, direction, z, zeros, out)
+            effect.gradient(x, v, direction, z, effect.with_room(zeros), out)
             assert np.all(np.isfinite(out))
             assert out[0] == out[1] == 0.0
         if effect.state_rate is not None:
@@ -161,7 +207,7 @@ def test_force_is_zero_at_zero_parameters(effect, rng):
 @having("regime")
 def test_force_is_continuous_where_the_regime_changes(effect, rng):
     crossings = 0
-    for _ in range(20):
+    for _ in range(40):
         p = draw_parameters(effect, rng)
         _, v, direction, z = draw_state(effect, p, rng)
         start = z[0] if effect.has_memory else -2.0 * AMPLITUDE * direction
@@ -179,9 +225,9 @@ def test_force_is_continuous_where_the_regime_changes(effect, rng):
             for _ in range(60):
                 middle = 0.5 * (low + high)
                 low, high = (middle, high) if label_of(effect, *at(middle)) == labels[i] else (low, middle)
-            jump = effect.force(*at(high)) - effect.force(*at(low))
+            before, behind = (effect.force(*at(s)[:-1], effect.with_room(p)) for s in (low, high))
             # The two points are one rounding apart.
-            assert abs(jump) < 1e-12 * max(FORCE, abs(effect.force(*at(high))))
+            assert abs(behind - before) < 1e-12 * max(FORCE, abs(behind))
             if effect.state_rate is not None:
                 rates = np.zeros((2, effect.n_states))
                 effect.state_rate(*at(low), rates[0])
@@ -204,7 +250,8 @@ def test_symmetric_effect_has_an_odd_force(name, rng):
         p = draw_parameters(effect, rng)
         x, v, direction, z = draw_state(effect, p, rng)
         mirrored = z * np.array([-1.0, -1.0, 1.0]) if effect.has_memory else -z
-        assert effect.force(-x, -v, -direction, mirrored, p) == -effect.force(x, v, direction, z, p)
+        room = effect.with_room(p)
+        assert effect.force(-x, -v, -direction, mirrored, room) == -effect.force(x, v, direction, z, room)
 
 
 def dimension(unit: str) -> np.ndarray:
@@ -252,6 +299,8 @@ def test_functions_compile_for_scalars_and_contiguous_arrays(effect):
         "force": (state, number),
         "gradient": ((*state, vector), numba.none),
         "regime": (state, numba.int64),
+        "remembered": (state, number),
+        "remembered_gradient": ((*state, vector), numba.none),
         "state_rate": ((*state, vector), numba.none),
         "state_rate_gradient": ((*state, matrix), numba.none),
     }
@@ -278,11 +327,14 @@ def test_unknown_effect_is_named_with_its_nearest():
         get_effect("cubic_stifness")
 
 
+SHARED = ("_contact", "_hysteresis", "_saturation", "_sides", "_spline")  # what several effects' files have in common
+
+
 def test_effect_files_import_nothing_but_the_allowed():
     folder = Path(effects_package.__file__).parent
-    allowed = {"__future__", "math", "numba", "numpy", "_base", "_contact", "_sides", "_spline", "_common.checks"}
+    allowed = {"__future__", "math", "numba", "numpy", "_base", *SHARED, "_common.checks"}
     for path in folder.glob("*.py"):
-        if path.name in ("__init__.py", "_base.py", "_contact.py", "_sides.py", "_spline.py"):
+        if path.stem in ("__init__", "_base", *SHARED):
             continue
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Import):
@@ -318,7 +370,9 @@ def test_roles_agree_with_units_and_limits(effect):
     assert effect.needs_rotation == any("rad" in parameter.unit for parameter in effect.parameters)
 
 
-@pytest.mark.parametrize("effect", [effect for effect in LIBRARY.values() if effect.has_memory], ids=lambda e: e.name)
+@pytest.mark.parametrize(
+    "effect", [e for e in LIBRARY.values() if e.has_memory and e.remembered is None], ids=lambda e: e.name
+)
 def test_sliders_declare_their_slip_force(effect):
     """A full slip has exactly this force, whatever the path: found by pushing, not by name."""
     (name,) = effect.with_role("slip_force")
@@ -470,6 +524,7 @@ def test_mechanism_is_what_the_force_does(effect, rng):
                 effect.state_rate(0.3 * AMPLITUDE, share * v[-1], 1.0, np.full(effect.n_states, 0.01), p, rate)
         is_rate_independent = np.allclose(rates[1], 0.5 * rates[0], rtol=1e-12)
         assert effect.mechanism == ("hysteresis" if is_rate_independent else None)
+        assert is_rate_independent or not effect.has_memory
         return
     assert effect.mechanism in MECHANISMS and effect.mechanism != "other"
     assert (effect.mechanism == "inertia") == (effect.added_mass is not None)
@@ -662,34 +717,120 @@ def test_iwan_damping_follows_the_power_law():
 # --- other effects against what is known of them ----------------------------------------------------------------------
 
 
+def test_what_remembers_and_what_has_room_says_all_that_it_needs():
+    effect = LIBRARY["bouc_wen"]
+    for change in ({"remembered": None}, {"remembered_gradient": None}):
+        with pytest.raises(InputError, match="needs both remembered and remembered_gradient, and has_memory"):
+            replace(effect, **change)
+    with pytest.raises(InputError, match="needs both remembered and remembered_gradient, and has_memory"):
+        replace(effect, has_memory=False, n_states=0)
+    with pytest.raises(InputError, match="has room behind its parameters: give its gradient"):
+        replace(effect, gradient=None)
+
+
+def published_rate(s, z, direction, p):
+    """Return dz/dx times the direction of motion as it was published, with a speed of one."""
+    _, amplitude, _, beta, gamma, n = p
+    return amplitude * direction - beta * abs(z) ** (n - 1) * z - gamma * direction * abs(z) ** n
+
+
+def crossing(s, z, direction, p):
+    return z[0]
+
+
+crossing.terminal = True
+
+
+@pytest.mark.parametrize("exponent", [1.0, 1.1, 1.5, 2.0, 3.0, 10.0])
+def test_bouc_wen_follows_its_published_rate(exponent, rng):
+    """SciPy integrates the law along the way, on either side of z = 0 by itself, where it has a kink."""
+    effect = LIBRARY["bouc_wen"]
+    for _ in range(30):
+        amplitude, slip = rng.uniform(0.3, 2.0), AMPLITUDE * 10.0 ** rng.uniform(-2.0, 1.0)
+        beta = amplitude / slip**exponent * rng.uniform(0.2, 1.0)
+        p = np.array([100.0, amplitude, 0.4, beta, beta * rng.uniform(-0.9, 2.0), exponent])
+        direction = float(rng.choice([-1.0, 1.0]))
+        x_r = -direction * AMPLITUDE * rng.uniform(0.1, 1.0)
+        room = effect.with_room(p)
+        z = effect.remembered(x_r, 0.0, -direction, np.zeros(3), room)
+        way = AMPLITUDE * rng.uniform(0.1, 2.0)
+        found = effect.remembered(x_r + direction * way, 0.0, direction, np.array([x_r, z, 1.0]), room)
+        options = {"method": "DOP853", "args": (direction, p), "rtol": 1e-12, "atol": 1e-14 * AMPLITUDE}
+        first = solve_ivp(published_rate, (0.0, way), [z], events=crossing, **options)
+        expected = first.y[0, -1]
+        if first.status == 1:
+            expected = solve_ivp(published_rate, (first.t[-1], way), [0.0], **options).y[0, -1]
+        assert found == pytest.approx(expected, abs=1e-9 * max(abs(z), abs(expected)))
+        assert effect.force(x_r + direction * way, 0.0, direction, np.array([x_r, z, 1.0]), room) == pytest.approx(
+            0.6 * 100.0 * found, rel=1e-12
+        )
+        label = effect.regime(x_r + direction * way, 0.0, direction, np.array([x_r, z, 1.0]), room)
+        assert label == (np.sign(found) or direction)
+
+
+@pytest.mark.parametrize(
+    ("exponent", "curve"),
+    [
+        (1.0, lambda t: -np.expm1(-t)),
+        (2.0, np.tanh),
+    ],
+)
+def test_bouc_wen_has_its_closed_forms(exponent, curve):
+    """From rest z is 1 - exp(-t) and tanh t, of t from far below to far beyond the saturation."""
+    effect, slip = LIBRARY["bouc_wen"], 0.3 * AMPLITUDE
+    p = effect.with_room(np.array([100.0, 1.0, 0.0, 0.3 / slip**exponent, 0.7 / slip**exponent, exponent]))
+    for t in np.geomspace(1e-6, 1e4, 81):
+        for direction in (-1.0, 1.0):
+            z = effect.remembered(direction * t * slip, 0.0, direction, np.zeros(3), p)
+            assert z == pytest.approx(direction * slip * curve(t), rel=1e-12)
+    out = np.full(11, np.nan)
+    effect.gradient(1e4 * slip, 0.0, 1.0, np.array([-AMPLITUDE, -0.5 * slip, 1.0]), p, out)
+    assert np.all(np.isfinite(out)) and out[0] > 0.0 and out[9] > 0.0  # no past is forgotten altogether
+    assert out[5] == pytest.approx(100.0 * -(slip ** (1 + exponent)) / exponent, rel=1e-9)  # the slip itself, to beta
+
+
 @pytest.mark.parametrize("exponent", [1.0, 1.5, 2.0])
-@pytest.mark.parametrize("direction", [-1.0, 1.0])
-def test_bouc_wen_is_finite_at_rest_of_its_state(exponent, direction):
+@pytest.mark.parametrize(("beta", "gamma"), [(1.5, -0.3), (0.0, 0.0), (1.0, 1.0), (1.0, -1.0), (0.0, 1.0)])
+def test_bouc_wen_is_finite_at_rest_of_its_state(exponent, beta, gamma):
+    """Also where nothing dissipates, or one side is straight."""
     effect = LIBRARY["bouc_wen"]
-    p = np.array([100.0, 1.2, 0.4, 1.5, -0.3, exponent])
-    for size in (0.0, 1e-300):
-        rate, out = np.full(1, np.nan), np.full((1, 9), np.nan)
-        z = np.array([direction * size])
-        effect.state_rate(0.0, 2.0 * direction, direction, z, p, rate)
-        effect.state_rate_gradient(0.0, 2.0 * direction, direction, z, p, out)
-        assert np.all(np.isfinite(out))
-        assert rate[0] == 1.2 * 2.0 * direction
-        # With n = 1: dz'/dz = -(beta |v| + gamma v sign z), sign z being the one that z takes on next.
-        assert out[0, 8] == pytest.approx(-(1.5 - 0.3) * 2.0 if exponent == 1.0 else 0.0, abs=1e-100)
+    p = effect.with_room(np.array([100.0, 1.2, 0.4, beta, gamma, exponent]))
+    for direction in (-1.0, 1.0):
+        for size in (0.0, 1e-300, 0.1):
+            out, z = np.full(11, np.nan), np.array([0.0, direction * size, 1.0])
+            effect.gradient(0.0, 2.0 * direction, direction, z, p, out)
+            assert np.all(np.isfinite(out))
+            rate = published_rate(0.0, z[1], direction, p[:6]) * direction
+            assert out[0] == pytest.approx(0.6 * 100.0 * rate, rel=1e-9)
+            assert out[2] == pytest.approx(0.6 * z[1], rel=1e-12) and out[9] == pytest.approx(60.0, rel=1e-12)
 
 
-def test_bouc_wen_matches_its_published_rate(rng):
+def test_an_elastic_bouc_wen_unloads_as_it_was_loaded(rng):
+    """With beta of zero z is a function of the displacement, however far it was driven."""
     effect = LIBRARY["bouc_wen"]
-    for _ in range(20):
-        p = draw_parameters(effect, rng)
-        _, amplitude, alpha, beta, gamma, n = p
-        x, v, direction, z = draw_state(effect, p, rng)
-        rate = np.zeros(1)
-        effect.state_rate(x, v, direction, z, p, rate)
-        published = amplitude * v - beta * abs(v) * abs(z[0]) ** (n - 1) * z[0] - gamma * v * abs(z[0]) ** n
-        # The same formula written differently: rounding of terms of this size.
-        assert rate[0] == pytest.approx(published, abs=1e-12 * AMPLITUDE * OMEGA)
-        assert effect.force(x, v, direction, z, p) == pytest.approx((1 - alpha) * p[0] * z[0], rel=1e-15)
+    for exponent in (1.0, 1.7, 2.0):
+        p = effect.with_room(np.array([100.0, 1.0, 0.0, 0.0, 2.0, exponent]))
+        for x in (0.05, 0.4, 3.0):
+            top = effect.remembered(x, 0.0, 1.0, np.zeros(3), p)
+            for back in rng.uniform(0.0, 1.0, 5) * x:
+                down = effect.remembered(back, 0.0, -1.0, np.array([x, top, 1.0]), p)
+                assert down == pytest.approx(effect.remembered(back, 0.0, 1.0, np.zeros(3), p), abs=1e-11)
+
+
+def test_dahl_friction_is_bouc_wen_of_exponent_one(rng):
+    dahl, effect = LIBRARY["dahl_friction"], LIBRARY["bouc_wen"]
+    for _ in range(50):
+        stiffness, friction = draw_parameters(dahl, rng)
+        p = np.array([stiffness, friction])
+        x, v, direction, z = draw_state(dahl, p, rng)
+        same = effect.with_room(np.array([stiffness, 1.0, 0.0, stiffness / friction, 0.0, 1.0]))
+        lag = np.array([z[0], z[1] / stiffness, z[2]])
+        assert dahl.force(x, v, direction, z, p) == pytest.approx(
+            effect.force(x, v, direction, lag, same), rel=1e-9, abs=1e-12 * FORCE
+        )
+    out = np.full(7, np.nan)
+    dahl.gradient(0.1, 1.0, 1.0, np.array([0.0, 0.0, 0.0]), np.array([100.0, 0.0]), out)
+    assert np.all(np.isfinite(out)) and dahl.force(0.1, 1.0, 1.0, np.zeros(3), np.array([100.0, 0.0])) == 0.0
 
 
 def test_regime_at_a_kink_is_the_branch_being_entered():

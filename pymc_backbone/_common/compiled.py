@@ -57,6 +57,7 @@ _COMPILED_MODULES = (
     "simulation/pointers.py",
     "simulation/run.py",
     "simulation/states.py",
+    "simulation/switches.py",
     "simulation/stepper.py",
     "simulation/symmetry.py",
     "simulation/whole.py",

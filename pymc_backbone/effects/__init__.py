@@ -13,7 +13,7 @@ from types import MappingProxyType
 
 from .._common.checks import InputError, check_choice
 from .._common.compiled import keep
-from ._base import EITHER, MECHANISMS, ROLES, Effect, Mechanism, Parameter, Role, Signature
+from ._base import EITHER, FUNCTIONS, MECHANISMS, ROLES, Effect, Mechanism, Parameter, Role, Signature
 
 BASE_EFFECTS: tuple[str, str] = ("linear_stiffness", "viscous_damping")
 """The effects that every oscillator has."""
@@ -96,6 +96,7 @@ def get_effect(name: str) -> Effect:
 __all__ = [
     "BASE_EFFECTS",
     "EITHER",
+    "FUNCTIONS",
     "LIBRARY",
     "MECHANISMS",
     "ROLES",

@@ -55,9 +55,11 @@ EITHER: Mapping[str, tuple[Mechanism, Mechanism]] = MappingProxyType(
     }
 )
 """Mechanisms that backbones may be unable to tell apart, while one of the two is certain."""
-_FUNCTIONS = (
-    "force", "gradient", "regime", "state_rate", "state_rate_gradient", "added_mass", "added_mass_gradient",
+FUNCTIONS = (
+    "force", "gradient", "regime", "remembered", "remembered_gradient", "state_rate", "state_rate_gradient",
+    "added_mass", "added_mass_gradient",
 )  # fmt: skip
+"""What of an effect is compiled."""
 _NAME = re.compile(r"[a-z][a-z0-9_]*\Z")
 
 
@@ -198,6 +200,10 @@ class Effect:
         ``regime(x, v, direction, z, p) -> int``: label of the smooth branch, for forces with kinks.
     has_memory : bool
         Whether the force depends on the last turning point, kept in ``z = [x_r, f_r, branch]``.
+    remembered, remembered_gradient : callable, optional
+        ``remembered(x, v, direction, z, p) -> float``: what an effect with memory keeps of a turning point as ``f_r``,
+        in place of its force there, and its derivatives, written as ``gradient`` writes those of the force. Needed
+        where the force does not tell what goes on, as that of a spring of no stiffness.
     n_states : int
         Number of internal states ``z`` (3 with memory).
     state_rate : callable, optional
@@ -205,6 +211,9 @@ class Effect:
     state_rate_gradient : callable, optional
         ``state_rate_gradient(x, v, direction, z, p, out)``: its derivatives into
         ``out[n_states, 2 + n_p + n_states]``, columns x, v, p..., z....
+    n_room : int
+        How many numbers of room follow the parameters in ``p``, for what is worked out once and used again. They are
+        zero when a simulation begins and belong to it alone; see `with_room`.
     added_mass : callable, optional
         ``added_mass(x, p) -> float``: mass that moves along at a displacement [kg]. ``force`` is what the kinetic
         energy of that mass asks for beside it, ``dm/dx v^2 / 2``.
@@ -259,8 +268,11 @@ class Effect:
     regime: Callable[..., Any] | None = None
     has_memory: bool = False
     n_states: int = 0
+    remembered: Callable[..., Any] | None = None
+    remembered_gradient: Callable[..., Any] | None = None
     state_rate: Callable[..., Any] | None = None
     state_rate_gradient: Callable[..., Any] | None = None
+    n_room: int = 0
     added_mass: Callable[..., Any] | None = None
     added_mass_gradient: Callable[..., Any] | None = None
     references: tuple[str, ...] = ()
@@ -278,7 +290,7 @@ class Effect:
         if not _NAME.match(self.name):
             raise InputError(f"effect name {self.name!r} must be lower-case letters, digits and underscores.")
         self._check_mechanisms()
-        for label in _FUNCTIONS:
+        for label in FUNCTIONS:
             function = getattr(self, label)
             if function is not None and not (hasattr(function, "py_func") or numba.config.DISABLE_JIT):
                 raise InputError(
@@ -291,6 +303,19 @@ class Effect:
             )
         if not self.has_memory and (self.n_states > 0) != (self.state_rate is not None):
             raise InputError(f"effect {self.name!r} needs both n_states > 0 and state_rate, or neither.")
+        if (self.remembered is None) != (self.remembered_gradient is None) or (
+            self.remembered is not None and not self.has_memory
+        ):
+            raise InputError(
+                f"effect {self.name!r} needs both remembered and remembered_gradient, and has_memory, or neither."
+            )
+        if self.n_room and (
+            self.gradient is None or (self.state_rate is not None and self.state_rate_gradient is None)
+        ):
+            raise InputError(
+                f"effect {self.name!r} has room behind its parameters: give its gradient (and state_rate_gradient), "
+                "which cannot be had from differences then."
+            )
         if (self.added_mass is None) != (self.added_mass_gradient is None):
             raise InputError(f"effect {self.name!r} needs both added_mass and added_mass_gradient, or neither.")
         names = [parameter.name for parameter in self.parameters]
@@ -367,10 +392,14 @@ class Effect:
 
     def along(self, x: float, v: float, a: float, z: FloatArray, p: FloatArray) -> float:
         """Return the force in a motion [N], with what the added mass takes at an acceleration ``a`` [m/s^2]."""
-        total = float(self.force(x, v, -1.0 if v < 0.0 else 1.0, z, p))
+        total = float(self.force(x, v, -1.0 if v < 0.0 else 1.0, z, self.with_room(p)))
         if self.added_mass is not None:
             total += a * float(self.added_mass(x, p))
         return total
+
+    def with_room(self, p: FloatArray) -> FloatArray:
+        """Return parameters with the room behind them that the effect's functions ask for."""
+        return np.concatenate([p, np.zeros(self.n_room)]) if self.n_room else p
 
     @property
     def parameter_names(self) -> tuple[str, ...]:

@@ -3,78 +3,54 @@
 The parameters are redundant: the data see ``(1 - alpha) k`` as one stiffness, and scaling ``z`` trades it against the
 amplitude, beta and gamma. Fix those that are known. The unit of beta and gamma depends on the exponent; their default
 bounds are scaled for an exponent of 1, so give bounds of your own with any other.
+
+Between two turning points ``z`` is a function of the displacement alone (`_hysteresis`), so nothing has to be
+integrated beside the motion: what is remembered of a turning point is its place and ``z`` there.
 """
 
 from __future__ import annotations
-
-import math
 
 import numba
 import numpy as np
 
 from .._common.checks import FloatArray
 from ._base import Effect, Parameter, Signature
+from ._hysteresis import N_ROOM, lagging, lagging_slopes, place
 
 
 @numba.njit
 def regime(x: float, v: float, direction: float, z: FloatArray, p: FloatArray) -> int:
     """Return the sign of z; at zero, the sign it is about to have."""
-    if z[0] == 0.0:
-        return 1 if direction > 0.0 else -1
-    return 1 if z[0] > 0.0 else -1
+    return int(direction) if place(x, direction, z, p) >= 0.0 else -int(direction)
 
 
 @numba.njit
-def _power(size: float, exponent: float) -> float:
-    """Return the power of a size: most exponents are 1, and a logarithm is cheaper than a power of any kind."""
-    if exponent == 1.0:
-        return size
-    return math.exp(exponent * math.log(size)) if size > 0.0 else 0.0
+def remembered(x: float, v: float, direction: float, z: FloatArray, p: FloatArray) -> float:
+    """Return the hysteretic displacement [m]."""
+    return lagging(x, direction, z, p)
+
+
+@numba.njit
+def remembered_gradient(x: float, v: float, direction: float, z: FloatArray, p: FloatArray, out: FloatArray) -> None:
+    """Write the derivatives of the hysteretic displacement to x, v, the parameters and the memory."""
+    lagging_slopes(x, direction, z, p, out)
 
 
 @numba.njit
 def force(x: float, v: float, direction: float, z: FloatArray, p: FloatArray) -> float:
     """Return the force [N]."""
-    return (1.0 - p[2]) * p[0] * z[0]
+    return (1.0 - p[2]) * p[0] * lagging(x, direction, z, p)
 
 
 @numba.njit
 def gradient(x: float, v: float, direction: float, z: FloatArray, p: FloatArray, out: FloatArray) -> None:
-    """Write the derivatives of the force to x, v, the parameters and z."""
-    out[:] = 0.0
-    out[2] = (1.0 - p[2]) * z[0]
-    out[4] = -p[0] * z[0]
-    out[8] = (1.0 - p[2]) * p[0]
-
-
-@numba.njit
-def state_rate(x: float, v: float, direction: float, z: FloatArray, p: FloatArray, out: FloatArray) -> None:
-    """Write dz/dt [m/s]."""
-    pull = p[3] * direction * v * regime(x, v, direction, z, p) + p[4] * v
-    out[0] = p[1] * v - _power(abs(z[0]), p[5]) * pull
-
-
-@numba.njit
-def state_rate_gradient(x: float, v: float, direction: float, z: FloatArray, p: FloatArray, out: FloatArray) -> None:
-    """Write the derivatives of dz/dt to x, v, the parameters and z; finite at z = 0 for exponents from 1."""
-    sign = regime(x, v, direction, z, p)
-    size = abs(z[0])
-    power = _power(size, p[5])
-    speed = direction * v
-    pull = p[3] * speed * sign + p[4] * v
-    out[0, 0] = 0.0
-    out[0, 1] = p[1] - power * (p[3] * direction * sign + p[4])
-    out[0, 2] = 0.0
-    out[0, 3] = v
-    out[0, 4] = 0.0
-    out[0, 5] = -power * speed * sign
-    out[0, 6] = -power * v
-    if size > 0.0:
-        out[0, 7] = -power * math.log(size) * pull
-        out[0, 8] = -p[5] * power / size * sign * pull
-    else:
-        out[0, 7] = 0.0
-        out[0, 8] = -sign * pull if p[5] == 1.0 else 0.0
+    """Write the derivatives of the force to x, v, the parameters and the memory."""
+    lag = lagging_slopes(x, direction, z, p, out)
+    stiffness = (1.0 - p[2]) * p[0]
+    for j in range(out.size):
+        out[j] *= stiffness
+    out[2] = (1.0 - p[2]) * lag
+    out[4] = -p[0] * lag
 
 
 EFFECT = Effect(
@@ -139,9 +115,11 @@ EFFECT = Effect(
     force=force,
     gradient=gradient,
     regime=regime,
-    n_states=1,
-    state_rate=state_rate,
-    state_rate_gradient=state_rate_gradient,
+    has_memory=True,
+    n_states=3,
+    remembered=remembered,
+    remembered_gradient=remembered_gradient,
+    n_room=N_ROOM,
     redundant=(("bouc_wen_amplitude", 1.0), ("bouc_wen_alpha", 0.0)),
     opposed=(("bouc_wen_gamma", "bouc_wen_beta"),),
     references=(

@@ -1,10 +1,13 @@
-"""Dahl friction: dry friction that builds up over a short way, without a sudden slip.
+r"""Dahl friction: dry friction that builds up over a short way, without a sudden slip.
 
 It is the Bouc-Wen law with gamma of zero and an exponent of one, in two parameters that have a meaning of their own:
-the search looks for that law, and for this one only when it is named.
+the search looks for that law, and for this one only when it is named. From a turning point ``(x_r, f_r)`` on the force
+approaches :math:`\pm F_D` as :math:`e^{-\sigma_0 |x - x_r| / F_D}`.
 """
 
 from __future__ import annotations
+
+import math
 
 import numba
 
@@ -14,34 +17,28 @@ from ._base import Effect, Parameter, Signature
 
 @numba.njit
 def force(x: float, v: float, direction: float, z: FloatArray, p: FloatArray) -> float:
-    """Return the force [N]; z is the deflection of the contact [m]."""
-    return p[0] * z[0]
+    """Return the force [N]; a contact without friction does not hold."""
+    if not p[1] > 0.0:
+        return 0.0
+    left = math.exp(-p[0] * direction * (x - z[0]) / p[1])
+    return direction * p[1] * (1.0 - left) + z[1] * left
 
 
 @numba.njit
 def gradient(x: float, v: float, direction: float, z: FloatArray, p: FloatArray, out: FloatArray) -> None:
-    """Write the derivatives of the force to x, v, the parameters and z."""
+    """Write the derivatives of the force to x, v, the parameters and the memory."""
     out[:] = 0.0
-    out[2] = z[0]
-    out[4] = p[0]
-
-
-@numba.njit
-def state_rate(x: float, v: float, direction: float, z: FloatArray, p: FloatArray, out: FloatArray) -> None:
-    """Write dz/dt [m/s]; a contact without friction follows at once, and so does not deflect."""
-    out[0] = v - direction * v * p[0] * z[0] / p[1] if p[1] > 0.0 else 0.0
-
-
-@numba.njit
-def state_rate_gradient(x: float, v: float, direction: float, z: FloatArray, p: FloatArray, out: FloatArray) -> None:
-    """Write the derivatives of dz/dt to x, v, the parameters and z."""
-    out[:] = 0.0
-    if p[1] > 0.0:
-        speed = direction * v
-        out[0, 1] = 1.0 - direction * p[0] * z[0] / p[1]
-        out[0, 2] = -speed * z[0] / p[1]
-        out[0, 3] = speed * p[0] * z[0] / (p[1] * p[1])
-        out[0, 4] = -speed * p[0] / p[1]
+    if not p[1] > 0.0:
+        out[3] = direction
+        return
+    way = direction * (x - z[0])
+    left = math.exp(-p[0] * way / p[1])
+    lacking = (z[1] - direction * p[1]) * left
+    out[0] = -lacking * p[0] * direction / p[1]
+    out[2] = -lacking * way / p[1]
+    out[3] = direction * (1.0 - left) + lacking * p[0] * way / (p[1] * p[1])
+    out[4] = -out[0]
+    out[5] = left
 
 
 EFFECT = Effect(
@@ -69,9 +66,8 @@ EFFECT = Effect(
     ),
     force=force,
     gradient=gradient,
-    n_states=1,
-    state_rate=state_rate,
-    state_rate_gradient=state_rate_gradient,
+    has_memory=True,
+    n_states=3,
     references=(
         "Dahl P. R. (1976) Solid friction damping of mechanical vibrations. AIAA Journal 14(12), 1675-1682. "
         "doi:10.2514/3.61511",

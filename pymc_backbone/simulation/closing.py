@@ -18,20 +18,20 @@ from .forces import (
     ROW,
     Z_FIRST,
     Model,
-    effect_slopes,
     force_gradient,
     force_slopes,
-    plain,
+    remembered_slopes,
     smooth_branch,
     state_rates,
 )
 from .instants import sensitivity_slopes
 from .pointers import Floats, shifted
+from .switches import plain
 
 
 @plain
 def remember(model: Model, y: Floats, direction: float) -> None:
-    """Let effects with memory take over the turning point ``y``: where it was, their own force there."""
+    """Let effects with memory take over the turning point ``y``: where it was, and what they keep of it."""
     columns = model.columns
     z = shifted(y, 2)
     for i in range(model.n_effects):
@@ -39,7 +39,7 @@ def remember(model: Model, y: Floats, direction: float) -> None:
         if row[KIND] != MEMORY:
             continue
         first = row[Z_FIRST]
-        force = effect_slopes(model, i, y[0], 0.0, direction, z)
+        kept = remembered_slopes(model, i, y[0], direction, z)
         S = shifted(y, 2 + model.n_states)
         Sz = shifted(S, (2 + first) * columns)
         by_state = shifted(model.scratch, 2 + row[P_LAST] - row[P_FIRST])
@@ -53,7 +53,7 @@ def remember(model: Model, y: Floats, direction: float) -> None:
             Sz[columns + c] = total
             Sz[2 * columns + c] = 0.0
         z[first] = y[0]
-        z[first + 1] = force
+        z[first + 1] = kept
         z[first + 2] = 1.0
 
 

@@ -40,21 +40,25 @@ class Simulator:
         define()
         self.oscillator = oscillator
         self.is_relaxed = is_relaxed
-        table, stiffness, damping, n_states, has_regime, users = describe_effects(oscillator.effects)
-        self.user = compose_user_effects(users)
-        self.needs_decay = n_states > 0
+        described = describe_effects(oscillator.effects)
+        table = described.table
+        self.user = compose_user_effects(described.users)
+        self.needs_decay = described.n_states > 0
         self.has_own_equation = bool(np.any(table[:, KIND] == OWN_EQUATION))
-        self._integers = np.zeros(layout.TABLE + table.size, dtype=np.int64)
+        # Either takes several times as long as a slider: equations to integrate beside the motion, curves to work out.
+        self.is_costly = self.has_own_equation or described.n_room > 0
+        self._integers = np.zeros(layout.TABLE + table.size + described.rooms.size, dtype=np.int64)
         self._integers[layout.USER] = self.user
         self._integers[layout.N_EFFECTS] = len(table)
-        self._integers[layout.STIFFNESS] = stiffness
-        self._integers[layout.DAMPING] = damping
-        self._integers[layout.N_STATES] = n_states
+        self._integers[layout.STIFFNESS] = described.stiffness
+        self._integers[layout.DAMPING] = described.damping
+        self._integers[layout.N_STATES] = described.n_states
+        self._integers[layout.N_ROOM] = described.n_room
         self._integers[layout.N_PARAMETERS] = len(oscillator.parameter_names)
-        self._integers[layout.HAS_REGIME] = has_regime
+        self._integers[layout.HAS_REGIME] = described.has_regime
         self._integers[layout.MAXIMUM] = MAXIMUM_TURNING_POINTS
         self._integers[layout.ROWS] = sum(1 << row for row in ALL_ROWS)
-        self._integers[layout.TABLE :] = table.ravel()
+        self._integers[layout.TABLE :] = np.concatenate([table.ravel(), described.rooms.ravel()])
 
     def describe(
         self,

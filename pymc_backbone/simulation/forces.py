@@ -7,19 +7,36 @@ all models and kept on disk. Effects written by a user are reached through one c
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
-import numba
 import numpy as np
 from numba import float64, int64
 from numpy.typing import NDArray
 
 from .._common.checks import InputError
 from ..effects import BASE_EFFECTS, LIBRARY, Effect
-from .pointers import Floats, Integers, function_type, matrix, shifted, view
+from .pointers import Floats, Integers, function_type, shifted, view
+from .switches import (
+    CODES,
+    ROOMY,
+    library_added_mass,
+    library_added_slopes,
+    library_force,
+    library_kept,
+    library_rate,
+    library_rate_gradient,
+    library_regime,
+    library_slopes,
+    plain,
+    roomy_force,
+    roomy_kept,
+    roomy_regime,
+    roomy_slopes,
+)
 
 FORCE, GRADIENT, REGIME, RATE, RATE_GRADIENT, ADDED_MASS, ADDED_MASS_GRADIENT = range(7)
+REMEMBERED, REMEMBERED_GRADIENT = range(7, 9)
 NO_USER_EFFECT = 0  # the address where there are library effects only
 USER = 1_000_000  # codes from here on are effects written by the user
 NO_STATE, MEMORY, OWN_EQUATION = range(3)
@@ -30,7 +47,8 @@ class Model(NamedTuple):
 
     Address of the user's effects, one row of ``table`` for each effect but linear stiffness and viscous damping, where
     these two stand among the parameters ``p``, how many sensitivities are carried (``columns``); amplitude and speed of
-    the motion and sizes of the states (``scales``), room for derivatives.
+    the motion and sizes of the states (``scales``), room for derivatives, and behind ``scratch`` that of the effects.
+    Compiled calls pass all of this along, so each more of it costs.
     """
 
     user: int
@@ -50,100 +68,54 @@ class Model(NamedTuple):
     scratch: Floats
 
 
-CODE, P_FIRST, P_LAST, Z_FIRST, Z_LAST, KIND, ADDS_MASS, ROW = range(8)  # columns of the table and their number
+# Columns of the table, and their number; behind its rows where the room of each effect begins, and its size.
+CODE, P_FIRST, P_LAST, Z_FIRST, Z_LAST, KIND, ADDS_MASS, ROW = range(8)
+ROOM = 2
 
 USER_SIGNATURE = float64(
     int64, int64, float64, float64, float64, float64[::1], float64[::1], float64[::1], float64[::1]
 )
 function_at = function_type(USER_SIGNATURE)
 
-_plain = numba.njit(_nrt=False, error_model="numpy", fastmath={"contract"})
 
+class Described(NamedTuple):
+    """What is known of effects before any number is: their table, and what `Model` names alike.
 
-def plain[**P, R](function: Callable[P, R]) -> Callable[P, R]:
-    """Compile a function of the hot path; to the type checker it stays what it was.
-
-    None of them allocates, and without reference counting they are six times as fast. Division by zero gives inf or
-    nan, which the integrator looks for, instead of an exception.
+    ``rooms``: where the room of each begins, and its size; ``n_room``: numbers of room that all of them need together;
+    ``users``: those that are not the library's.
     """
-    compiled: Callable[P, R] = _plain(function)
-    return compiled
+
+    table: NDArray[np.int64]
+    rooms: NDArray[np.int64]
+    stiffness: int
+    damping: int
+    n_states: int
+    n_room: int
+    has_regime: bool
+    users: tuple[Effect, ...]
 
 
-def _switch(
-    cases: Sequence[tuple[int, Sequence[Any]]], arrays: Sequence[str], result: str, given: str = "x, v, direction, z, p"
-) -> Any:
-    """Return one compiled ``f(code, x, v, direction, z, n_z, p, n_p, ...)``, pointers and sizes, over library effects.
-
-    It calls the functions listed for ``code`` with what is ``given`` and the ``arrays``, the last one for its value;
-    ``result`` is returned for codes not listed.
-    A flat switch compiles far faster than a chain of closures. The text holds indices only.
-    """
-    sizes = {"z": "n_z", "p": "n_p", "out": "2 + n_p + n_z", "rates": "n_z", "rows": "n_z, 2 + n_p + n_z"}
-    pointers = ["to_z", "n_z", "to_p", "n_p", *("to_" + name for name in arrays)]
-    lines = [f"def switch(code, x, v, direction, {', '.join(pointers)}):"]
-    for name in ("z", "p", *arrays):
-        made = f"matrix(to_{name}, {sizes[name]})" if name == "rows" else f"view(to_{name}, 0, {sizes[name]})"
-        lines.append(f"    {name} = {made}")
-    names: dict[str, Any] = {"view": view, "matrix": matrix}
-    for index, functions in cases:
-        lines.append(f"    if code == {index}:")
-        for k, function in enumerate(functions):
-            name = f"f{index}_{k}"
-            names[name] = plain(function.py_func)
-            last = k == len(functions) - 1
-            # Where a gradient and a force are called, the latter returns its value and writes nothing.
-            out = arrays if not last or result == "None" else ()
-            lines.append(f"        {'return ' if last else ''}{name}({', '.join([given, *out])})")
-    lines.append(f"    return {result}")
-    exec("\n".join(lines), names)  # only the package's own functions, by number
-    return plain(names["switch"])
-
-
-_CODES = {name: index for index, name in enumerate(LIBRARY)}
-# The two of every oscillator are not called: their force is a product.
-_numbered = [(code, LIBRARY[name]) for name, code in _CODES.items() if name not in BASE_EFFECTS]
-_stateful = [(code, effect) for code, effect in _numbered if effect.state_rate is not None]
-_incomplete = [effect.name for _, effect in _numbered if effect.gradient is None]
-if _incomplete:
-    raise TypeError(f"library effects need a gradient: {', '.join(_incomplete)}")
-
-_library_force: Callable[..., float] = _switch([(i, (e.force,)) for i, e in _numbered], (), "0.0")
-_library_slopes: Callable[..., float] = _switch([(i, (e.gradient, e.force)) for i, e in _numbered], ("out",), "0.0")
-_library_regime = _switch([(i, (e.regime,)) for i, e in _numbered if e.regime], (), "0")
-_heavier = [(code, effect) for code, effect in _numbered if effect.added_mass is not None]
-_library_added_mass: Callable[..., float] = _switch(
-    [(i, (e.added_mass,)) for i, e in _heavier], (), "0.0", given="x, p"
-)
-_library_added_slopes: Callable[..., float] = _switch(
-    [(i, (e.added_mass_gradient, e.added_mass)) for i, e in _heavier], ("out",), "0.0", given="x, p"
-)
-_library_rate = _switch([(i, (e.state_rate,)) for i, e in _stateful], ("rates",), "None")
-_library_rate_gradient = _switch([(i, (e.state_rate_gradient,)) for i, e in _stateful], ("rows",), "None")
-
-
-def library_effects() -> list[tuple[int, Effect]]:
-    """Return the library's effects with their codes in the table, but for the two of every oscillator."""
-    return list(_numbered)
-
-
-def describe_effects(effects: Sequence[Effect]) -> tuple[NDArray[np.int64], int, int, int, bool, tuple[Effect, ...]]:
-    """Return table, places of linear stiffness and damping, number of states, whether there are kinks, user effects."""
-    rows, users = [], []
+def describe_effects(effects: Sequence[Effect]) -> Described:
+    """Return the table of some effects, and what else the integrator is told of them."""
+    rows, rooms, users = [], [], []
     place = {}
-    p_first, z_first = 0, 0
+    p_first, z_first, room_first = 0, 0, 0
     for effect in effects:
         p_last, z_last = p_first + len(effect.parameters), z_first + effect.n_states
         if LIBRARY.get(effect.name) is not effect:
             users.append(effect)
             code = USER + len(users) - 1
         else:
-            code = _CODES[effect.name]
+            code = CODES[effect.name]
         if code < USER and effect.name in BASE_EFFECTS:
             place[effect.name] = p_first
         else:
             kind = MEMORY if effect.has_memory else OWN_EQUATION if effect.n_states else NO_STATE
+            # behind a copy of the parameters, so that an effect sees both as one array
+            n_room = len(effect.parameters) + effect.n_room if effect.n_room else 0
             rows.append((code, p_first, p_last, z_first, z_last, kind, int(effect.added_mass is not None)))
+            rooms.append((room_first, effect.n_room))
+            room_first += n_room
         p_first, z_first = p_last, z_last
     for name in BASE_EFFECTS:
         if name not in place:
@@ -151,25 +123,50 @@ def describe_effects(effects: Sequence[Effect]) -> tuple[NDArray[np.int64], int,
     table = np.array(rows, dtype=np.int64).reshape(-1, ROW)
     has_regime = any(effect.regime is not None for effect in effects)
     stiffness, damping = (place[name] for name in BASE_EFFECTS)
-    return table, stiffness, damping, z_first, has_regime, tuple(users)
+    room = np.array(rooms, dtype=np.int64).reshape(-1, ROOM)
+    return Described(table, room, stiffness, damping, z_first, room_first, has_regime, tuple(users))
+
+
+@plain
+def _n_room(model: Model, i: int) -> int:
+    """Return the size of the room of effect ``i``."""
+    return shifted(model.table, ROW * model.n_effects + ROOM * i)[1]
+
+
+@plain
+def _own_numbers(model: Model, i: int) -> Floats:
+    """Return the parameters of effect ``i``; where it has room of its own, a copy of them before that room."""
+    row = shifted(model.table, ROW * i)
+    p = shifted(model.p, row[P_FIRST])
+    if _n_room(model, i) == 0:
+        return p
+    first = shifted(model.table, ROW * model.n_effects + ROOM * i)[0]
+    room = shifted(model.scratch, scratch_size(model.n_parameters, model.n_states) + first)
+    for j in range(row[P_LAST] - row[P_FIRST]):
+        room[j] = p[j]
+    return room
+
+
+@plain
+def scratch_size(n_parameters: int, n_states: int) -> int:
+    """Return how many numbers there are to be in a model's scratch, before the room of its effects."""
+    return (2 + n_parameters + n_states) * max(1, n_states)
 
 
 @plain
 def _call_user(
-    model: Model, kind: int, row: Integers, x: float, v: float, direction: float, z: Floats, p: Floats, out: Floats,
-    size: int,
-) -> float:  # fmt: skip
+    model: Model, kind: int, i: int, x: float, v: float, direction: float, z: Floats, out: Floats, size: int
+) -> float:
     """Call the user's effects, with what difference steps are measured by: amplitude, speed, size of each state."""
+    row = shifted(model.table, ROW * i)
     n_z = row[Z_LAST] - row[Z_FIRST]
-    n_p = row[P_LAST] - row[P_FIRST]
     sizes = view(model.user_scales, 0, 2 + n_z)
     sizes[0] = model.scales[0]
     sizes[1] = model.scales[1]
     for j in range(n_z):
         sizes[2 + j] = model.scales[2 + row[Z_FIRST] + j]
-    return function_at(model.user)(
-        kind, row[CODE], x, v, direction, view(z, 0, n_z), view(p, 0, n_p), sizes, view(out, 0, size)
-    )
+    p = view(_own_numbers(model, i), 0, row[P_LAST] - row[P_FIRST] + _n_room(model, i))
+    return function_at(model.user)(kind, row[CODE], x, v, direction, view(z, 0, n_z), p, sizes, view(out, 0, size))
 
 
 @plain
@@ -180,9 +177,11 @@ def effect_force(model: Model, i: int, x: float, v: float, direction: float, z: 
     n_p = row[P_LAST] - row[P_FIRST]
     zi = shifted(z, row[Z_FIRST])
     pi = shifted(model.p, row[P_FIRST])
+    if row[CODE] < ROOMY:
+        return library_force(row[CODE], x, v, direction, zi, n_z, pi, n_p)
     if row[CODE] < USER:
-        return _library_force(row[CODE], x, v, direction, zi, n_z, pi, n_p)
-    return _call_user(model, FORCE, row, x, v, direction, zi, pi, model.scratch, 0)
+        return roomy_force(row[CODE], x, v, direction, zi, n_z, _own_numbers(model, i), n_p, _n_room(model, i))
+    return _call_user(model, FORCE, i, x, v, direction, zi, model.scratch, 0)
 
 
 @plain
@@ -193,10 +192,30 @@ def effect_slopes(model: Model, i: int, x: float, v: float, direction: float, z:
     n_p = row[P_LAST] - row[P_FIRST]
     zi = shifted(z, row[Z_FIRST])
     pi = shifted(model.p, row[P_FIRST])
+    if row[CODE] < ROOMY:
+        return library_slopes(row[CODE], x, v, direction, zi, n_z, pi, n_p, model.scratch)
     if row[CODE] < USER:
-        return _library_slopes(row[CODE], x, v, direction, zi, n_z, pi, n_p, model.scratch)
-    _call_user(model, GRADIENT, row, x, v, direction, zi, pi, model.scratch, 2 + n_p + n_z)
-    return _call_user(model, FORCE, row, x, v, direction, zi, pi, model.scratch, 0)
+        room = _own_numbers(model, i)
+        return roomy_slopes(row[CODE], x, v, direction, zi, n_z, room, n_p, _n_room(model, i), model.scratch)
+    _call_user(model, GRADIENT, i, x, v, direction, zi, model.scratch, 2 + n_p + n_z)
+    return _call_user(model, FORCE, i, x, v, direction, zi, model.scratch, 0)
+
+
+@plain
+def remembered_slopes(model: Model, i: int, x: float, direction: float, z: Floats) -> float:
+    """Return what effect ``i`` keeps of a turning point; write its slopes, as those of a force, into the scratch."""
+    row = shifted(model.table, ROW * i)
+    n_z = row[Z_LAST] - row[Z_FIRST]
+    n_p = row[P_LAST] - row[P_FIRST]
+    zi = shifted(z, row[Z_FIRST])
+    pi = shifted(model.p, row[P_FIRST])
+    if row[CODE] < ROOMY:
+        return library_kept(row[CODE], x, 0.0, direction, zi, n_z, pi, n_p, model.scratch)
+    if row[CODE] < USER:
+        room = _own_numbers(model, i)
+        return roomy_kept(row[CODE], x, 0.0, direction, zi, n_z, room, n_p, _n_room(model, i), model.scratch)
+    _call_user(model, REMEMBERED_GRADIENT, i, x, 0.0, direction, zi, model.scratch, 2 + n_p + n_z)
+    return _call_user(model, REMEMBERED, i, x, 0.0, direction, zi, model.scratch, 0)
 
 
 @plain
@@ -206,9 +225,9 @@ def _added_slopes(model: Model, i: int, x: float) -> float:
     n_p = row[P_LAST] - row[P_FIRST]
     pi = shifted(model.p, row[P_FIRST])
     if row[CODE] < USER:
-        return _library_added_slopes(row[CODE], x, 0.0, 0.0, pi, 0, pi, n_p, model.scratch)
-    _call_user(model, ADDED_MASS_GRADIENT, row, x, 0.0, 0.0, pi, pi, model.scratch, 1 + n_p)
-    return _call_user(model, ADDED_MASS, row, x, 0.0, 0.0, pi, pi, model.scratch, 0)
+        return library_added_slopes(row[CODE], x, 0.0, 0.0, pi, 0, pi, n_p, model.scratch)
+    _call_user(model, ADDED_MASS_GRADIENT, i, x, 0.0, 0.0, pi, model.scratch, 1 + n_p)
+    return _call_user(model, ADDED_MASS, i, x, 0.0, 0.0, pi, model.scratch, 0)
 
 
 @plain
@@ -230,9 +249,9 @@ def added_mass(model: Model, x: float) -> float:
             continue
         pi = shifted(model.p, row[P_FIRST])
         if row[CODE] < USER:
-            added += _library_added_mass(row[CODE], x, 0.0, 0.0, pi, 0, pi, row[P_LAST] - row[P_FIRST])
+            added += library_added_mass(row[CODE], x, 0.0, 0.0, pi, 0, pi, row[P_LAST] - row[P_FIRST])
         else:
-            added += _call_user(model, ADDED_MASS, row, x, 0.0, 0.0, pi, pi, model.scratch, 0)
+            added += _call_user(model, ADDED_MASS, i, x, 0.0, 0.0, pi, model.scratch, 0)
     return added
 
 
@@ -327,10 +346,13 @@ def smooth_branch(model: Model, x: float, v: float, direction: float, z: Floats)
         n_p = row[P_LAST] - row[P_FIRST]
         zi = shifted(z, row[Z_FIRST])
         pi = shifted(model.p, row[P_FIRST])
-        if row[CODE] < USER:
-            label = 7 * label + _library_regime(row[CODE], x, v, direction, zi, n_z, pi, n_p)
+        if row[CODE] < ROOMY:
+            label = 7 * label + library_regime(row[CODE], x, v, direction, zi, n_z, pi, n_p)
+        elif row[CODE] < USER:
+            room = _own_numbers(model, i)
+            label = 7 * label + roomy_regime(row[CODE], x, v, direction, zi, n_z, room, n_p, _n_room(model, i))
         else:
-            label = 7 * label + int(_call_user(model, REGIME, row, x, v, direction, zi, pi, model.scratch, 0))
+            label = 7 * label + int(_call_user(model, REGIME, i, x, v, direction, zi, model.scratch, 0))
     return label
 
 
@@ -348,9 +370,9 @@ def state_rates(model: Model, x: float, v: float, direction: float, z: Floats, o
             for j in range(n_z):
                 rates[j] = 0.0
         elif row[CODE] < USER:
-            _library_rate(row[CODE], x, v, direction, zi, n_z, pi, n_p, rates)
+            library_rate(row[CODE], x, v, direction, zi, n_z, pi, n_p, rates)
         else:
-            _call_user(model, RATE, row, x, v, direction, zi, pi, rates, n_z)
+            _call_user(model, RATE, i, x, v, direction, zi, rates, n_z)
 
 
 @plain
@@ -362,7 +384,7 @@ def state_rate_gradients(model: Model, i: int, x: float, v: float, direction: fl
     zi = shifted(z, row[Z_FIRST])
     pi = shifted(model.p, row[P_FIRST])
     if row[CODE] < USER:
-        _library_rate_gradient(row[CODE], x, v, direction, zi, n_z, pi, n_p, model.scratch)
+        library_rate_gradient(row[CODE], x, v, direction, zi, n_z, pi, n_p, model.scratch)
     else:
         size = n_z * (2 + n_p + n_z)
-        _call_user(model, RATE_GRADIENT, row, x, v, direction, zi, pi, model.scratch, size)
+        _call_user(model, RATE_GRADIENT, i, x, v, direction, zi, model.scratch, size)

@@ -19,7 +19,7 @@ from numba import float64, int64
 
 from .._common.compiled import NativeFunction
 from .closing import aim, close, remember, third_derivative, turning_time
-from .forces import KIND, MEMORY, ROW, Z_FIRST, force_slopes, plain, smooth_branch, state_rates, total_force
+from .forces import KIND, MEMORY, ROW, Z_FIRST, force_slopes, smooth_branch, state_rates, total_force
 from .instants import Samples, write_samples
 from .kinks import HOP, KINK_MARGIN, KINK_WINDOW, fraction_before_kink, hop_over, time_to_kink
 from .memory import (
@@ -44,6 +44,7 @@ from .memory import (
 from .pointers import FLOATS, INTEGERS, Floats, Integers, shifted
 from .states import load_slowly
 from .stepper import step_sensitivity, step_states, step_value
+from .switches import plain
 
 COMPLETED, STUCK, NO_RETURN, RUNAWAY, OUT_OF_REACH = range(5)
 _MAXIMUM_STEPS = 400

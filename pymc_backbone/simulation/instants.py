@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from .forces import Model, force_gradient, plain, total_force
+from .forces import Model, force_gradient, total_force
 from .pointers import Floats, shifted
+from .switches import plain
 
 DISPLACEMENT, VELOCITY, ACCELERATION = range(3)  # how often the displacement is differentiated
 _SHORT = 0.01  # radians; in shorter steps what lifts a polynomial drowns in rounding, and is below it

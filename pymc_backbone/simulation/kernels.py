@@ -18,7 +18,7 @@ from .by_decay import backbone_by_decay
 from .counts import HALF_CYCLES
 from .counts import count as note
 from .curves import carry_jacobian, compiled, cycle_quantities, cycle_slope, hermite
-from .forces import ROW
+from .forces import ROOM, ROW
 from .halfcycle import COMPLETED, NO_RETURN, OUT_OF_REACH, RUNAWAY
 from .instants import ACCELERATION
 from .memory import (
@@ -221,7 +221,7 @@ def _backbone(
 ) -> None:  # fmt: skip
     head = numba.carray(to_integers, TABLE)
     n, n_levels = head[N_PARAMETERS], head[N_LEVELS]
-    integers = numba.carray(to_integers, TABLE + ROW * head[N_EFFECTS])
+    integers = numba.carray(to_integers, TABLE + (ROW + ROOM) * head[N_EFFECTS])
     numbers = numba.carray(to_numbers, N_NUMBERS + n_levels)
     p = numba.carray(to_p, n)
     values = numba.carray(to_values, (3, n_levels))

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from .forces import Model, plain, smooth_branch, state_rates
+from .forces import Model, smooth_branch, state_rates
 from .instants import hermite_position, sensitivity_slopes
 from .pointers import Floats, shifted
 from .states import state_slopes
+from .switches import plain
 
 HOP = 2e-7  # radians from just before a kink to just behind it (error: its square)
 # The last stage of a long step is less exact than its end and would look beyond a kink close behind it: so a long step

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 from .._common.checks import FloatArray, IntArray
 from ..effects import Effect
-from .forces import ADDS_MASS, CODE, P_FIRST, ROW, library_effects, plain
+from .forces import ADDS_MASS, CODE, P_FIRST, ROW
 from .lane_stages import (
     AMPLITUDE,
     AMPLITUDE_BEFORE,
@@ -50,6 +50,7 @@ from .lane_stages import (
 )
 from .memory import DAMPING, N_EFFECTS, STIFFNESS, TABLE
 from .pointers import Floats, Integers, address, shifted
+from .switches import library_effects, plain
 
 
 class Block(NamedTuple):

@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from .._common.checks import FloatArray, IntArray
-from .forces import plain
 from .lane_stages import LANES
+from .switches import plain
 
 DISTANCE, VALUES, RATIO, N_ROWS = 0, 1, 4, 5
 """Rows of a cycle: log of its amplitude over the level; frequency, damping, offset; starting peak over amplitude."""

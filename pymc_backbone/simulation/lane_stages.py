@@ -16,8 +16,8 @@ from __future__ import annotations
 
 import math
 
-from .forces import plain
 from .pointers import Floats
+from .switches import plain
 
 LANES = 128
 _ROWS = tuple(LANES * row for row in range(19))

@@ -13,7 +13,6 @@ import numpy as np
 
 from .._common.checks import FloatArray, IntArray
 from .._common.compiled import cached
-from .forces import plain
 from .lane_cycles import Block, begin, describe_block, load, run_cycle, take_angle, turn
 from .lane_levels import DISTANCE, LEAST_DAMPING, N_ROWS, RATIO, VALUES, read_off_between, read_off_carefully
 from .lane_stages import (
@@ -33,6 +32,7 @@ from .lane_stages import (
 )
 from .memory import MASS, N_NUMBERS
 from .pointers import Floats, address, shifted
+from .switches import plain
 
 _NEAR = 7e-5  # a cycle this close to its level is carried there between the levels ...
 _CAREFULLY_NEAR = 1e-6  # ... and this close, between the last two at its level

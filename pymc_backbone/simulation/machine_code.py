@@ -6,9 +6,13 @@ from .._common.beside import compile_all
 from .counts import COUNTED
 from .halfcycle import HALF_CYCLE, LOAD_STATES
 from .kernels import BACKBONE
+from .switches import ROOMY_FORCE, ROOMY_KEPT, ROOMY_REGIME, ROOMY_SLOPES
 from .symmetry import IS_SYMMETRIC, WEIGH_STATES
 
-_NATIVE = COUNTED, HALF_CYCLE, LOAD_STATES, IS_SYMMETRIC, WEIGH_STATES, BACKBONE
+_NATIVE = (
+    *(ROOMY_FORCE, ROOMY_SLOPES, ROOMY_KEPT, ROOMY_REGIME),
+    *(COUNTED, HALF_CYCLE, LOAD_STATES, IS_SYMMETRIC, WEIGH_STATES, BACKBONE),
+)
 
 
 def define() -> None:

@@ -9,21 +9,22 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from .._common.checks import FloatArray, IntArray
-from .forces import Model, plain
+from .forces import Model, scratch_size
 from .pointers import Floats, Integers, shifted
 from .stepper import STAGES
+from .switches import plain
 
 VALUE, SENSITIVITY, OWN_STATES = range(3)  # which stepper; with OWN_STATES as many columns as wanted, or none
 
 # The integers: of the oscillator ...
-USER, N_EFFECTS, STIFFNESS, DAMPING, N_STATES, N_PARAMETERS, HAS_REGIME = range(7)
+USER, N_EFFECTS, STIFFNESS, DAMPING, N_STATES, N_PARAMETERS, HAS_REGIME, N_ROOM = range(8)
 # ... what is asked: one cycle per level, a decay with jumps where these are possible, or the whole decay; states loaded
 # from rest or relaxed, most turning points, number of levels, and of the rows frequency, damping, offset those that are
 # judged, a bit each ...
 BY_CYCLES, BY_JUMPS, BY_WHOLE_DECAY = range(3)
-BY_DECAY, VIRGIN, MAXIMUM, N_LEVELS, ROWS = range(7, 12)
+BY_DECAY, VIRGIN, MAXIMUM, N_LEVELS, ROWS = range(8, 13)
 # ... and of a run under way, 0 before; the rows of the table of effects follow.
-MODE, COLUMNS, N_SAMPLES, CURSOR, SAMPLE_SLOPES, QUANTITY, TABLE = range(12, 19)
+MODE, COLUMNS, N_SAMPLES, CURSOR, SAMPLE_SLOPES, QUANTITY, TABLE = range(13, 20)
 # The numbers: of the oscillator and what is asked (tolerance of a step; release, 0 for the default; amplitude at which
 # a decay ends), then of a run under way. Behind them follow the levels in a description, in the memory of a run what
 # `memory_of` places there.
@@ -66,7 +67,7 @@ class Memory(NamedTuple):
     """Where things stand in the memory of a run.
 
     ``dt``: derivatives of time; ``now``, ``next``: x, v, states, and behind them the derivatives of each with respect
-    to the release amplitude and the parameters.
+    to the release amplitude and the parameters; behind ``scratch``: what effects with room of their own keep there.
     """
 
     scales: int
@@ -86,7 +87,7 @@ class Memory(NamedTuple):
 
 
 @plain
-def memory_of(n_parameters: int, n_states: int, columns: int, mode: int) -> Memory:
+def memory_of(n_parameters: int, n_states: int, n_room: int, columns: int, mode: int) -> Memory:
     """Return the places of a run's arrays in its memory, and the size of all."""
     rows = 2 + n_states
     length = rows * (1 + columns)
@@ -100,7 +101,7 @@ def memory_of(n_parameters: int, n_states: int, columns: int, mode: int) -> Memo
     room = middle + n_states
     quadrature = room + max(2 * columns, n_states)
     scratch = quadrature + 2 * columns
-    now = scratch + (2 + n_parameters + n_states) * max(1, n_states)
+    now = scratch + scratch_size(n_parameters, n_states) + n_room
     later = now + length
     K = later + length
     size = K + (max(STAGES * length, n_states * (n_states + 1)) if mode == OWN_STATES else 0)
@@ -121,4 +122,4 @@ def model_of(run: Integers, memory: Floats, p: Floats, place: Memory) -> Model:
 @plain
 def place_of(run: Integers) -> Memory:
     """Return the places of a run's arrays in its memory."""
-    return memory_of(run[N_PARAMETERS], run[N_STATES], run[COLUMNS], run[MODE])
+    return memory_of(run[N_PARAMETERS], run[N_STATES], run[N_ROOM], run[COLUMNS], run[MODE])

@@ -17,6 +17,7 @@ from .memory import (
     MODE,
     N_EFFECTS,
     N_NUMBERS,
+    N_ROOM,
     N_STATES,
     OWN_STATES,
     SENSITIVITY,
@@ -54,7 +55,7 @@ def prepare(integers: IntArray, numbers: FloatArray, p: FloatArray, sensitivitie
     under_way = integers.copy()
     under_way[MODE] = mode
     under_way[COLUMNS] = columns
-    place = memory_of(p.size, n_states, columns, mode)
+    place = memory_of(p.size, n_states, integers[N_ROOM], columns, mode)
     memory = np.zeros(place.size)
     for i in range(N_NUMBERS):
         memory[i] = numbers[i]

@@ -16,12 +16,12 @@ from .forces import (
     Z_LAST,
     Model,
     force_gradient,
-    plain,
     state_rate_gradients,
     state_rates,
     total_force,
 )
 from .pointers import Floats, Integers, shifted
+from .switches import plain
 
 _RAMP_STEPS = 128
 _MOST_RAMP_STEPS = 8192

@@ -17,9 +17,10 @@ from __future__ import annotations
 
 import math
 
-from .forces import Model, force_gradient, force_slopes, plain
+from .forces import Model, force_gradient, force_slopes
 from .pointers import Floats, shifted
 from .states import state_slopes
+from .switches import plain
 
 STAGES = 12
 

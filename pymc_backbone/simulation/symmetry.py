@@ -11,9 +11,10 @@ from collections.abc import Callable
 from numba import float64, int64
 
 from .._common.compiled import NativeFunction
-from .forces import KIND, MEMORY, OWN_EQUATION, ROW, Z_FIRST, Z_LAST, Model, force_gradient, plain, state_rates
+from .forces import KIND, MEMORY, OWN_EQUATION, ROW, Z_FIRST, Z_LAST, Model, force_gradient, state_rates
 from .memory import model_of, place_of
 from .pointers import FLOATS, INTEGERS, Floats, Integers, shifted
+from .switches import plain
 
 _PLACES = 12  # displacements that are looked at on either side, up to a little more than the amplitude
 _ODD = 1e-9  # of the largest force: what rounding leaves of a sum that is zero ...
@@ -51,6 +52,7 @@ def _is_symmetric(run: Integers, memory: Floats, p: Floats, amplitude: float, sl
     model = model_of(run, memory, p, place)
     z = shifted(memory, place.next + 2)
     kept = shifted(z, model.n_states)
+    _set_states(model, 1.0, amplitude, z)
     force, _, _ = force_gradient(model, amplitude, 0.0, -1.0, z)
     largest = 0.0
     for sample in range(_PLACES):

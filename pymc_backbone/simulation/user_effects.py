@@ -18,10 +18,12 @@ from .forces import (
     NO_USER_EFFECT,
     RATE,
     REGIME,
+    REMEMBERED,
+    REMEMBERED_GRADIENT,
     USER,
     USER_SIGNATURE,
-    plain,
 )
+from .switches import plain
 
 _STEP = 6e-6  # central differences: (machine epsilon)^(1/3)
 
@@ -177,6 +179,8 @@ def _link_user(index: int, effect: Effect, rest: Any) -> Any:
     gradient = _given_gradient(effect.gradient) if effect.gradient else _numeric_gradient(effect.force, regime)
     added_mass: Any = effect.added_mass or _no_added_mass
     added_mass_gradient: Any = effect.added_mass_gradient or _no_added_mass_gradient
+    remembered: Any = effect.remembered or effect.force
+    remembered_gradient = _given_gradient(effect.remembered_gradient) if effect.remembered_gradient else gradient
     rate: Any = effect.state_rate or _no_rate
     rate_gradient: Any = _no_rate_gradient
     if effect.state_rate is not None:
@@ -192,10 +196,14 @@ def _link_user(index: int, effect: Effect, rest: Any) -> Any:
             return rest(kind, code, x, v, direction, z, p, scales, out)
         if kind == FORCE:
             return force(x, v, direction, z, p)
+        if kind == REMEMBERED:
+            return remembered(x, v, direction, z, p)
         if kind == ADDED_MASS:
             return added_mass(x, p)
         if kind == GRADIENT:
             gradient(x, v, direction, z, p, scales, out)
+        elif kind == REMEMBERED_GRADIENT:
+            remembered_gradient(x, v, direction, z, p, scales, out)
         elif kind == REGIME:
             return float(regime(x, v, direction, z, p))
         elif kind == ADDED_MASS_GRADIENT:
@@ -219,7 +227,7 @@ def compose_user_effects(effects: Sequence[Effect]) -> int:
     key = tuple(
         (
             *map(id, (e.force, e.gradient, e.regime, e.state_rate, e.state_rate_gradient)),
-            *map(id, (e.added_mass, e.added_mass_gradient)),
+            *map(id, (e.added_mass, e.added_mass_gradient, e.remembered, e.remembered_gradient)),
         )
         for e in effects
     )

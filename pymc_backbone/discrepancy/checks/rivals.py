@@ -232,8 +232,8 @@ def _is_bent(search: Search, found: dict[Set, Drifting]) -> bool:
 def _ask_backbones(search: Search, found: dict[Set, Drifting]) -> None:
     """Add the fits of what the backbones propose beside drifts: single effects, and sets where none of these explains.
 
-    A drift that bends the backbones as much as a law does has led to other sets than those that act. What has an
-    equation of its own is left out where something simpler explains, or the effort is spent.
+    A drift that bends the backbones as much as a law does has led to other sets than those that act. What takes
+    long to simulate is left out where something simpler explains, or the effort is spent.
     """
     is_exact = False
     for begun in (single_beside_drifts, sets_beside_drifts):

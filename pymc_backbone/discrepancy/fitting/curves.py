@@ -78,7 +78,7 @@ def _of_levels(
 
 def spread_over(count: int, layout: Layout) -> list[int]:
     """Return which of so many specimens say enough of a model: all, or some where each simulation takes long."""
-    return spread(count, _MOST_HEAVY if layout.simulator.has_own_equation else count)
+    return spread(count, _MOST_HEAVY if layout.simulator.is_costly else count)
 
 
 def spread(count: int, most: int) -> list[int]:

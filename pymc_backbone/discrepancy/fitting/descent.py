@@ -309,5 +309,5 @@ def first_limit(batch: Batch, limit: float) -> float:
 
 
 def is_heavy(layout: Layout) -> bool:
-    """Return whether the model has internal states with an equation of their own, which cost most."""
-    return bool(layout.simulator.has_own_equation)
+    """Return whether simulating the model costs several times as much as one with sliders (`Simulator.is_costly`)."""
+    return bool(layout.simulator.is_costly)

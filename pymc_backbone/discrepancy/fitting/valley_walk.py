@@ -57,7 +57,7 @@ class Walk:
         self.found, self.layout, self.terms, self.active = found, found.layout, terms, found.active
         self.scatter = found.layout.scatter if found.active[NUISANCES:].any() else 0.0
         self.chart = Chart.around(found.layout, found.state.eta)
-        self.most = _MOST[found.layout.simulator.has_own_equation]
+        self.most = _MOST[found.layout.simulator.is_costly]
         self.left = 0
         self.widths = prior_width(
             found.layout, found.state.eta, np.sqrt(np.maximum(np.diag(found.covariance), 0.0))

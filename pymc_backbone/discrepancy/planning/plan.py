@@ -165,8 +165,9 @@ class _Planner:
         ]
         self.noise = rng.standard_normal((_DRAWS, len(contenders)))
         self.fresh = rng.standard_normal((len(contenders), _DRAWS, _MOST_ADDED))
-        # what may be added to a set; with an equation of its own nothing is, where a simpler set leaves noise
-        added = [LIBRARY[name].parameters[0] for name in looked_for("m") if not LIBRARY[name].state_rate]
+        # what may be added to a set; what takes long to simulate is not, where a simpler set leaves noise
+        library = [LIBRARY[name] for name in looked_for("m")]
+        added = [effect.parameters[0] for effect in library if not (effect.state_rate or effect.n_room)]
         self.is_positive = rng.permutation([parameter.minimum >= 0.0 for parameter in added])
         self.crowd = rng.standard_normal((_DRAWS, len(added)))
         held = np.array([library_holds(share) for share in (np.arange(_DRAWS) + 0.5) / _DRAWS])

@@ -22,7 +22,7 @@ from ...simulation.forces import (
     Z_LAST,
     Model,
     added_mass,
-    effect_force,
+    remembered_slopes,
     state_rates,
     sum_of_forces,
 )
@@ -87,10 +87,10 @@ def _turn(model: Model, x: float, side: float, z: Floats) -> None:
     for i in range(model.n_effects):
         row = shifted(model.table, ROW * i)
         if row[KIND] == MEMORY:
-            force = effect_force(model, i, x, 0.0, side, z)
+            kept = remembered_slopes(model, i, x, side, z)
             first = row[Z_FIRST]
             z[first] = x
-            z[first + 1] = force
+            z[first + 1] = kept
             z[first + 2] = 1.0
 
 

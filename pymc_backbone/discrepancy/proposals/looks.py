@@ -193,7 +193,7 @@ def atoms_of(layout: Layout, effect: str, data: LevelData) -> Atoms:
 
 def points_of(layout: Layout) -> int:
     """Return at how many instants of a cycle the forces of a layout are looked at."""
-    return FEWER_POINTS if layout.simulator.has_own_equation else POINTS
+    return FEWER_POINTS if layout.simulator.is_costly else POINTS
 
 
 def _looks(layout: Layout, where: list[int], points: FloatArray, data: LevelData, rounds: int) -> FloatArray:

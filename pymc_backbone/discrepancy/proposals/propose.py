@@ -266,7 +266,7 @@ class _Proposer:
     def _weight(self, names: Set) -> int:
         """Return how much the exact simulation of a set costs, that of a simple one being 1."""
         simulator = self.fits.layout(names).simulator
-        return (_HEAVY_WEIGHT if simulator.needs_decay else 1) * (2 if simulator.has_own_equation else 1)
+        return (_HEAVY_WEIGHT if simulator.needs_decay else 1) * (2 if simulator.is_costly else 1)
 
     def _best_part(self, names: Set) -> Set | None:
         """Return the best of the sets that a costly one extends, of those that were simulated."""

@@ -9,7 +9,7 @@ import numpy as np
 from ..._common.checks import BoolArray, FloatArray, IntArray
 from ..._common.compiled import ahead, cached
 from ...simulation.curves import compiled
-from ...simulation.forces import ROW
+from ...simulation.forces import ROOM, ROW
 from ...simulation.memory import DAMPING as DAMPING_PLACE
 from ...simulation.memory import MASS, N_EFFECTS, TABLE
 from ...simulation.memory import STIFFNESS as STIFFNESS_PLACE
@@ -196,12 +196,12 @@ def _look_at_all(
 @compiled
 def _each_alone(integers: IntArray) -> IntArray:
     """Return the description of each effect without the others."""
-    count = integers[N_EFFECTS]
-    alone = np.zeros((count, TABLE + ROW), np.int64)
-    for e in range(count):
+    n = integers[N_EFFECTS]
+    alone = np.zeros((n, TABLE + ROW + ROOM), np.int64)
+    for e in range(n):
         alone[e, :TABLE] = integers[:TABLE]
-        alone[e, N_EFFECTS] = 1
-        alone[e, TABLE:] = integers[TABLE + ROW * e : TABLE + ROW * (e + 1)]
+        alone[e, TABLE:] = np.append(integers[TABLE + ROW * e :][:ROW], integers[TABLE + ROW * n + ROOM * e :][:ROOM])
+    alone[:, N_EFFECTS] = 1
     return alone
 
 

@@ -143,10 +143,9 @@ class SetFits:
         """Fit a point of a set by looks and its defect.
 
         What is ``careful`` takes specimens for alike at first, far from the values: what each may differ by, large
-        where an effect is, makes up for what all lack there, and a step leads to where the effect is none. Not so what
-        costs much.
+        where an effect is, makes up for what all lack there, and a step leads to where the effect is none.
         """
-        if careful and self.scatter > 0.0 and not self.layout(names).simulator.needs_decay:
+        if careful and self.scatter > 0.0:
             self._moved(names, start, whitening, 0, self.scatter)
             if _FAR * self.data.count.sum() < start.cost < np.inf:
                 alike = start.copy()

@@ -28,7 +28,7 @@ SHARE_OF_WALKS = 1.0
 _MOST_ASKED = 6
 _STEPS = 3.0  # simulations of a specimen for each draw, as a rule
 _MOST_DRAWS, _FEWEST_DRAWS = 128, 64
-_HEAVY = 5.0  # what a cycle costs where the model has states with an equation of their own
+_HEAVY = 5.0  # what a cycle costs where the model takes long to simulate
 _KINKED = 2.5  # the same where a force has kinks, at which steps end
 _SEED = 20240229  # the same for all sets, so that their differences are known better than each
 
