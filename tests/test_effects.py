@@ -720,11 +720,11 @@ def test_iwan_damping_follows_the_power_law():
 def test_what_remembers_and_what_has_room_says_all_that_it_needs():
     effect = LIBRARY["bouc_wen"]
     for change in ({"remembered": None}, {"remembered_gradient": None}):
-        with pytest.raises(InputError, match="needs both remembered and remembered_gradient, and has_memory"):
+        with pytest.raises(InputError, match="needs remembered, remembered_gradient and has_memory, or none"):
             replace(effect, **change)
-    with pytest.raises(InputError, match="needs both remembered and remembered_gradient, and has_memory"):
+    with pytest.raises(InputError, match="needs remembered, remembered_gradient and has_memory, or none"):
         replace(effect, has_memory=False, n_states=0)
-    with pytest.raises(InputError, match="has room behind its parameters: give its gradient"):
+    with pytest.raises(InputError, match="has room behind its parameters, where differences are not taken"):
         replace(effect, gradient=None)
 
 

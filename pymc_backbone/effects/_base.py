@@ -201,9 +201,8 @@ class Effect:
     has_memory : bool
         Whether the force depends on the last turning point, kept in ``z = [x_r, f_r, branch]``.
     remembered, remembered_gradient : callable, optional
-        ``remembered(x, v, direction, z, p) -> float``: what an effect with memory keeps of a turning point as ``f_r``,
-        in place of its force there, and its derivatives, written as ``gradient`` writes those of the force. Needed
-        where the force does not tell what goes on, as that of a spring of no stiffness.
+        ``remembered(x, v, direction, z, p) -> float``: what an effect with memory keeps as ``f_r``, where its force
+        does not tell what goes on, as that of a spring of no stiffness; the gradient is written as that of the force.
     n_states : int
         Number of internal states ``z`` (3 with memory).
     state_rate : callable, optional
@@ -303,18 +302,12 @@ class Effect:
             )
         if not self.has_memory and (self.n_states > 0) != (self.state_rate is not None):
             raise InputError(f"effect {self.name!r} needs both n_states > 0 and state_rate, or neither.")
-        if (self.remembered is None) != (self.remembered_gradient is None) or (
-            self.remembered is not None and not self.has_memory
-        ):
+        both = self.remembered and self.remembered_gradient and self.has_memory
+        if (self.remembered or self.remembered_gradient) and not both:
+            raise InputError(f"effect {self.name!r} needs remembered, remembered_gradient and has_memory, or none.")
+        if self.n_room and not (self.gradient and (self.state_rate_gradient or not self.state_rate)):
             raise InputError(
-                f"effect {self.name!r} needs both remembered and remembered_gradient, and has_memory, or neither."
-            )
-        if self.n_room and (
-            self.gradient is None or (self.state_rate is not None and self.state_rate_gradient is None)
-        ):
-            raise InputError(
-                f"effect {self.name!r} has room behind its parameters: give its gradient (and state_rate_gradient), "
-                "which cannot be had from differences then."
+                f"effect {self.name!r} has room behind its parameters, where differences are not taken: give gradients."
             )
         if (self.added_mass is None) != (self.added_mass_gradient is None):
             raise InputError(f"effect {self.name!r} needs both added_mass and added_mass_gradient, or neither.")

@@ -38,8 +38,7 @@ class Simulator:
 
     def __init__(self, oscillator: Oscillator, *, is_relaxed: bool = False) -> None:
         define()
-        self.oscillator = oscillator
-        self.is_relaxed = is_relaxed
+        self.oscillator, self.is_relaxed = oscillator, is_relaxed
         described = describe_effects(oscillator.effects)
         table = described.table
         self.user = compose_user_effects(described.users)
