@@ -108,8 +108,7 @@ if _with_more:
     raise TypeError(f"library effects with room can have no mass and no equation of their own: {', '.join(_with_more)}")
 
 
-# What has room is worth it for being long. It is called by name: every function that the others are compiled into would
-# keep more of what they share on the stack, and all effects pay for it (a tenth to a quarter of a simulation).
+# What has room is worth it for being long: it is compiled once and called by name, not into all that calls an effect.
 @plain
 def _roomy_force(
     code: int, x: float, v: float, direction: float, z: Floats, n_z: int, p: Floats, n_p: int, n_room: int

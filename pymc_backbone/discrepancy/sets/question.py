@@ -225,7 +225,7 @@ def check_vanishes(effect: Effect, scale: tuple[float, float, float]) -> None:
         state = np.zeros(effect.n_states)
         at = (x * amplitude, v * amplitude * angular_frequency, 1.0 if v > 0.0 else -1.0, state)
         with np.errstate(all="ignore"):
-            left, present = float(force(*at, absent)), float(force(*at, middle))
+            left, present = (float(force(*at, effect.with_room(p))) for p in (absent, middle))
         if not abs(left) <= _VANISHED * abs(present):
             strength = next((q.name for q in effect.parameters if q.role == "strength"), None)
             when = "whatever its parameters are" if strength is None else f"where its strength `{strength}` is zero"
