@@ -27,7 +27,7 @@ CALLS = {"eval", "exec", "compile", "__import__"}
 ATTRIBUTES = {"system", "popen", "literal_eval", "read_pickle", "loadmat", "getoutput", "extractall"}
 # Where one of these stands all the same, and why it cannot be reached from a file.
 ALLOWED = {
-    ("simulation/forces.py", "exec"): "a switch over the package's own functions, by number",
+    ("simulation/switches.py", "exec"): "a switch over the package's own functions, by number",
     ("simulation/lane_cycles.py", "exec"): "the same switch, its loops over lanes inside",
     (
         "_common/interpreter.py",
