@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pymc_backbone._common.checks import OBSERVABLES
-from pymc_backbone.discrepancy.deciding import mechanisms
+from pymc_backbone.discrepancy.deciding import gaps, mechanisms
 from pymc_backbone.discrepancy.deciding.decide import _explains_nothing
 from pymc_backbone.discrepancy.deciding.inexact import (
     _without_idle,
@@ -273,16 +273,62 @@ def test_laws_of_one_mechanism_are_as_probable_beforehand():
 def test_what_explains_next_to_nothing_has_no_probability():
     """It is none of the known effects then: a set whose strength is zero had been "the best"."""
     chances = {("cubic_stiffness",): 0.5, ("coulomb_friction",): 0.3, (): 0.2}
-    gaps = {("cubic_stiffness",): 0.99, ("coulomb_friction",): 0.5, (): 1.0}
-    found = _without_those_that_explain_nothing(Weighed({}, chances, gaps, 0.0, True, np.zeros(0)))
+    left = {("cubic_stiffness",): 0.99, ("coulomb_friction",): 0.5, (): 1.0}
+    found = _without_those_that_explain_nothing(Weighed({}, chances, left, 0.0, True, np.zeros(0)))
     assert found.probabilities == {("cubic_stiffness",): 0.0, ("coulomb_friction",): 0.3, (): 0.0}
 
 
 def test_a_drift_explains_what_it_leaves_little_of(monkeypatch):
     """In each record or alike in all, whichever leaves less; without one that can be simulated nothing is explained."""
-    monkeypatch.setattr(mechanisms, "_gaps", lambda items, _: {names: item for names, item in items.items()})
-    assert mechanisms._least_gap(1.0, [0.6, 0.2], None) == 0.2
-    assert mechanisms._least_gap(1.0, [], None) == np.inf
+    monkeypatch.setattr(gaps, "gaps_of", lambda items, _: {names: item for names, item in items.items()})
+    assert gaps.least_gap(1.0, [0.6, 0.2], None) == 0.2
+    assert gaps.least_gap(1.0, [], None) == np.inf
+
+
+SMALL, LARGE = ("iwan",), ("cubic_stiffness", "iwan")
+
+
+@pytest.mark.parametrize(
+    ("frequency", "damping", "noise", "is_as_good"),
+    [
+        (0.04, 0.04, 2, True),  # of what the base leaves: no mechanism is named for so little
+        (0.10, 0.01, 2, False),
+        (0.01, 0.10, 2, False),  # little of all, but not of what there is of the damping
+        (0.04, 0.04, 4, False),  # what is left is taken for noise
+    ],
+)
+def test_what_leaves_next_to_nothing_is_as_good_as_what_leaves_nothing(frequency, damping, noise, is_as_good):
+    """Two springs that draw what a bent sensor adds to a law that explains all else, and take most of it from there."""
+    wave = np.array([1.0, -1.0, 1.0, -1.0])
+    known = {
+        (): departing_by(wave, 0.1 * wave, 2),
+        SMALL: departing_by(frequency * wave, 0.1 * damping * wave, noise),
+        LARGE: departing_by(0.0 * wave, 0.0 * wave, 1),
+    }
+    departures = SimpleNamespace(noise=np.array([1e-3, 1e-3, 1e-3]))
+    priors = {(): -3.0, SMALL: -4.0, LARGE: -7.0}
+    logs = {(): 0.0, SMALL: 80.0, LARGE: 90.0}
+    grown = gaps.with_smaller(logs, priors, known, departures)
+    assert grown == {**logs, SMALL: 93.0 if is_as_good else 80.0}
+
+
+def test_what_the_base_does_not_lack_a_set_must_not_lack_either():
+    """A spring lowers the damping as a damper raises it: what the base leaves of both is nothing, and of one not."""
+    wave = np.array([1.0, -1.0, 1.0, -1.0])
+    logs, priors = {(): 0.0, SMALL: 80.0, LARGE: 90.0}, {(): -3.0, SMALL: -4.0, LARGE: -7.0}
+    departures = SimpleNamespace(noise=np.array([1e-3, 1e-3, 1e-3]))
+    for left, is_as_good in ((0.5e-3, True), (2e-3, False)):
+        known = {
+            (): departing_by(wave, 0.0 * wave, 2),
+            SMALL: departing_by(0.01 * wave, left * wave, 2),
+            LARGE: departing_by(0.0 * wave, 0.0 * wave, 2),
+        }
+        assert (gaps.with_smaller(logs, priors, known, departures)[SMALL] > 80.0) is is_as_good
+
+
+def departing_by(frequency, damping, noise):
+    curves = np.array([frequency, damping, np.zeros_like(frequency)])
+    return SimpleNamespace(curves=curves, choice=Choice(1, (0, 0, 0), (noise, noise, 2)))
 
 
 @pytest.mark.parametrize(

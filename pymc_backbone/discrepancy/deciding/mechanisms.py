@@ -23,6 +23,7 @@ from ..proposals.departing_point import Point
 from ..proposals.harmonic_odds import Harmonics
 from ..sets.search import Search, Set
 from ..weighing import evidence
+from .gaps import gaps_of, least_gap, mean_squares, with_smaller
 
 PRIOR_OF_COUNT = (0.05, 0.6, 0.3, 0.05)
 """Prior probability that so many mechanisms are missing where no law is exact; none: the library holds none of them."""
@@ -38,7 +39,6 @@ _MOST_HEAVY = 24  # sets that take long, beside single effects
 _LOOKED_BACK = 5  # sets whose subsets begin once more where these ended
 _REACH = 20.0  # logarithm of the odds at first sight from which a set is fitted with the departure
 _AMPLE = 5.0  # forces over the gap from which they are too large for it
-_STANDS_OUT = 3.0  # standard errors of a level value from which the departure of an observable counts
 _EXPLAINED = 0.2  # of the gap that a set leaves up to which it does not matter whose own the rest is
 _DRIFTS = 0.3  # of the gap, that a drift in time leaves at most where it explains the records
 _OUTDONE, _NO_CHANCE = 3.0, 0.5  # excess of chi-square over that of another set, and what is none
@@ -100,12 +100,14 @@ def weigh(search: Search) -> Weighed | None:
     logs = {names: value for names, value in logs.items() if np.isfinite(value) and names not in outdone}
     if () not in logs:
         return None
+    gaps = gaps_of(departing, departures)
+    priors = {names: _log_prior(names, search) for names in logs}
+    logs = with_smaller(logs, priors, departing, departures)
     best = max(logs, key=lambda names: logs[names])
-    gaps = _gaps(departing, departures)
     of_drift = -np.inf
     if search.batch.has_records:
         drifting = _drifting(search, departures, departing[()], ())
-        if _least_gap(departing[()], drifting, departures) < _DRIFTS:
+        if least_gap(departing[()], drifting, departures) < _DRIFTS:
             of_drift = _log_of_drift(search, drifting, ())
         for names in _beside_drift(logs):  # what is left beside a law may go with the time
             beside_law = _log_of_drift(search, _drifting(search, departures, departing[names], names), names)
@@ -191,7 +193,7 @@ def _log_size(search: Search, names: Set, item: Departing, departures: Departing
         return 0.0
     # what is missing is not smaller than what could be seen: there may be no departure at all
     seen = np.where(np.isfinite(departures.noise), departures.noise, 0.0)
-    gap = float(np.sqrt(((_mean_squares(base) + seen**2) / departures.per_force**2).sum()))
+    gap = float(np.sqrt(((mean_squares(base) + seen**2) / departures.per_force**2).sum()))
     layout, amplitude, omega = search.layout(names), search.batch.amplitude, search.batch.angular_frequency
     vector = parameters_of(layout, item.state, 0)
     elastic = search.base.mass * omega**2 * amplitude
@@ -266,42 +268,6 @@ def _log_of_drift(search: Search, drifting: Sequence[Departing], names: Set) -> 
         else evidence.log_prior(1, len(search.candidates))
     )
     return float(logsumexp([item.log_evidence for item in drifting]) - np.log(2.0) + prior)
-
-
-def _least_gap(base: Departing, drifting: Sequence[Departing], departures: DepartingSets) -> float:
-    """Return the least departure that is needed beside a drift in time, as a share of what the base needs."""
-    gaps = (_gaps({(): base, evidence.DRIFT: item}, departures)[evidence.DRIFT] for item in drifting)
-    return min(gaps, default=np.inf)
-
-
-def _gaps(departing: Mapping[Set, Departing], departures: DepartingSets) -> dict[Set, float]:
-    """Return the root mean square of the departure that each set needs, as a share of that which the base needs.
-
-    As a force, over the elastic one: in phase, in quadrature and steady. Of a curve that the model's own stiffness or
-    damping moves as a whole, what changes with the amplitude; what does not stand out of the errors is left out.
-    """
-    if () not in departing:
-        return {}
-    forces = {names: _mean_squares(item) / departures.per_force**2 for names, item in departing.items()}
-    told = forces[()] > (_STANDS_OUT * departures.noise / departures.per_force) ** 2
-    whole = float(forces[()][told].sum())
-    if whole <= 0.0:
-        return _by_evidence(departing)
-    return {names: float(np.sqrt(item[told].sum() / whole)) for names, item in forces.items()}
-
-
-def _by_evidence(departing: Mapping[Set, Departing]) -> dict[Set, float]:
-    """Return what each set leaves of the largest gain of evidence: what no departure of the base draws, like a zero."""
-    base = departing[()].log_evidence
-    most = max(item.log_evidence for item in departing.values()) - base
-    if most <= 0.0:
-        return dict.fromkeys(departing, 1.0)
-    return {k: float(np.clip(1.0 - (item.log_evidence - base) / most, 0.0, 1.0)) for k, item in departing.items()}
-
-
-def _mean_squares(item: Departing) -> FloatArray:
-    """Return the mean square (3,) of the departures of the observables."""
-    return np.array([*item.curves[:2].var(axis=1), (item.curves[2] ** 2).mean()])
 
 
 def _specimens(search: Search) -> list[int]:
