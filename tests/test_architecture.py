@@ -73,6 +73,37 @@ def test_imports_go_up_only(name, table):
         assert {mine, its} not in beside, f"{name} imports {target}: they stand side by side"
 
 
+def test_what_a_module_lists_in_its_all_is_in_it():
+    """A stale name there fails in nobody's hands but those who import all."""
+    absent = [f"{name}: {entry}" for name, path in MODULES.items() for entry in sorted(_listed_but_absent(path))]
+    assert absent == []
+
+
+def test_a_stale_name_in_all_is_seen(tmp_path):
+    module = tmp_path / "some.py"
+    module.write_text('from math import pi\n\ndef there(): ...\n\n__all__ = ["there", *("pi", "gone")]\n')
+    assert _listed_but_absent(module) == {"gone"}
+
+
+def _listed_but_absent(path: Path) -> set[str]:
+    tree = ast.parse(path.read_text())
+    bound: set[str] = set()
+    listed: set[str] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            bound.add(node.name)
+        elif isinstance(node, ast.Import | ast.ImportFrom):
+            bound |= {item.asname or item.name.split(".")[0] for item in node.names}
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            bound.add(node.id)
+    for node in tree.body:
+        if isinstance(node, ast.Assign) and any(getattr(item, "id", "") == "__all__" for item in node.targets):
+            strings = (item for item in ast.walk(node.value) if isinstance(item, ast.Constant))
+            listed |= {item.value for item in strings if isinstance(item.value, str)}
+    is_lazy = "__getattr__" in bound  # a package that loads what is asked for
+    return set() if is_lazy else listed - bound
+
+
 def test_no_import_cycle():
     graph = {name: set(targets) for name, targets in GRAPH.items()}
     while graph:

@@ -216,5 +216,5 @@ def tail(p: FloatArray, beyond: float) -> float:
 __all__ = [
     *("BEGIN", "BEHIND", "CENTRES", "END", "FIRST", "N_TABLE", "OF_EXPONENT", "ORDER", "PIECES"),
     *("SERIES", "SERIES_SLOPES", "TABLES", "TERMS", "WIDTH", "W_END"),
-    *("compiled", "is_there", "piece", "polynomial", "power", "series", "set_exponent", "tail"),
+    *("compiled", "is_there", "piece", "polynomial", "power_of", "series_at", "set_exponent", "tail"),
 ]
