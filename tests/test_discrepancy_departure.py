@@ -15,6 +15,7 @@ from pymc_backbone.discrepancy.deciding.decide import _explains_nothing
 from pymc_backbone.discrepancy.deciding.inexact import (
     _without_idle,
     _without_those_that_explain_nothing,
+    _without_what_idles,
     leaves_the_samples,
 )
 from pymc_backbone.discrepancy.deciding.mechanisms import Weighed, _log_size
@@ -351,6 +352,17 @@ def test_an_effect_that_backbones_alone_want_is_not_believed(cost, parent, moved
     found = _without_idle(search, weighed).probabilities
     expected = {("bilinear_stiffness",): 0.99, ("bilinear_stiffness", "bouc_wen"): 0.0, (): 0.01}
     assert found == pytest.approx(expected if moved else chances)
+
+
+def test_a_set_that_was_not_weighed_is_not_what_remains_of_a_larger_one():
+    """Samples rule a law out that a simpler one outdoes; beside a spring that does nothing for them it stayed."""
+    alone, both = ("bouc_wen",), ("bouc_wen", "quintic_stiffness")
+    fits = {alone: SimpleNamespace(cost=120.0), both: SimpleNamespace(cost=119.0)}
+    search = SimpleNamespace(fits=fits, count=100, is_refuted=lambda _: False, fit_set=fits.get, mend=lambda _: None)
+    weighed = Weighed(dict.fromkeys((alone, both)), {both: 0.99}, {}, 0.0, True, np.zeros(0))
+    assert _without_what_idles(search, weighed, both) == both
+    known = replace(weighed, probabilities={alone: 0.01, both: 0.98})
+    assert _without_what_idles(search, known, both) == alone
 
 
 @pytest.mark.parametrize(("left", "refuted", "leaves"), [(0.99, (), True), (0.5, (), False), (0.99, ((),), False)])

@@ -171,9 +171,9 @@ def _without_idle(search: Search, weighed: Weighed) -> Weighed:
 
 
 def _without_what_idles(search: Search, weighed: Weighed, names: Set) -> Set:
-    """Return a set without effects that do nothing for the samples."""
+    """Return a set without effects that do nothing for the samples; what these rule out was not weighed."""
     for parent in combinations(names, max(len(names) - 1, 0)):
-        if parent in weighed.departing and _is_idle(search, names, parent):
+        if parent in weighed.probabilities and _is_idle(search, names, parent):
             return _without_what_idles(search, weighed, parent)
     return names
 
