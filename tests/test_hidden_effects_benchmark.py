@@ -357,7 +357,11 @@ def test_the_scorer_on_batches_with_known_figures(tmp_path: Path, capsys: pytest
         ({"hidden": ["iwan"]}, None, 60.0),
         ({"hidden": ["jenkins"], "tier": "contaminated"}, of_kind, 25.0),
         ({"hidden": ["cubic_damping"], "tier": "contaminated"}, _mechanism("rising_damping", cubic_damping=0.06), None),
-        ({"hidden": ["jenkins"], "tier": "contaminated"}, _mechanism("spring", jenkins=0.01), None),
+        (
+            {"hidden": ["jenkins"], "tier": "contaminated", "contaminations": {"temperature": 0.01}},
+            _mechanism("spring", jenkins=0.01),
+            None,
+        ),
     ]
     for number, (truth, result, distance) in enumerate(cases):
         _write_case(tmp_path / f"batch_{number:04d}", truth, result, distance)
@@ -378,7 +382,12 @@ def test_the_scorer_on_batches_with_known_figures(tmp_path: Path, capsys: pytest
     }
     groups = {group: [(row["hits"], row["count"]) for row in rows.values()] for group, rows in found["groups"].items()}
     # one effect: right, a quintic spring for a cubic one, listed, a mechanism (two) and a wrong one
-    assert groups == {"base plus hidden": [(1, 1)] * 2, "one effect": [(3, 6), (4, 6)], "two effects": [(1, 1)] * 2}
+    beside = {"beside temperature": [(0, 1)] * 2}
+    assert groups == beside | {
+        "base plus hidden": [(1, 1)] * 2,
+        "one effect": [(3, 6), (4, 6)],
+        "two effects": [(1, 1)] * 2,
+    }
     clear = found["detection"]["clear"]
     assert (clear["one effect"]["right or listed"]["hits"], clear["one effect"]["right or listed"]["count"]) == (2, 3)
     assert clear["one effect"]["right"]["share"] == pytest.approx(1.0 / 3.0)

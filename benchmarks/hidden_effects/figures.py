@@ -70,6 +70,8 @@ def measure_groups(outcomes: Sequence[Outcome]) -> dict[str, dict[str, Any]]:
     """Return by what is hidden, where the verdict is not that nothing is, how often its law and mechanism are told."""
     seen = [o for o in outcomes if o.hidden and o.outcome != "adequate"]
     groups = {group: [o for o in seen if o.group == group] for group in sorted({o.group for o in seen})}
+    disturbed = sorted({kind for o in seen for kind in o.contaminations})
+    groups |= {f"beside {kind}": [o for o in seen if kind in o.contaminations] for kind in disturbed}
     return {
         group: {
             "right or listed": share(kept, is_right_or_listed),

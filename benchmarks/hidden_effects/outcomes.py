@@ -58,6 +58,8 @@ class Outcome:
         Whether the most probable set is the model as it is.
     gap : dict
         As the tool wrote it; empty where it wrote none.
+    contaminations : tuple of str
+        What disturbs the records beside the hidden effect.
     """
 
     folder: str
@@ -79,6 +81,7 @@ class Outcome:
     is_top_empty: bool
     gap: dict[str, Any]
     seconds: float
+    contaminations: tuple[str, ...] = ()
 
     @property
     def group(self) -> str:
@@ -171,6 +174,7 @@ def _judge(folder: Path) -> Outcome:
         is_top_empty=not top[1],
         gap=dict(said.get("gap") or {}),
         seconds=_number(said.get("seconds")),
+        contaminations=tuple(sorted(truth.get("contaminations") or ())),
     )
 
 
