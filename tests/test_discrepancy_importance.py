@@ -13,7 +13,7 @@ from scipy.special import logsumexp
 
 from pymc_backbone.discrepancy.fitting.joint_fit import Fit, fit
 from pymc_backbone.discrepancy.fitting.layout import make_layout
-from pymc_backbone.discrepancy.fitting.normal_equations import NUISANCES, start_state
+from pymc_backbone.discrepancy.fitting.normal_equations import NUISANCES, State, log_of_release, start_state
 from pymc_backbone.discrepancy.sets.search import Search
 from pymc_backbone.discrepancy.weighing import corrected_evidence, evidence
 from pymc_backbone.discrepancy.weighing.conditional import Conditional
@@ -22,7 +22,7 @@ from pymc_backbone.discrepancy.weighing.evidence import Evidence, laplace, noise
 from pymc_backbone.discrepancy.weighing.importance import LARGEST_K, Integral, integrate
 from pymc_backbone.oscillator import Oscillator
 
-from .discrepancy_cases import AMPLITUDE, DAMPING, MASS, OMEGA, STIFFNESS, batch_of, make_records
+from .discrepancy_cases import AMPLITUDE, DAMPING, MASS, OMEGA, STIFFNESS, batch_of, make_records, truth_of
 
 COVARIANCE = np.array([[2.0, 0.9], [0.9, 1.0]])
 EFFORT = 1.5e7
@@ -348,3 +348,44 @@ def test_corrections_enter_the_probabilities(weak):
     gain = moved[("coulomb_friction",)].log_posterior - plain[("coulomb_friction",)].log_posterior
     assert gain == pytest.approx(-2.0)
     assert sum(item.probability for item in moved.values()) == pytest.approx(1.0)
+
+
+def test_a_slider_that_slips_once_at_the_release_gains_nothing_by_releases_that_are_alike():
+    """Beyond its slip every release gives the same motion: to densities that are flat, that was no coincidence."""
+    batch = batch_of(make_records(np.random.default_rng(4), ["quadratic_damping"], specimens=6, decibels=30.0))
+    alone, both = (
+        make_layout(Oscillator(MASS, names), batch.amplitude, batch.angular_frequency)
+        for names in (["quadratic_damping"], ["quadratic_damping", "jenkins"])
+    )
+    drag = np.array([truth_of(["quadratic_damping"])["quadratic_damping"]])
+    plain = fit(alone, batch.waveform, start_state(alone, drag, batch.own), nuisances=batch.nuisances)
+    own = np.hstack([plain.state.own, np.zeros((6, 2))])
+    slider = 0.97 * own[:, 0].mean()  # next to all of the stiffness
+    own[:, 4] -= 0.2 * own[:, 2] * slider / own[:, 0]  # the slider rests where it slipped to, and holds the mid-line
+    own[:, 2] *= 1.2
+    own[:, 0] -= slider
+    eta = np.array([plain.state.eta[0], slider * 1.04 * batch.amplitude, 1.04])
+    slipping = fit(both, batch.waveform, State(eta, own), nuisances=batch.nuisances)
+    scale = noise_scale({("quadratic_damping",): plain, ("jenkins", "quadratic_damping"): slipping}, batch)
+    assert slipping.cost == pytest.approx(plain.cost, abs=3.0)  # it draws the same motion
+    assert laplace(slipping, scale) < laplace(plain, scale)
+
+
+@pytest.mark.parametrize("kept", [(0, 1, 2, 3, 4), (0, 2, 3)])
+def test_evidence_does_not_hang_on_what_a_release_is_measured_by(kept):
+    """Whether a millimetre or the square of the release is what densities are flat in."""
+    rng = np.random.default_rng(2)
+    jacobian = rng.standard_normal((40, 5))
+    changed = jacobian * np.array([1.0, 1.0, 0.02, 7.0, 300.0])
+    active, index = np.isin(np.arange(7), kept), np.array(kept)
+    of_release, others = [k for k in kept if k > 1], [k for k in kept if k < 2]
+    left = []
+    for columns in (jacobian, changed):
+        own = (columns.T @ columns)[np.ix_(kept, kept)]
+        left.append(np.linalg.slogdet(own)[1] - log_of_release(own, index, active))
+    assert left[0] == pytest.approx(left[1], abs=1e-9)
+    # what remains is the information on the rest, the release eliminated
+    basis = np.linalg.qr(jacobian[:, of_release])[0]
+    rest = jacobian[:, others] - basis @ (basis.T @ jacobian[:, others])
+    assert left[0] == pytest.approx(np.linalg.slogdet(rest.T @ rest)[1], abs=1e-9)
+    assert log_of_release(np.eye(2), np.array([0, 1]), np.isin(np.arange(7), (0, 1))) == 0.0

@@ -9,15 +9,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..._common.checks import FloatArray
+from ..._common.checks import FloatArray, IntArray
 from ..._common.threads import in_threads
+from ..._common.unit_diagonal import unit_diagonal
 from .data_term import DataTerm
 from .fit_kernels import eliminate_own, put_together
 from .layout import Layout
 
 NUISANCES = 7  # stiffness, damping, release amplitude, release instant, offset, drift of frequency, of damping
 RELEASE_INSTANT, ZERO = 3, 4
+_RELEASE = (2, RELEASE_INSTANT, ZERO)
 DRIFTS = (5, 6)
+_RIDGE = 1e-12  # on the diagonal of ones, as where own values are eliminated
 _TWO_DECADES = np.log(1e2) / np.sqrt(2.0 * np.pi)  # width of a Gaussian as dense at its middle as log-uniform ones are
 
 
@@ -170,7 +173,8 @@ def information(layout: Layout, system: System, state: State, active: Any, noise
     """Return the logarithm of the determinant of the information, and the covariance (q, q) of the shared values.
 
     ``noise`` is the variance of the residuals in units of the one assumed. The shared values are scaled with the width
-    of their priors; the covariance holds their default priors.
+    of their priors; the covariance holds their default priors. How specimens were released has no part in it
+    (`log_of_release`).
     """
     q, size = layout.free.size, state.own.shape[1]
     prior = np.diag((active & (np.arange(size) >= DRIFTS[0])).astype(np.float64))
@@ -181,7 +185,8 @@ def information(layout: Layout, system: System, state: State, active: Any, noise
     if eliminated is None:
         return np.inf, np.full((q, q), np.nan)
     shared, _, solved = eliminated
-    own = float(sum(item[3] for item in solved))
+    released = sum(log_of_release(block, np.arange(size), active) for block in scaled_system.own)
+    own = float(sum(item[3] for item in solved)) - released
     if q == 0:
         return own, np.empty((0, 0))
     widths = np.where(layout.is_strength, layout.width, shape_width(layout, state.eta))
@@ -193,6 +198,31 @@ def information(layout: Layout, system: System, state: State, active: Any, noise
     chosen = prior_width(layout, state.eta, spread)
     eigenvalues = np.linalg.eigvalsh(symmetric(shared) * np.outer(chosen, chosen))
     return own + float(np.log1p(np.maximum(eigenvalues, 0.0)).sum()), covariance
+
+
+def log_of_release(own: FloatArray, index: IntArray, active: Any) -> float:
+    """Return the logarithm of the determinant of the information on how a specimen was released, the rest given.
+
+    Release, instant and zero are no part of a model, and by Jeffreys' prior [1]_ what is known of them counts alike for
+    every set. With densities that are alike everywhere, a slider that had slipped by any amount at the release, and
+    moved as if it had been released where it slips, took specimens that were released alike for its doing.
+
+    Parameters
+    ----------
+    own : (n, n) array
+        Information on the specimen's own values.
+    index : (n,) array of int
+        Which of them its rows stand for.
+    active : (m,) array of bool
+        Which are fitted.
+
+    References
+    ----------
+    .. [1] Jeffreys H. (1946) An invariant form for the prior probability in estimation problems. Proceedings of the
+       Royal Society A 186(1007), 453-461. doi:10.1098/rspa.1946.0056
+    """
+    kept = np.flatnonzero(np.isin(index, _RELEASE) & active[index])
+    return unit_diagonal(own[np.ix_(kept, kept)], _RIDGE).log_determinant() if kept.size else 0.0
 
 
 def prior_width(layout: Layout, eta: FloatArray, spread: FloatArray) -> FloatArray:

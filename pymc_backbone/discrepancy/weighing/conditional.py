@@ -20,7 +20,15 @@ from ..._common.threads import in_threads
 from ..._common.unit_diagonal import unit_diagonal
 from ..fitting.data_term import DataTerm
 from ..fitting.joint_fit import Fit
-from ..fitting.normal_equations import DRIFTS, NUISANCES, derivatives, parameters_at, prior_width, symmetric
+from ..fitting.normal_equations import (
+    DRIFTS,
+    NUISANCES,
+    derivatives,
+    log_of_release,
+    parameters_at,
+    prior_width,
+    symmetric,
+)
 
 _MOST_STEPS = 4
 _NEAR = 0.5  # fall of minus twice the log-likelihood that a further step promises, up to which its promise is kept
@@ -52,7 +60,7 @@ class _Specimen:
     follows : (a, q) array
         How the own values go after the shared ones.
     log_determinant : float
-        Of the precision.
+        Of the precision, without what it says of the release alone.
     """
 
     term: DataTerm
@@ -139,6 +147,7 @@ class Conditional:
         gradient = known.shared.T @ known.residuals / variance - mixed.T @ within @ slope
         left = known.shared.T @ known.shared / variance - mixed.T @ within @ mixed
         log_determinant = unit_diagonal(precision, _RIDGE).log_determinant()
+        log_determinant -= log_of_release(precision, self.index, found.active)
         specimen = _Specimen(
             term, own, jacobian, variance, size, floor, precision, inverse, -within @ mixed, log_determinant
         )
