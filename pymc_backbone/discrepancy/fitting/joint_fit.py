@@ -55,7 +55,7 @@ class Fit:
     penalty : float
         Sum of squared deltas.
     log_determinant : float
-        Of the information on all fitted values, the shared ones scaled with their priors.
+        Of the information on all fitted values but the release, the shared ones scaled with their priors.
     covariance : (q, q) array
         Of the shared coordinates.
     own_covariance : (r, 7) array
