@@ -1205,8 +1205,10 @@ def test_what_adds_nothing_ends_where_the_smaller_set_did(cubic):
     assert all(alone - 15.0 < cost < alone + 1.0 for cost in larger)
 
 
-def test_a_single_effect_that_a_linear_step_promises_little_of_is_fitted_all_the_same():
-    """A slider between two slips of the grid: the step from the base tells a third of what it explains."""
+def test_a_single_effect_that_a_linear_step_promises_little_of_is_fitted_all_the_same(monkeypatch):
+    """A slider between two slips of a coarse grid: the step from the base tells a third of what it explains."""
+    monkeypatch.setattr(starts, "_SLIPS_OF_ONE", starts._SLIPS)
+    monkeypatch.setattr(Search, "_sliding", lambda *_: [])
     rng, model = np.random.default_rng(4), Oscillator(MASS, ["jenkins"])
     slider = {"slider_stiffness": 0.0008 * STIFFNESS, "slip_force": 0.72 * 0.0008 * STIFFNESS * AMPLITUDE}
     truth, records = truth_of(()) | slider, []
@@ -1687,3 +1689,31 @@ def test_a_slider_that_holds_in_one_specimen_begins_again_from_where_it_just_sli
     assert not starts.slipping_each(layout, state, np.zeros(3, dtype=bool))  # as well as the others
     own[:, 2] = 0.5 * AMPLITUDE
     assert not starts.slipping_each(layout, State(state.eta, own), np.ones(3, dtype=bool))  # it holds in all of them
+
+
+def test_a_slider_begins_again_where_a_linear_step_promises_more():
+    """One that slips in the first cycles only is far from one that slips in all, and no way leads there."""
+    rng, oscillator = np.random.default_rng(5), Oscillator(MASS, ("jenkins",))
+    strength, slip = 0.001 * STIFFNESS, 0.7 * AMPLITUDE
+    records = []
+    for r, release in enumerate((1.0, 0.9, 0.8)):
+        values = np.array([STIFFNESS, DAMPING, strength, strength * slip])
+        motion = simulate_waveform(oscillator, values, TIME, release * AMPLITUDE, release_time=RELEASE_TIME)
+        records.append(noisy(rng, f"specimen {r + 1}", TIME, motion.values, 55.0))
+    search = Search(batch_of(records), Oscillator(MASS), ("jenkins",), 1)
+    base, layout = search.fit_set(()), search.layout(("jenkins",))
+
+    def begun(share):
+        own = base.state.own.copy()
+        own[:, 0] -= strength
+        state = start_state(layout, layout.coordinates(np.array([strength, strength * share * AMPLITUDE])), own[:, :4])
+        return fit(layout, search.batch.deciding, state, iterations=60, nuisances=search.batch.nuisances)
+
+    lost, right = begun(0.12), begun(0.7)
+    assert lost.cost > right.cost + 30.0
+    search.fits[("jenkins",)] = lost
+    search._look_elsewhere()
+    assert search.fits[("jenkins",)].cost < right.cost + 1.0
+    again = search.fits[("jenkins",)]
+    search._look_elsewhere()  # it was asked
+    assert search.fits[("jenkins",)] is again

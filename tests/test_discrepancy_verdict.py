@@ -992,12 +992,13 @@ def test_words_of_each_verdict():
 @pytest.mark.parametrize(("chance", "verdict"), [(0.7, "ambiguous"), (0.95, "unexplained")])
 def test_a_drift_that_is_not_certain_is_told_beside_the_sets(chance, verdict):
     evidences = {("a",): Evidence(10.0, 3.0, 1.0 - chance)}
+    search = SimpleNamespace(layout=lambda names: SimpleNamespace(free=np.zeros(len(names))))
     lack = SimpleNamespace(share=0.01, p_value=0.4)
     weighed = replace(
         decision_of("ambiguous", p_missing=1e-6, drift_probability=chance, evidences=evidences, ranked=(("a",),)),
         lack=lack,
     )
-    judged = decide._judged(None, weighed, {}, None)
+    judged = decide._judged(search, weighed, {}, None)
     assert judged.verdict == verdict
     assert ("a drift with time" in verdict_words.sentence(judged)) and (judged.listed == (("a",),)) == (chance < 0.90)
 
@@ -1495,17 +1496,18 @@ def test_sets_that_differ_by_what_is_below_the_tolerance_are_one():
     assert as_one(("c",), chances) == {("a",): 0.5, ("b",): 0.3, ("c", "d"): 0.1, (): 0.1}
     assert as_one((), chances) == chances
     evidences = {names: Evidence(0.0, float(np.log(chance)), chance) for names, chance in chances.items()}
+    search = SimpleNamespace(layout=lambda names: SimpleNamespace(free=np.zeros(len(names))))
     weighed = replace(
         decision_of(
             "ambiguous", best=("a", "c"), probability=0.5, p_missing=1e-6, evidences=evidences, ranked=tuple(chances)
         ),
         lack=LackOfFit(1.0, 0.4, 0.001),
     )
-    judged = decide._judged(None, weighed, {}, None)
+    judged = decide._judged(search, weighed, {}, None)
     assert ("a", "c") in judged.listed and judged.listed[0] == ("a",)
     one = replace(weighed, best=("a",), below=("c",))
-    assert decide._judged(None, one, {}, None).listed[:2] == (("a",), ("b",))
-    assert ("a", "c") not in decide._judged(None, one, {}, None).listed
+    assert decide._judged(search, one, {}, None).listed[:2] == (("a",), ("b",))
+    assert ("a", "c") not in decide._judged(search, one, {}, None).listed
 
 
 def test_a_drift_that_a_force_explains_as_well_is_told_beside_it():

@@ -17,7 +17,13 @@ from pymc_backbone.discrepancy.disturbances import edges as edges_module
 from pymc_backbone.discrepancy.disturbances.disturbance import Disturbance, Disturbed, line_modes, sentences
 from pymc_backbone.discrepancy.disturbances.edges import Edges, begun_otherwise, edges
 from pymc_backbone.discrepancy.disturbances.left_beside import LeftBeside, left_beside
-from pymc_backbone.discrepancy.disturbances.mode_lines import hum_of, is_hum, left_over, lines_on_harmonics
+from pymc_backbone.discrepancy.disturbances.mode_lines import (
+    hum_of,
+    is_hum,
+    left_over,
+    lines_on_harmonics,
+    whatever_is_left,
+)
 from pymc_backbone.discrepancy.disturbances.readings import _is_one_line, _is_one_sensor, disturbed, early_line
 from pymc_backbone.discrepancy.sets.promising import is_promising
 from pymc_backbone.discrepancy.sets.search import Search
@@ -707,3 +713,29 @@ def test_of_a_damper_behind_a_bent_sensor_the_law_is_named():
     study = asked(measured(np.random.default_rng(1), odd=0.05, effects=("quadratic_damping",)))
     assert study.missing_effects == ("quadratic_damping",)
     assert any("not in proportion" in note for note in study.notes)
+
+
+@pytest.mark.parametrize("effects", [(), ("cubic_stiffness",)])
+def test_of_a_line_that_was_taken_away_a_little_wrong_the_records_say_nothing(effects, rng):
+    """What is left of it is far above the noise, and no law's; nothing is hidden of a spring that is there."""
+    other, decay = decaying_sinusoid(0.1 * AMPLITUDE, 0.89 * FREQUENCY), RATIO * 0.89 * OMEGA
+    records = [
+        replace(record, values=record.values + other)
+        for record in make_records(rng, effects, specimens=3, decibels=55.0, share=0.05)
+    ]
+    taken = {}
+    for record in records:
+        line = Disturbance(RELEASE_TIME, float(TIME[-1]), RELEASE_TIME, AMPLITUDE)
+        line = replace(line, frequency=0.89 * FREQUENCY, decay=1.03 * decay, cosine=0.099 * AMPLITUDE)
+        taken[record.specimen] = replace(line, sine=0.1 * RATIO * AMPLITUDE)
+    lines = Disturbed(taken, ())
+    without = lines.undisturbed(records)
+    fall, left = [], []
+    for batch in (batch_of(without), whatever_is_left(batch_of(without), lines)):
+        search = Search(batch, pb.Oscillator(MASS), ("cubic_stiffness",), 1, lambda _stage, _share: None)
+        base, spring = search.fit_set(()), search.fit_set(("cubic_stiffness",))
+        fall.append(base.cost - spring.cost)
+        left.append(spring.cost / search.count)
+    assert left[0] > 1.5  # what is off by so little is far above the noise
+    assert left[1] == pytest.approx(1.0, abs=0.1)
+    assert (fall[1] > 100.0) if effects else (fall[1] < 12.0)

@@ -447,7 +447,7 @@ def test_gap_is_the_mean_over_the_specimens_that_are_there():
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [(1.0, "100 %"), (0.9999, "> 99.9 %"), (0.97, "97 %"), (1e-9, "< 0.1 %"), (0.0, "0 %"), (np.nan, "-")],
+    [(1.0, "> 99.9 %"), (0.9999, "> 99.9 %"), (0.97, "97 %"), (1e-9, "< 0.1 %"), (0.0, "0 %"), (np.nan, "-")],
 )
 def test_probability_is_never_rounded_to_certainty(value, text):
     assert percent(value) == text

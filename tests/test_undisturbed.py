@@ -110,7 +110,7 @@ def test_sensors_are_straightened_beside_a_drift_where_less_noise_is_left(quiete
     bent = SimpleNamespace(is_bent=True, undisturbed=lambda records: records)
     monkeypatch.setattr(module, "disturbed", lambda _: bent)
     monkeypatch.setattr(changed, "sentences", lambda found: [])
-    monkeypatch.setattr(module, "sentences", lambda found: [])
+    monkeypatch.setattr(changed, "whatever_is_left", lambda batch, _: batch)
     left = {"base": 1.0, "drift": 1e-3, "straight": quieter * 1e-3}
     monkeypatch.setattr(changed.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
     monkeypatch.setattr(changed.evidence, "leaves_noise", lambda _, found: found != "base")
@@ -120,9 +120,8 @@ def test_sensors_are_straightened_beside_a_drift_where_less_noise_is_left(quiete
         SimpleNamespace(halted=None, is_told=False, batch=None, fits={(): name}, best=tuple)
         for name in ("base", "straight")
     )
-    question = SimpleNamespace(batch=None, of_records=lambda *_: SimpleNamespace(batch=None))
     drifting = {(): Drifting("drift", 0.0)}
-    known = module.undisturbed(question, search, [], None, lambda _: straight, lambda _: drifting)
+    known = module.undisturbed(Unmeasured(), search, [], None, lambda _: straight, lambda _: drifting)
     assert known.search is (straight if is_straightened else search) and known.is_bent == is_straightened
 
 
@@ -144,7 +143,8 @@ def test_a_drift_that_leaves_nothing_goes_before_a_bent_sensor_beside_more_effec
         monkeypatch.setattr(_asked_in(name), name, lambda *_: None)
     bent = SimpleNamespace(is_bent=True, undisturbed=lambda records: records)
     monkeypatch.setattr(module, "disturbed", lambda _: bent)
-    monkeypatch.setattr(module, "sentences", lambda _: [])
+    monkeypatch.setattr(changed, "sentences", lambda _: [])
+    monkeypatch.setattr(changed, "whatever_is_left", lambda batch, _: batch)
     monkeypatch.setattr(module, "over_motion", lambda *_: 1e-3)
     monkeypatch.setattr(changed, "over_motion", lambda *_: 1e-3)
     monkeypatch.setattr(module, "likeliest", lambda *_: likelier)
@@ -262,7 +262,7 @@ def test_records_are_searched_without_the_line_that_halted_a_search_or_beats(bea
     for name in ("drop_outs", "drifting_zero", "sensor_filter", "earlier", "edges", "motion_noise", "disturbed"):
         monkeypatch.setattr(_asked_in(name), name, lambda *_: None)
     monkeypatch.setattr(changed, "sentences", lambda found: [f"{len(found)} taken away"])
-    monkeypatch.setattr(module, "sentences", lambda found: [f"{len(found)} taken away"])
+    monkeypatch.setattr(changed, "whatever_is_left", lambda batch, _: batch)
     monkeypatch.setattr(changed.evidence, "lack_of_fit", lambda *_: SimpleNamespace(share=0.01, p_value=0.0))
     monkeypatch.setattr(changed.evidence, "leaves_noise", lambda *_: False)
     line = module.Disturbed({}, ())
@@ -313,7 +313,7 @@ def test_everything_is_asked_anew_where_a_line_is_not_all_that_disturbs_records(
     monkeypatch.setattr(changed.evidence, "leaves_noise", lambda _, found: found == "explained")
     item = module.Disturbed({"one": SimpleNamespace(bent=0.01 * is_bent, frequency=1.0)}, ())
     monkeypatch.setattr(changed, "sentences", lambda found: [f"{len(found)} taken away"])
-    monkeypatch.setattr(module, "sentences", lambda found: [f"{len(found)} taken away"])
+    monkeypatch.setattr(changed, "whatever_is_left", lambda batch, _: batch)
     monkeypatch.setattr(module.Disturbed, "undisturbed", lambda _self, records: records)
     monkeypatch.setattr(changed, "over_motion", lambda *_: 0.01)
     monkeypatch.setattr(module, "over_motion", lambda *_: 0.01)
@@ -354,8 +354,8 @@ def test_a_filter_that_straightened_records_do_not_need_is_taken_back(plain, is_
         monkeypatch.setattr(place, "over_motion", lambda _, found: left[found])
     bent = module.Disturbed({"one": SimpleNamespace(bent=0.01, frequency=1.0)}, ())
     monkeypatch.setattr(module, "disturbed", lambda _: bent)
-    monkeypatch.setattr(changed, "sentences", lambda found: [])
-    monkeypatch.setattr(module, "sentences", lambda found: ["straightened"])
+    monkeypatch.setattr(changed, "sentences", lambda found: ["straightened"] if found else [])
+    monkeypatch.setattr(changed, "whatever_is_left", lambda batch, _: batch)
     monkeypatch.setattr(module.Disturbed, "undisturbed", lambda _self, records: ["straight"])
     monkeypatch.setattr(SensorFilter, "passed", lambda _self, batch: {**batch, "is_behind": True})
     monkeypatch.setattr(SensorFilter, "undone", lambda _self, records, _batch: records)

@@ -204,7 +204,7 @@ def percent(probability: float) -> str:
     """Return a probability as a percentage that never rounds to certainty or to nothing."""
     if not np.isfinite(probability):
         return "-"
-    if 0.999 < probability < 1.0:
+    if probability > 0.999:
         return "> 99.9 %"
     if 0.0 < probability < 0.001:
         return "< 0.1 %"

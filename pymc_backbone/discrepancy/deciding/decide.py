@@ -8,6 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
+from ...effects import EITHER
 from ..fitting.curves import level_chi_square
 from ..fitting.estimates import estimates_of
 from ..fitting.joint_fit import Fit
@@ -22,6 +23,7 @@ from .compensation import compensation
 from .decision import AGREE, DRIFT_POSSIBLE, NAMED, Decision, as_one, listed
 from .imitations import COMPENSATED, doubted, is_none_other, library_holds
 from .inexact import departing, is_told_apart, leaves_the_samples
+from .rivals import rivals_of
 from .shares import missing_mechanisms
 from .tolerance import damping_drift, is_drift_small, prune
 
@@ -87,7 +89,8 @@ def _judged(search: Search, weighed: Decision, tolerance: Mapping[str, float], d
         return departing(search, named)
     if named.drift_probability > NAMED:
         return replace(named, verdict=Verdict.UNEXPLAINED, below=())
-    if named.probability >= NAMED and named.drift_probability < DRIFT_POSSIBLE:
+    rivals = rivals_of(search, named.best, named.evidences, named.probabilities)
+    if named.probability >= NAMED and named.drift_probability < DRIFT_POSSIBLE and not rivals:
         return replace(named, verdict=Verdict.FOUND, named_level=NamedLevel.LAW)
     if named.simulated is not None:
         # the set without what is below the tolerance is no explanation: what remains is told with it
@@ -97,7 +100,8 @@ def _judged(search: Search, weighed: Decision, tolerance: Mapping[str, float], d
         named.below if is_one else (), {names: named.evidences[names].probability for names in named.ranked}
     )
     # what the sets do not hold of the probability is the drift's
-    return replace(named, listed=listed(chances, 1.0 - sum(chances.values())))
+    possible = listed(chances, 1.0 - sum(chances.values()))
+    return replace(named, listed=(*possible, *(item for item in rivals if item not in possible)), rivals=rivals)
 
 
 def _is_of_drift(decision: Decision) -> bool:
@@ -247,20 +251,29 @@ def _by_mechanism(search: Search, decision: Decision) -> Decision:
     noise = search.fits[best].cost if is_exact else search.count
     gaps = {names: float(np.sqrt(max(found.cost - noise, 0.0))) for names, found in search.fits.items()}
     elsewhere = max(1.0 - sum(decision.probabilities.values()) - decision.drift_probability, 0.0)
+    joined = frozenset(search.mechanism_of(name) for names in (best, *decision.rivals) for name in names)
     mechanisms = missing_mechanisms(
-        search, decision.probabilities, best, gaps, estimates_of(search.fits[best]), elsewhere
-    )
+        search, decision.probabilities, best, gaps, estimates_of(search.fits[best]), elsewhere,
+        joined if decision.rivals else frozenset(),
+    )  # fmt: skip
     known = replace(decision, mechanisms=mechanisms)
     if decision.named_level is NamedLevel.LAW and _is_like_another(search, decision):
         return without_laws(known)
     is_open = decision.verdict is Verdict.AMBIGUOUS and is_exact and not decision.unfinished
     is_against = best in decision.drifts and _backbones_disagree(search, best)
     is_doubtful = is_against or decision.drift_probability >= DRIFT_POSSIBLE
-    if not is_open or is_doubtful or not is_told_apart(mechanisms):
+    if not is_open or is_doubtful or not is_told_apart(mechanisms) or not _hold_the_mechanisms(search, known):
         return known
     return replace(
         known, verdict=Verdict.FOUND, named_level=NamedLevel.MECHANISM, is_like=_is_like_another(search, known)
     )
+
+
+def _hold_the_mechanisms(search: Search, decision: Decision) -> bool:
+    """Return whether every rival of the best set holds laws of all mechanisms that are certain."""
+    named = [set(EITHER.get(item.mechanism, (item.mechanism,))) for item in decision.mechanisms if item.is_certain]
+    held = ({search.mechanism_of(name) for name in names} for names in decision.rivals)
+    return all(kinds & group for kinds in held for group in named)
 
 
 def _is_one_curve(search: Search, decision: Decision) -> bool:

@@ -46,6 +46,8 @@ class Decision:
         The sets, most probable first.
     listed : tuple of tuple of str
         The sets that remain possible, where several do.
+    rivals : tuple of tuple of str
+        Sets for which the records speak as much as for the best one.
     below : tuple of str
         Effects below the tolerance.
     simulated : tuple of str or None
@@ -98,6 +100,7 @@ class Decision:
     evidences: Mapping[Set, Evidence]
     ranked: tuple[Set, ...] = ()
     listed: tuple[Set, ...] = ()
+    rivals: tuple[Set, ...] = ()
     below: tuple[str, ...] = ()
     simulated: Set | None = None
     adequate_by: AdequateBy | None = None

@@ -20,6 +20,7 @@ from ..weighing.evidence import Drifting
 from .disturbance import Disturbed, sentences
 from .earlier_release import Earlier, run_in
 from .edges import Edges
+from .mode_lines import whatever_is_left
 from .motion_noise import MotionNoise
 from .sensor_filter import SensorFilter
 
@@ -117,6 +118,8 @@ class Changed:
             other = replace(other, batch=self.sensor_filter.passed(other.batch))
         if self.noise is not None:
             other = replace(other, batch=self.noise.weighed(other.batch))
+        for taken in self.lines:
+            other = replace(other, batch=whatever_is_left(other.batch, taken))
         return other
 
 

@@ -120,8 +120,17 @@ class Disturbed:
 
 
 def sentences(found: Sequence[Disturbed]) -> list[str]:
-    """Return what was found in so many passes, one sentence for each kind."""
+    """Return what was found in so many passes, one sentence for each kind: lines first, as they are looked for."""
     said = []
+    lines = [one for item in found for one in item.by_specimen.values() if one.frequency]
+    if lines:
+        groups = _alike(sorted(lines, key=lambda one: one.frequency))
+        parts = [_line_words(group) for group in groups]
+        several = len(groups) > 1
+        said.append(
+            f"warning: the records hold {'lines that are' if several else 'a line that is'} no harmonic of the mode, "
+            f"{'; '.join(parts)}; {'they were' if several else 'it was'} taken away"
+        )
     if any(item.is_bent for item in found):
         names = list(found[0].by_specimen)
         even = np.array([[item.by_specimen[name].even for name in names] for item in found]).sum(axis=0)
@@ -137,15 +146,6 @@ def sentences(found: Sequence[Disturbed]) -> list[str]:
             "warning: the sensor's reading is not in proportion to the motion: at the largest motion of each record it "
             f"is {_range(sizes.tolist())} off a straight line, which no effect of the library explains, and the "
             f"records were straightened. {why}"
-        )
-    lines = [one for item in found for one in item.by_specimen.values() if one.frequency]
-    if lines:
-        groups = _alike(sorted(lines, key=lambda one: one.frequency))
-        parts = [_line_words(group) for group in groups]
-        several = len(groups) > 1
-        said.append(
-            f"warning: the records hold {'lines that are' if several else 'a line that is'} no harmonic of the mode, "
-            f"{'; '.join(parts)}; {'they were' if several else 'it was'} taken away"
         )
     return said
 

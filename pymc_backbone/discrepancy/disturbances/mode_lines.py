@@ -11,8 +11,9 @@ from ..._common.checks import FloatArray
 from ..fitting.batch import Batch
 from ..fitting.joint_fit import Fit
 from ..fitting.waveform_term import WaveformTerm
+from ..fitting.whitening import with_slow_noise
 from ..weighing import evidence
-from .disturbance import Disturbance, line_modes, nothing_beside
+from .disturbance import Disturbance, Disturbed, line_modes, nothing_beside
 from .harmonic_lines import beside_harmonics, frequencies_with, is_harmonic
 from .lines import line_near
 
@@ -145,6 +146,28 @@ def _begun_line(time: FloatArray, left: FloatArray, between: tuple[float, float]
     return place
 
 
+def whatever_is_left(batch: Batch, taken: Disturbed) -> Batch:
+    """Return records from which lines were taken, that say nothing of what is left of these.
+
+    Height, phase, frequency and decay of a line were found beside one set of effects, in whose favour they are a little
+    off: so much that a line of a tenth of the motion draws a spring. Whatever they are off by is neither noise nor law.
+    """
+    together = zip(batch.specimens, batch.waveform, strict=True)
+    lines = taken.by_specimen
+    terms = tuple(_free_of(term, lines[name]) if name in lines else term for name, term in together)
+    return replace(batch, waveform=terms)
+
+
+def _free_of(term: WaveformTerm, line: Disturbance) -> WaveformTerm:
+    """Return a term that says nothing of a line, nor of one a little beside it."""
+    if not line.frequency:
+        return term
+    modes = line_modes(term.time, line, step_of(term))
+    along = (term.time - term.time[0]) / (term.time[-1] - term.time[0])
+    columns = line.line * line.scale * np.hstack([modes, along[:, None] * modes])
+    return replace(term, whiten=with_slow_noise(term.whiten, term.compared(columns)))
+
+
 def _refined(term: WaveformTerm, left: FloatArray, item: Disturbance) -> Disturbance:
     """Return a disturbance with that frequency and decay of its line which explain most of what a set leaves."""
     time, step = term.compared(term.time), step_of(term)
@@ -165,5 +188,5 @@ def _refined(term: WaveformTerm, left: FloatArray, item: Disturbance) -> Disturb
 
 __all__ = [
     "ALIKE", "are_beside", "begun_lines", "hum_of", "is_hum", "left_over", "lines_on_harmonics", "ranges_of", "step_of",
-    "with_lines",
+    "whatever_is_left", "with_lines",
 ]  # fmt: skip

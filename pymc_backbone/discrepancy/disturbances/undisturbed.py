@@ -28,7 +28,7 @@ from .changed import (
 )
 from .clock_steps import clock_steps
 from .close_modes import lines_that_beat
-from .disturbance import Disturbed, sentences
+from .disturbance import Disturbed
 from .drifting_zero import drifting_zero
 from .drop_outs import drop_outs
 from .earlier_release import earlier
@@ -331,7 +331,7 @@ def _straightened(known: Known) -> Undisturbed | None:
     while len(found) < _PASSES and (one := disturbed(again)) is not None:
         found.append(one)
         records = one.undisturbed(records)
-        tried = changed.but(*sentences(found), records=records).asked().found
+        tried = changed.but(records=records, lines=(*changed.lines, *found)).asked().found
         again = tried.search
         if is_exact(again):
             return replace(tried, is_bent=any(item.is_bent for item in found))

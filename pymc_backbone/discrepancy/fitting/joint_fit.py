@@ -54,8 +54,6 @@ class Fit:
         Sum of squared residuals per specimen.
     penalty : float
         Sum of squared deltas.
-    log_determinant : float
-        Of the information on all fitted values but the release, the shared ones scaled with their priors.
     covariance : (q, q) array
         Of the shared coordinates.
     own_covariance : (r, 7) array
@@ -74,7 +72,6 @@ class Fit:
     state: State
     chi_square: FloatArray
     penalty: float
-    log_determinant: float
     covariance: FloatArray
     own_covariance: FloatArray
     is_converged: bool
@@ -319,7 +316,7 @@ def _step(layout: Layout, system: System, state: State, active: Any, damping: fl
 
 def _finish(layout: Layout, system: System, state: State, active: Any, converged: bool) -> Fit:
     """Return the fit with its information."""
-    log_determinant, covariance = information(layout, system, state, active, 1.0)
+    covariance = information(layout, system, state, active, 1.0)[1]
     own_covariance = np.full((state.own.shape[0], NUISANCES), np.nan)
     index = np.flatnonzero(active)
     for r in range(state.own.shape[0]):
@@ -329,7 +326,7 @@ def _finish(layout: Layout, system: System, state: State, active: Any, converged
             if column < NUISANCES:
                 own_covariance[r, column] = inverse[place, place]
     return Fit(
-        layout, state, system.chi_square, system.penalty, log_determinant, covariance, own_covariance, converged,
+        layout, state, system.chi_square, system.penalty, covariance, own_covariance, converged,
         system=system, active=active,
     )  # fmt: skip
 

@@ -21,7 +21,19 @@ _STRENGTHS = (0.02, 0.3)
 _TINY = 1e-4
 _UNMOVED, _FAR_SMALLER, _SMALLER = 1.0, 1e-2, 3  # rise of chi-square by what should be too small to matter
 _SHAPES = (0.12, 0.35, 0.75)
-_SLIPS = (0.03, 0.15, 0.5, 0.85)  # slip displacement over amplitude; at the last it slips in few cycles
+_SLIPS = (0.03, 0.15, 0.5, 0.85)  # slip displacement over amplitude; at the last it slips in few cycles ...
+_SLIPS_OF_ONE = (
+    0.03,
+    0.08,
+    0.15,
+    0.3,
+    0.5,
+    0.62,
+    0.73,
+    0.85,
+    1.0,
+)  # ... which of one slider are clear only near its own
+_OF_ONE = 2  # parameters of a single slider
 _MANY = 4  # parameters beyond which each shape has two values only
 _KEPT = 2
 _SIDES = (-0.9, -0.5, -0.2, 0.2, 0.5, 0.9)  # displacements over the amplitude
@@ -49,7 +61,7 @@ def grid(layout: Layout, effect: str, strengths: Sequence[float]) -> list[FloatA
     axes: list[list[float]] = []
     for j, place in enumerate(where[1:], start=1):
         if place in forces:
-            axes.append(list(_SLIPS))
+            axes.append(list(_SLIPS_OF_ONE if is_slider(layout, effect) else _SLIPS))
         elif place in layout.ordinates:
             axes.append([0.0])
         elif is_signed[j]:
@@ -64,6 +76,12 @@ def grid(layout: Layout, effect: str, strengths: Sequence[float]) -> list[FloatA
     signs = (0.5, -0.5) if is_signed[0] else (1.0,)
     leading = [share * sign * top[0] for share in strengths for sign in signs]
     return [np.array([strength, *shape]) for strength in leading for shape in itertools.product(*axes)]
+
+
+def is_slider(layout: Layout, effect: str) -> bool:
+    """Return whether an effect is a single slider: a spring that slips at a force."""
+    where = positions(layout, effect)
+    return len(where) == _OF_ONE and any(force in where for _, force in layout.slips)
 
 
 class Scored(NamedTuple):

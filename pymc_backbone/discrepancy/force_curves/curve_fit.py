@@ -201,7 +201,7 @@ def _as_fit(tabulated: Tabulated, at: At, covariance: FloatArray, count: int) ->
     active[:5] = True
     active[NUISANCES:] = count > 1
     return Fit(
-        tabulated.layout, at.state, at.system.chi_square, 0.0, np.nan, covariance,
+        tabulated.layout, at.state, at.system.chi_square, 0.0, covariance,
         np.full((at.state.own.shape[0], NUISANCES), np.nan), True, at.system, active,
     )  # fmt: skip
 

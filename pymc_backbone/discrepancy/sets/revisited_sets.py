@@ -7,30 +7,25 @@ from itertools import combinations
 
 import numpy as np
 
-from ..._common.checks import BoolArray
 from ..fitting import starts
 from ..fitting.curves import frequencies
-from ..fitting.descent import GLANCE, IN_REACH, is_heavy
+from ..fitting.descent import GLANCE, is_heavy
 from ..fitting.joint_fit import Fit, parameters_of
 from ..fitting.layout import Layout
 from ..fitting.normal_equations import State
 from ..proposals.proposal import Proposal
 from ..proposals.set_fits import Set
 from ..weighing import evidence
-from .fitted_sets import FittedSets
+from .hysteretic_sets import ASKED_FOR, GAINED, NEAR_BY, REFUTED, HystereticSets
 from .known_sets import POSSIBLE_BACKBONE
 
 Kept = tuple[dict[Set, Fit], dict[Set, str], set[Set], float]
 """Fits, failures, refuted sets and the scatter that they were made with."""
 CLOSE = 30.0
 """Chi-square within which a smaller set rivals the best."""
-_LAGS = 3.0  # standard deviations of noise
 _LOOKED_BACK = 3
 _SETTLED = 2
-_REFUTED = 100.0  # chi-square above one that explains, beyond which relatives are not asked
-_GAINED = 4.0  # chi-square by which a larger set may be better without having found a better way
 _CLOSE_TO_BASE = 1.0
-_NEAR_BY = 10.0  # reduced chi-square of a smaller set up to which a linear step from it is worth a look
 _LOST_GAIN = 3.0  # promised over achieved, from which a fit has lost an effect
 _HARDLY = 0.05  # share of what a refuted set leaves, which one more effect has to promise (it keeps ten times as much)
 _FAR = 1000.0  # chi-square of the backbones above those of the best set, from which they are not doubted
@@ -38,65 +33,10 @@ _RIVALS, _MOST_RIVALS = 7.0, 8  # logarithm of the odds within which sets rival 
 _IDLE, _LOWER = 4, 0.5  # rivals in a row that lie no lower, after which no more are asked; and what is lower
 _AS_GOOD = 6.0  # chi-square of the backbones within which a place is as good as the best
 _HARDLY_MORE, _WEIGHTIER = 3.0, 1.0  # chi-square that a wider minimum may leave; logarithm of odds by which it counts
-_ASKED_FOR = 10.0  # fall of chi-square, as a linear step promises it, that no set in want of it can be named against
 
 
-class RevisitedSets(FittedSets):
+class RevisitedSets(HystereticSets):
     """Fitted sets, ranked, and fits begun again from where others ended."""
-
-    def fit_set(self, names: Set) -> Fit | None:
-        """Return the best fit of a set, from several starts; kept for the next time.
-
-        Where it came to rest on the plateau of a bed of sliders that does not slip as a whole, or of a slider that
-        holds in some specimens, it begins again from beyond the edge of that; hysteresis that is far from saturation,
-        which a stiffer spring makes up for, from nearer to it.
-        """
-        is_known = names in self.fits
-        found = super().fit_set(names)
-        if is_known or found is None or not found.is_converged or not found.cost < IN_REACH * self.count:
-            return found
-        if self.batch.has_records:
-            others = self._slipping(found)
-            others += self._saturating(found) if self._is_worth_while(found) else []
-            self.fits[names] = min([found, *others], key=lambda item: item.cost)
-        return self.fits[names]
-
-    def _is_worth_while(self, found: Fit) -> bool:
-        """Return whether a fit begun again along its valley may count: it costs as much as a whole one.
-
-        Not where the model as it is leaves noise and is hardly worse, or another set is far better.
-        """
-        base = self.fits.get(())
-        if base is None or not self.explains(base):
-            return True
-        lowest = min(item.cost for item in self.fits.values())
-        return found.cost < min(base.cost - _ASKED_FOR, lowest + _REFUTED)
-
-    def _slipping(self, known: Fit) -> list[Fit]:
-        """Return the fit from beyond the edge of the plateau of a slider, where one came to rest on that."""
-        states = starts.slipping(known.layout, known.state)
-        states += starts.slipping_each(known.layout, known.state, self._lagging(known))
-        beyond = self.descent.from_near(known.layout, states, rival=known.cost) if states else None
-        return [] if beyond is None else [beyond]
-
-    def _saturating(self, known: Fit) -> list[Fit]:
-        """Return the fits of hysteresis from nearer to its saturation, where one came to rest far from that."""
-        layout = known.layout
-        states = [
-            self.descent.released(layout, state.eta, state.own[:, :2])
-            for state in starts.saturating(layout, known.state)
-        ]
-        begun = [self.descent.from_afar(layout, state, rival=known.cost) for state in states]
-        lowest = min((item for item in begun if item is not None), key=lambda item: item.cost, default=None)
-        if lowest is None or not lowest.cost < known.cost or lowest.is_converged:
-            return [] if lowest is None else [lowest]
-        settled = self.descent.from_near(layout, [lowest.state])
-        return [lowest] if settled is None else [settled]
-
-    def _lagging(self, found: Fit) -> BoolArray:
-        """Return which specimens (r,) a fit leaves more of than noise would, by what it leaves of most of them."""
-        sizes = np.array([term.size for term in self.batch.deciding])
-        return np.asarray(found.chi_square - np.median(found.chi_square / sizes) * sizes > _LAGS * np.sqrt(2.0 * sizes))
 
     def ranked(self, size: int | None = None) -> list[Set]:
         """Return the fitted sets, of one size or all, most probable first."""
@@ -152,12 +92,12 @@ class RevisitedSets(FittedSets):
         is_explained = self._is_explained()
         for names in self.ranked()[:_LOOKED_BACK]:
             larger = self.fits[names]
-            is_behind = is_explained and larger.cost > lowest + _REFUTED
+            is_behind = is_explained and larger.cost > lowest + REFUTED
             if is_behind or self.is_refuted(names):
                 continue
             for smaller in combinations(names, max(len(names) - 1, 0)):
                 known = self.fits.get(smaller)
-                close = _GAINED if smaller else _CLOSE_TO_BASE  # whether anything is missing hangs on the base
+                close = GAINED if smaller else _CLOSE_TO_BASE  # whether anything is missing hangs on the base
                 if not names or known is None or known.cost < larger.cost + close:
                     continue
                 # what lies within a set that leaves more than noise leaves more than noise
@@ -221,11 +161,11 @@ class RevisitedSets(FittedSets):
         before = self.fits[best]
         for smaller in combinations(best, len(best) - 1):
             known = self.fits.get(smaller)
-            if known is None or not known.is_converged or known.cost > _NEAR_BY * self.count:
+            if known is None or not known.is_converged or known.cost > NEAR_BY * self.count:
                 continue
             name = next(name for name in best if name not in smaller)
             promised = starts.by_score(self.layout(best), name, known, self.batch)
-            if not promised or promised[0].gain < _LOST_GAIN * max(known.cost - self.fits[best].cost, _REFUTED):
+            if not promised or promised[0].gain < _LOST_GAIN * max(known.cost - self.fits[best].cost, REFUTED):
                 continue
             self.progress("effects that were lost on the way", 0.5)
             found = self._extended(best, self.layout(best), known, None)
@@ -241,7 +181,7 @@ class RevisitedSets(FittedSets):
         while self._is_explained() and not self.is_refuted(best) and len(best) < self.max_effects:
             gains = {name: self._score(best, name) for name in self.candidates if name not in best}
             name = max(gains, key=lambda key: gains[key], default=None)
-            if name is None or gains[name] < _ASKED_FOR:
+            if name is None or gains[name] < ASKED_FOR:
                 break
             self.progress("what the best set lacks", 0.5)
             larger = tuple(sorted((*best, name)))
@@ -287,7 +227,7 @@ class RevisitedSets(FittedSets):
         for name in names:
             smaller = tuple(other for other in names if other != name)
             known = self.fits.get(smaller)
-            if not smaller or known is None or not known.is_converged or known.cost < lowest + _REFUTED:
+            if not smaller or known is None or not known.is_converged or known.cost < lowest + REFUTED:
                 continue
             if self._score(smaller, name) < _HARDLY * (known.cost - lowest):
                 return True

@@ -196,6 +196,7 @@ class Search(EnlargedSets):
         if self._look_closer() and self._replace():
             self._look_back()
         self._look_forward()
+        self._look_elsewhere()
         self._look_within()
         self._look_back()
         if self._ask_costly() and self._replace():

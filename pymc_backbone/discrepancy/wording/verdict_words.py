@@ -60,14 +60,17 @@ def _chance(probability: float) -> str:
     return f"{100.0 * probability:.3g} %" if probability > 0.99 else f"{100.0 * probability:.0f} %"
 
 
-def _of_mechanism(item: MissingMechanism, is_like: bool) -> str:
-    """Return the sentence that names a mechanism, with the laws that it may be, or may be like."""
-    laws = [law for law in item.laws if law.probability > _UNLIKELY]
+def _of_mechanism(item: MissingMechanism, is_like: bool, rivals: frozenset[str]) -> str:
+    """Return the sentence that names a mechanism, with the laws that it may be, or may be like.
+
+    ``rivals`` are laws for which the records speak as much as for the likeliest, however improbable they are.
+    """
+    laws = [law for law in item.laws if law.probability > _UNLIKELY or law.effect in rivals]
     together = [in_words(law.effect) for law in laws if law.probability >= MECHANISM_NAMED * item.probability]
     if len(together) > 1:  # not one or the other: every set that explains holds them all
         like = ", or ones like them, not exactly" if is_like else ""
         which = f"its laws are {', '.join(together[:-1])} and {together[-1]} together{like}"
-    elif len(laws) > 1 and not together:
+    elif len(laws) > 1 and (not together or any(law.effect in rivals for law in laws[1:])):
         told = ", ".join(f"{in_words(law.effect)} {100.0 * law.probability:.0f} %" for law in laws[:_SPOKEN])
         is_joint = sum(law.probability for law in laws) > _JOINT * item.probability
         which = f"which law these records do not tell: {told}{', some of them together' if is_joint else ''}"
@@ -93,7 +96,8 @@ def _of_mechanisms(decision: Decision) -> str:
     """Return the sentences that name mechanisms, and what else may be missing: where no set is exact, if likely."""
     # of a bent sensor no law is told, however exact it is
     is_like = decision.is_approximate or decision.is_like or not decision.listed
-    said = " ".join(_of_mechanism(item, is_like) for item in decision.mechanisms if item.is_certain)
+    rivals = frozenset(name for names in decision.rivals for name in names)
+    said = " ".join(_of_mechanism(item, is_like, rivals) for item in decision.mechanisms if item.is_certain)
     if not is_like and decision.model in decision.drifts and not decision.has_small_drift:
         said += f" {capitalised(_changes_with_time(decision))}."
     others = [
@@ -112,7 +116,17 @@ def _of_mechanisms(decision: Decision) -> str:
         said += f" A small part beside it: {kinds}."
     open_still = [item for item in others if item not in small]
     kinds = ", ".join(f"{MECHANISMS[item.mechanism]} ({_chance(item.probability)})" for item in open_still)
-    return f"{said} What may be missing, too: {kinds}." if kinds else said
+    said += f" What may be missing, too: {kinds}." if kinds else ""
+    return f"{said}{_of_rivals(decision)}"
+
+
+def _of_rivals(decision: Decision) -> str:
+    """Return the sentence on what the records speak for as much as for the likeliest set; empty where nothing is."""
+    if not decision.rivals:
+        return ""
+    *first, last = (named(names) for names in decision.rivals)
+    others = f"{', '.join(first)} and {last}" if first else last
+    return f" By these records alone {others} would be as likely as {named(decision.best)}, which is met more often."
 
 
 def _changes_with_time(decision: Decision) -> str:
@@ -228,7 +242,7 @@ def _of_ambiguous(decision: Decision) -> str:
     rest = f"; and {len(told) - _HEADED} more" if len(told) > _HEADED else ""
     sets = "; ".join(told[:_HEADED])
     told_apart = f"Something is missing, but these records do not tell apart: {sets}{rest}."
-    return f"{told_apart}{_small(decision)}{_none_of_these(decision)}{_certain(decision)}"
+    return f"{told_apart}{_of_rivals(decision)}{_small(decision)}{_none_of_these(decision)}{_certain(decision)}"
 
 
 def _beside_drift(decision: Decision, names: Set) -> str:

@@ -1,0 +1,114 @@
+"""Sets whose hysteresis came to rest where a fit has no reason to move, begun again from beyond that."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..._common.checks import BoolArray
+from ..fitting import starts
+from ..fitting.descent import IN_REACH
+from ..fitting.joint_fit import Fit
+from ..proposals.set_fits import Set
+from .fitted_sets import FittedSets
+
+GAINED = 4.0
+"""Chi-square by which a larger set may be better without having found a better way."""
+NEAR_BY = 10.0
+"""Reduced chi-square of a smaller set up to which a linear step from it is worth a look."""
+REFUTED = 100.0
+"""Chi-square above one that explains, beyond which relatives are not asked."""
+ASKED_FOR = 10.0
+"""Fall of chi-square, as a linear step promises it, that no set in want of it can be named against."""
+_LAGS = 3.0  # standard deviations of noise
+_SLIDING = 2  # sets with a slider that are asked where else it slips, when the effort is spent
+
+
+class HystereticSets(FittedSets):
+    """Fitted sets whose sliders and lagging displacements are looked for on either side of their plateaus."""
+
+    def fit_set(self, names: Set) -> Fit | None:
+        """Return the best fit of a set, from several starts; kept for the next time.
+
+        Where it came to rest on the plateau of a bed of sliders that does not slip as a whole, or of a slider that
+        holds in some specimens, it begins again from beyond the edge of that; hysteresis that is far from saturation,
+        which a stiffer spring makes up for, from nearer to it. A single slider begins again from where else a linear
+        step promises more.
+        """
+        is_known = names in self.fits
+        found = super().fit_set(names)
+        if is_known or found is None or not found.is_converged or not found.cost < IN_REACH * self.count:
+            return found
+        if self.batch.has_records:
+            others = [*self._slipping(found), *self._sliding(names, found)]
+            others += self._saturating(found) if self._is_worth_while(found) else []
+            self.fits[names] = min([found, *others], key=lambda item: item.cost)
+        return self.fits[names]
+
+    def _is_worth_while(self, found: Fit) -> bool:
+        """Return whether a fit begun again along its valley may count: it costs as much as a whole one.
+
+        Not where the model as it is leaves noise and is hardly worse, or another set is far better.
+        """
+        base = self.fits.get(())
+        if base is None or not self.explains(base):
+            return True
+        lowest = min(item.cost for item in self.fits.values())
+        return found.cost < min(base.cost - ASKED_FOR, lowest + REFUTED)
+
+    def _slipping(self, known: Fit) -> list[Fit]:
+        """Return the fit from beyond the edge of the plateau of a slider, where one came to rest on that."""
+        states = starts.slipping(known.layout, known.state)
+        states += starts.slipping_each(known.layout, known.state, self._lagging(known))
+        beyond = self.descent.from_near(known.layout, states, rival=known.cost) if states else None
+        return [] if beyond is None else [beyond]
+
+    def _sliding(self, names: Set, known: Fit) -> list[Fit]:
+        """Return the fits with a slider that slips elsewhere, where a linear step there promises more than was gained.
+
+        One that slips near the largest displacements does so in few cycles, and one far from there in all: between them
+        a fit has no way.
+        """
+        states = []
+        for name in names:
+            without = self.fits.get(tuple(other for other in names if other != name))
+            if without is None or not starts.is_slider(known.layout, name) or without.cost > NEAR_BY * self.count:
+                continue
+            if self._was_asked(names, without):
+                continue
+            gained = max(without.cost - known.cost, 0.0) + GAINED
+            promised = starts.by_score(known.layout, name, without, self.batch)
+            states += [item.moved for item in promised if item.gain > gained]
+        beyond = self.descent.from_near(known.layout, states, rival=known.cost) if states else None
+        return [] if beyond is None else [beyond]
+
+    def _saturating(self, known: Fit) -> list[Fit]:
+        """Return the fits of hysteresis from nearer to its saturation, where one came to rest far from that."""
+        layout = known.layout
+        states = [
+            self.descent.released(layout, state.eta, state.own[:, :2])
+            for state in starts.saturating(layout, known.state)
+        ]
+        begun = [self.descent.from_afar(layout, state, rival=known.cost) for state in states]
+        lowest = min((item for item in begun if item is not None), key=lambda item: item.cost, default=None)
+        if lowest is None or not lowest.cost < known.cost or lowest.is_converged:
+            return [] if lowest is None else [lowest]
+        settled = self.descent.from_near(layout, [lowest.state])
+        return [lowest] if settled is None else [settled]
+
+    def _lagging(self, found: Fit) -> BoolArray:
+        """Return which specimens (r,) a fit leaves more of than noise would, by what it leaves of most of them."""
+        sizes = np.array([term.size for term in self.batch.deciding])
+        return np.asarray(found.chi_square - np.median(found.chi_square / sizes) * sizes > _LAGS * np.sqrt(2.0 * sizes))
+
+    def _look_elsewhere(self) -> None:
+        """Fit sets with a slider that explain the records where it slips elsewhere; few, if the effort is spent."""
+        explaining = sorted((item.cost, names) for names, item in self.fits.items() if self.explains(item))
+        sliding = [
+            names for _, names in explaining if any(starts.is_slider(self.layout(names), name) for name in names)
+        ]
+        for names in sliding[: _SLIDING if self._is_spent else None]:
+            found = self._sliding(names, self.fits[names])
+            self.fits[names] = min([self.fits[names], *found], key=lambda item: item.cost)
+
+
+__all__ = ["ASKED_FOR", "GAINED", "NEAR_BY", "REFUTED", "HystereticSets"]
