@@ -371,6 +371,11 @@ def test_the_scorer_on_batches_with_known_figures(tmp_path: Path, capsys: pytest
     assert (found["false_alarms"]["all"]["hits"], found["false_alarms"]["all"]["count"]) == (1, 2)
     assert found["false_alarms"]["base holds an effect that is not there"]["share"] == 1.0
     assert (found["wrong"]["hits"], found["wrong"]["count"]) == (3, 12)
+    assert list(found["outside"]) == ["root_damping"]
+    assert {key: value for key, value in found["outside"]["root_damping"].items() if value} == {
+        "count": 1, "adequate": 1,
+    }  # fmt: skip
+    assert "| root_damping | 1 |" in score.render(found)
     levels = {name: (row["hits"], row["count"]) for name, row in found["levels"].items()}
     assert levels == {
         "law right or listed": (5, 10),  # two of them listed, one beside the mechanism that is named

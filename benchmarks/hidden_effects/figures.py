@@ -88,6 +88,12 @@ def count_tiers(outcomes: Sequence[Outcome]) -> dict[str, dict[str, int]]:
     return {tier: {name: sum(o.outcome == name for o in kept) for name in OUTCOMES} for tier, kept in rows.items()}
 
 
+def count_outside(outcomes: Sequence[Outcome]) -> dict[str, dict[str, int]]:
+    """Count outcomes by the law that was drawn as one outside of the library, some of which it holds by now."""
+    drawn = sorted({o.outside for o in outcomes if o.outside})
+    return {law: _count_row([o for o in outcomes if o.outside == law]) for law in drawn}
+
+
 def rate_false_alarms(outcomes: Sequence[Outcome]) -> dict[str, dict[str, Any]]:
     """Return the share of batches with nothing missing in which an effect was named."""
     empty = [o for o in outcomes if o.has_empty_truth]
@@ -236,6 +242,7 @@ def score(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "tiers": count_tiers(outcomes),
         "levels": measure_levels(answered),
         "groups": measure_groups(answered),
+        "outside": count_outside(answered),
         "false_alarms": rate_false_alarms(answered),
         "detection": measure_detection(answered),
         "wrong": share(answered, is_outcome("wrong")),

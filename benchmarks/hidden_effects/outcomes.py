@@ -60,6 +60,8 @@ class Outcome:
         As the tool wrote it; empty where it wrote none.
     contaminations : tuple of str
         What disturbs the records beside the hidden effect.
+    outside : str
+        The law that was drawn as one outside of the library; empty for none.
     """
 
     folder: str
@@ -82,6 +84,7 @@ class Outcome:
     gap: dict[str, Any]
     seconds: float
     contaminations: tuple[str, ...] = ()
+    outside: str = ""
 
     @property
     def group(self) -> str:
@@ -175,6 +178,7 @@ def _judge(folder: Path) -> Outcome:
         gap=dict(said.get("gap") or {}),
         seconds=_number(said.get("seconds")),
         contaminations=tuple(sorted(truth.get("contaminations") or ())),
+        outside=truth.get("outside") or "",
     )
 
 

@@ -74,6 +74,12 @@ def _render_detection(detection: dict[str, Any]) -> list[str]:
     ]
 
 
+def _render_outside(outside: dict[str, dict[str, int]]) -> list[str]:
+    """Return outcomes by the law that was drawn as one outside of the library; nothing where none was."""
+    rows = [[law, *row.values()] for law, row in outside.items()]
+    return ["### By the law that was drawn as outside", _table(("law", "batches", *OUTCOMES), rows)] if rows else []
+
+
 def _render_gaps(gaps: dict[str, Any]) -> list[str]:
     """Return what is left of the gap after a right name."""
     rows = []
@@ -114,6 +120,7 @@ def render(figures: dict[str, Any]) -> str:
             ("hidden", "law right or listed", "mechanism certain and right"),
             ([group, *map(_percent, row.values())] for group, row in figures["groups"].items()),
         ),
+        *_render_outside(figures["outside"]),
         "## An effect named where nothing is missing",
         _table(("batches", "named"), ([name, _percent(rate)] for name, rate in figures["false_alarms"].items())),
         *_render_detection(figures["detection"]),

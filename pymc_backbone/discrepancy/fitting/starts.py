@@ -21,18 +21,8 @@ _STRENGTHS = (0.02, 0.3)
 _TINY = 1e-4
 _UNMOVED, _FAR_SMALLER, _SMALLER = 1.0, 1e-2, 3  # rise of chi-square by what should be too small to matter
 _SHAPES = (0.12, 0.35, 0.75)
-_SLIPS = (0.03, 0.15, 0.5, 0.85)  # slip displacement over amplitude; at the last it slips in few cycles ...
-_SLIPS_OF_ONE = (
-    0.03,
-    0.08,
-    0.15,
-    0.3,
-    0.5,
-    0.62,
-    0.73,
-    0.85,
-    1.0,
-)  # ... which of one slider are clear only near its own
+_SLIPS = (0.03, 0.15, 0.5, 0.85)  # slip displacement over amplitude; at the last it slips in few cycles
+_SLIPS_OF_ONE = (0.03, 0.08, 0.15, 0.3, 0.5, 0.62, 0.73, 0.85, 1.0)  # of a single slider, clear near its own alone
 _OF_ONE = 2  # parameters of a single slider
 _MANY = 4  # parameters beyond which each shape has two values only
 _KEPT = 2
