@@ -1717,3 +1717,40 @@ def test_a_slider_begins_again_where_a_linear_step_promises_more():
     again = search.fits[("jenkins",)]
     search._look_elsewhere()  # it was asked
     assert search.fits[("jenkins",)] is again
+
+
+def test_a_slider_is_looked_for_in_the_dents_beside_its_own(linear, monkeypatch):
+    layout = make_layout(Oscillator(MASS, ("jenkins", "iwan")), AMPLITUDE, OMEGA)
+    state = State(np.array([0.1, 0.5, 0.2, 0.6, -0.2]), np.zeros((2, 9)))
+    strength, slip = next(pair for pair in layout.slips if pair[0] not in {bed[0] for bed in layout.beds})
+    found = starts.jolted(layout, state)
+    assert [item.eta[slip] / state.eta[slip] for item in found] == pytest.approx([0.95, 1.05])
+    for item in found:  # all else stays as it is
+        np.testing.assert_array_equal(np.delete(item.eta, slip), np.delete(state.eta, slip))
+    absent = state.eta.copy()
+    absent[strength] = 0.0
+    assert not starts.jolted(layout, State(absent, state.own))
+
+    # of two sets within reach the better one is asked once, and a place that is no better is not taken
+    fits = {names: SimpleNamespace(cost=cost, state=state, layout=layout) for names, cost in (
+        (("jenkins",), 100.0), (("cubic_stiffness", "jenkins"), 90.0), (("iwan",), 20.0))}  # fmt: skip
+    search = Search(linear.batch, Oscillator(MASS), ("jenkins",), 1)
+    search.fits = dict(fits)
+    asked = []
+
+    def beside(_layout, states, *, rival):
+        asked.append(rival)
+        return SimpleNamespace(cost=rival - (5.0 if len(asked) == 1 else 0.0), state=states[0], layout=layout)
+
+    monkeypatch.setattr(search, "_sliding", lambda *_: [])
+    monkeypatch.setattr(search, "explains", lambda _: True)
+    monkeypatch.setattr(Search, "_is_spent", False)
+    monkeypatch.setattr(search, "layout", lambda names: make_layout(Oscillator(MASS, names), AMPLITUDE, OMEGA))
+    monkeypatch.setattr(search.descent, "from_near", beside)
+    search._look_elsewhere()
+    assert asked == []  # 70 and 80 above the lowest
+    search.fits[("iwan",)] = SimpleNamespace(cost=60.0, state=state, layout=layout)
+    search._look_elsewhere()
+    assert asked == [90.0, 100.0]
+    assert search.fits["cubic_stiffness", "jenkins"].cost == 85.0
+    assert search.fits[("jenkins",)] is fits[("jenkins",)]

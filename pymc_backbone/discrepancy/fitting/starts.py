@@ -29,6 +29,7 @@ _KEPT = 2
 _SIDES = (-0.9, -0.5, -0.2, 0.2, 0.5, 0.9)  # displacements over the amplitude
 _ODD = 1e-6  # share of a force that is the same on both sides, up to which it is none
 _SLIPPING = (0.9, 0.6)  # displacement at which a bed of sliders slips as a whole, over the largest of the motion
+_JOLTS = (0.95, 1.05)  # slip displacement over that at which a fit came to rest
 _STICKING = 1.5  # the same at which it certainly does not
 _SATURATED = (0.5, 1.0)  # share of the motion that a lagging displacement loses at the amplitude of the records
 _NEARER = 2.0  # times as much as where a fit ended, at least
@@ -300,6 +301,23 @@ def slipping_each(layout: Layout, state: State, lags: BoolArray) -> list[State]:
                 (1.0 + layout.scatter * own[np.ix_(moved, columns)]) * ratio - 1.0
             ) / layout.scatter
             found.append(State(state.eta.copy(), own))
+    return found
+
+
+def jolted(layout: Layout, state: State) -> list[State]:
+    """Return starts where single sliders slip a little earlier, or a little later, than where a fit came to rest.
+
+    In which cycles a slider slips is a whole number: the sum of squares has a dent for each, and a fit rests in one.
+    """
+    beds = {strength for strength, _, _ in layout.beds}
+    found: list[State] = []
+    for strength, slip in layout.slips:
+        if strength in beds or not state.eta[strength] > 0.0:
+            continue
+        for ratio in _JOLTS:
+            eta = state.eta.copy()
+            eta[slip] *= ratio
+            found.append(State(eta, state.own.copy()))
     return found
 
 

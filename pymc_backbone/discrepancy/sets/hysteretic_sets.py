@@ -20,6 +20,7 @@ REFUTED = 100.0
 ASKED_FOR = 10.0
 """Fall of chi-square, as a linear step promises it, that no set in want of it can be named against."""
 _LAGS = 3.0  # standard deviations of noise
+_JOLTED = 60.0  # chi-square above the lowest within which a slider is looked for in the dents beside its own
 _SLIDING = 2  # sets with a slider that are asked where else it slips, when the effort is spent
 
 
@@ -101,14 +102,26 @@ class HystereticSets(FittedSets):
         return np.asarray(found.chi_square - np.median(found.chi_square / sizes) * sizes > _LAGS * np.sqrt(2.0 * sizes))
 
     def _look_elsewhere(self) -> None:
-        """Fit sets with a slider that explain the records where it slips elsewhere; few, if the effort is spent."""
-        explaining = sorted((item.cost, names) for names, item in self.fits.items() if self.explains(item))
-        sliding = [
-            names for _, names in explaining if any(starts.is_slider(self.layout(names), name) for name in names)
-        ]
-        for names in sliding[: _SLIDING if self._is_spent else None]:
+        """Fit sets with a slider that explain the records where it slips elsewhere; few, if the effort is spent.
+
+        The best of them also in the dents beside the one in which they came to rest.
+        """
+        for names in self._with_sliders()[: _SLIDING if self._is_spent else None]:
             found = self._sliding(names, self.fits[names])
             self.fits[names] = min([self.fits[names], *found], key=lambda item: item.cost)
+        lowest = min(item.cost for item in self.fits.values())
+        for names in self._with_sliders()[:_SLIDING]:
+            known = self.fits[names]
+            if known.cost > lowest + _JOLTED or self._was_asked(names, known):
+                continue
+            beside = self.descent.from_near(known.layout, starts.jolted(known.layout, known.state), rival=known.cost)
+            if beside is not None and beside.cost < known.cost - 0.01:
+                self.fits[names] = beside
+
+    def _with_sliders(self) -> list[Set]:
+        """Return the sets with a single slider that explain the records, lowest first."""
+        explaining = sorted((item.cost, names) for names, item in self.fits.items() if self.explains(item))
+        return [names for _, names in explaining if any(starts.is_slider(self.layout(names), name) for name in names)]
 
 
 __all__ = ["ASKED_FOR", "GAINED", "NEAR_BY", "REFUTED", "HystereticSets"]
