@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -26,6 +27,12 @@ PAIR = ("cubic_stiffness", "quadratic_damping")
 
 def layout_of(names):
     return make_layout(pb.Oscillator(MASS, names), AMPLITUDE, OMEGA)
+
+
+def decision(verdict, **fields):
+    lack = SimpleNamespace(p_value=0.4, share=0.001)
+    chances = {SPRING: 0.93, INERTIA: 0.03}
+    return Decision(verdict, SPRING, 0.93, 0.0, lack, chances, {}, ranked=(SPRING, INERTIA), **fields)
 
 
 def search_of(**fields):
@@ -66,12 +73,8 @@ def test_rivals_come_most_probable_first():
 
 @pytest.mark.parametrize(("behind", "verdict"), [(0.0, Verdict.AMBIGUOUS), (5.0, Verdict.FOUND)])
 def test_a_law_that_is_likelier_for_being_met_more_often_is_not_named(behind, verdict, monkeypatch):
-    chances = {SPRING: 0.93, INERTIA: 0.03}
     evidences = {SPRING: Evidence(50.0, 0.0, 0.93), INERTIA: Evidence(50.0 - behind, 0.0, 0.03)}
-    open_still = Decision(
-        Verdict.AMBIGUOUS, SPRING, 0.93, 0.0, SimpleNamespace(p_value=0.4, share=0.001), chances, evidences,
-        ranked=(SPRING, INERTIA),
-    )  # fmt: skip
+    open_still = replace(decision(Verdict.AMBIGUOUS), evidences=evidences)
     monkeypatch.setattr(decide, "is_unexplained", lambda *_: False)
     told = decide._judged(search_of(), open_still, {}, None)
     assert told.verdict is verdict
@@ -92,20 +95,23 @@ def test_a_law_that_is_likelier_for_being_met_more_often_is_not_named(behind, ve
         ((), "spring", True),
     ],
 )
-def test_a_mechanism_is_named_where_every_rival_has_it(rivals, mechanism, is_held):
+def test_a_mechanism_is_certain_where_every_rival_has_it(rivals, mechanism, is_held):
     certain = MissingMechanism(mechanism, 0.99, 1.0, (LawProbability("cubic_stiffness", 0.9),))
-    decision = SimpleNamespace(rivals=rivals, mechanisms=(certain,))
-    assert decide._hold_the_mechanisms(search_of(), decision) is is_held
+    likely = MissingMechanism("hysteresis", 0.6, 0.1, (LawProbability("iwan", 0.6),))
+    known = decision(Verdict.AMBIGUOUS, rivals=rivals, mechanisms=(certain, likely))
+    undecided = decide._undecided(search_of(), known, known.mechanisms)
+    assert undecided == (() if is_held else (mechanism,))
+    said = verdict_words.sentence(replace(known, undecided=undecided))
+    assert ("Certain all the same" in said) is is_held
 
 
 def test_a_rival_is_told_among_the_laws_however_improbable_it_is():
     laws = (LawProbability("cubic_stiffness", 0.96), LawProbability("nonlinear_inertia", 0.01))
     either = MissingMechanism("changing_frequency", 0.99, 1.0, laws)
-    decision = Decision(
-        Verdict.FOUND, SPRING, 0.96, 0.0, SimpleNamespace(p_value=0.4, share=0.001), {SPRING: 0.96, INERTIA: 0.01}, {},
-        ranked=(SPRING, INERTIA), listed=(SPRING, INERTIA), rivals=(INERTIA,), mechanisms=(either,),
+    known = decision(
+        Verdict.FOUND, listed=(SPRING, INERTIA), rivals=(INERTIA,), mechanisms=(either,),
         named_level=NamedLevel.MECHANISM,
     )  # fmt: skip
-    said = verdict_words.sentence(decision)
+    said = verdict_words.sentence(known)
     assert "which law these records do not tell: cubic stiffness 96 %, nonlinear inertia 1 %" in said
     assert said.endswith("which is met more often.")

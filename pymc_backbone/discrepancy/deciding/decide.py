@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 
@@ -13,6 +13,7 @@ from ..fitting.curves import level_chi_square
 from ..fitting.estimates import estimates_of
 from ..fitting.joint_fit import Fit
 from ..proposals.harmonic_odds import odds_behind_bands
+from ..results.entries import MissingMechanism
 from ..results.verdict import AdequateBy, NamedLevel, Verdict
 from ..sets.search import Search, Set
 from ..weighing import evidence
@@ -256,24 +257,24 @@ def _by_mechanism(search: Search, decision: Decision) -> Decision:
         search, decision.probabilities, best, gaps, estimates_of(search.fits[best]), elsewhere,
         joined if decision.rivals else frozenset(),
     )  # fmt: skip
-    known = replace(decision, mechanisms=mechanisms)
+    known = replace(decision, mechanisms=mechanisms, undecided=_undecided(search, decision, mechanisms))
     if decision.named_level is NamedLevel.LAW and _is_like_another(search, decision):
         return without_laws(known)
     is_open = decision.verdict is Verdict.AMBIGUOUS and is_exact and not decision.unfinished
     is_against = best in decision.drifts and _backbones_disagree(search, best)
     is_doubtful = is_against or decision.drift_probability >= DRIFT_POSSIBLE
-    if not is_open or is_doubtful or not is_told_apart(mechanisms) or not _hold_the_mechanisms(search, known):
+    if not is_open or is_doubtful or known.undecided or not is_told_apart(mechanisms):
         return known
     return replace(
         known, verdict=Verdict.FOUND, named_level=NamedLevel.MECHANISM, is_like=_is_like_another(search, known)
     )
 
 
-def _hold_the_mechanisms(search: Search, decision: Decision) -> bool:
-    """Return whether every rival of the best set holds laws of all mechanisms that are certain."""
-    named = [set(EITHER.get(item.mechanism, (item.mechanism,))) for item in decision.mechanisms if item.is_certain]
-    held = ({search.mechanism_of(name) for name in names} for names in decision.rivals)
-    return all(kinds & group for kinds in held for group in named)
+def _undecided(search: Search, decision: Decision, mechanisms: Sequence[MissingMechanism]) -> tuple[str, ...]:
+    """Return the certain mechanisms of which a rival of the best set holds no law."""
+    held = [{search.mechanism_of(name) for name in names} for names in decision.rivals]
+    certain = (item.mechanism for item in mechanisms if item.is_certain)
+    return tuple(kind for kind in certain if any(not kinds & {*EITHER.get(kind, (kind,))} for kinds in held))
 
 
 def _is_one_curve(search: Search, decision: Decision) -> bool:

@@ -48,6 +48,8 @@ class Decision:
         The sets that remain possible, where several do.
     rivals : tuple of tuple of str
         Sets for which the records speak as much as for the best one.
+    undecided : tuple of str
+        Mechanisms that are certain, but for a rival that does without them.
     below : tuple of str
         Effects below the tolerance.
     simulated : tuple of str or None
@@ -101,6 +103,7 @@ class Decision:
     ranked: tuple[Set, ...] = ()
     listed: tuple[Set, ...] = ()
     rivals: tuple[Set, ...] = ()
+    undecided: tuple[str, ...] = ()
     below: tuple[str, ...] = ()
     simulated: Set | None = None
     adequate_by: AdequateBy | None = None

@@ -151,12 +151,13 @@ def _none_of_these(decision: Decision) -> str:
 def _certain_mechanisms(decision: Decision) -> list[MissingMechanism]:
     """Return the mechanisms that are certain whatever explains the rest.
 
-    None where no set is exact and a second mode beats in the records: it may have made what they explain.
+    None that a set does without which is as likely by the records alone. None at all where no set is exact and a second
+    mode beats in the records: it may have made what they explain.
     """
     is_beaten = decision.has_second_mode and decision.is_approximate
     if decision.drift_probability > DRIFT_POSSIBLE or not decision.is_single_valued or is_beaten:
         return []
-    return [item for item in decision.mechanisms if item.is_certain]
+    return [item for item in decision.mechanisms if item.is_certain and item.mechanism not in decision.undecided]
 
 
 def _certain(decision: Decision) -> str:
