@@ -31,7 +31,7 @@ def layout_of(names):
 
 def decision(verdict, **fields):
     lack = SimpleNamespace(p_value=0.4, share=0.001)
-    chances = {SPRING: 0.93, INERTIA: 0.03}
+    chances = {SPRING: 0.93, INERTIA: 0.03, ("quintic_stiffness",): 0.01, ("coulomb_friction",): 0.01}
     return Decision(verdict, SPRING, 0.93, 0.0, lack, chances, {}, ranked=(SPRING, INERTIA), **fields)
 
 
@@ -74,7 +74,8 @@ def test_rivals_come_most_probable_first():
 @pytest.mark.parametrize(("behind", "verdict"), [(0.0, Verdict.AMBIGUOUS), (5.0, Verdict.FOUND)])
 def test_a_law_that_is_likelier_for_being_met_more_often_is_not_named(behind, verdict, monkeypatch):
     evidences = {SPRING: Evidence(50.0, 0.0, 0.93), INERTIA: Evidence(50.0 - behind, 0.0, 0.03)}
-    open_still = replace(decision(Verdict.AMBIGUOUS), evidences=evidences)
+    chances = {SPRING: 0.93, INERTIA: 0.03}
+    open_still = replace(decision(Verdict.AMBIGUOUS), evidences=evidences, probabilities=chances)
     monkeypatch.setattr(decide, "is_unexplained", lambda *_: False)
     told = decide._judged(search_of(), open_still, {}, None)
     assert told.verdict is verdict
@@ -115,3 +116,10 @@ def test_a_rival_is_told_among_the_laws_however_improbable_it_is():
     said = verdict_words.sentence(known)
     assert "which law these records do not tell: cubic stiffness 96 %, nonlinear inertia 1 %" in said
     assert said.endswith("which is met more often.")
+
+
+def test_what_is_less_probable_by_what_the_records_say_is_not_told_to_be_rare():
+    known = decision(Verdict.AMBIGUOUS, listed=(SPRING, INERTIA), rivals=(INERTIA,))
+    assert "met more often" in verdict_words.sentence(known)
+    by_records = replace(known, probabilities={SPRING: 0.5, INERTIA: 0.3}, probability=0.5)
+    assert "met more often" not in verdict_words.sentence(by_records)

@@ -20,6 +20,7 @@ _REST = 0.1  # probability of no known set from which the sentence speaks of it
 _LIKELY = 0.5  # of a further mechanism, from which the sentence speaks of it although no set is exact
 _CLEARLY = 2.0  # standard errors
 _UNLIKELY = 0.02  # probability of a law below which the sentence does not hold it
+_RARER = 3.0  # times less probable: by more than the records say where these speak as much for it
 _JOINT = 1.02  # sum of the probabilities of laws over that of their mechanism, beyond which sets hold several
 DRIFTS = "a drift with time explains the records better than any effect of amplitude"
 _OR_FORCES = (
@@ -121,10 +122,11 @@ def _of_mechanisms(decision: Decision) -> str:
 
 
 def _of_rivals(decision: Decision) -> str:
-    """Return the sentence on what the records speak for as much as for the likeliest set; empty where nothing is."""
-    if not decision.rivals:
+    """Return the sentence on rare sets that the records speak for as much as for the likeliest; empty for none."""
+    rare = [names for names in decision.rivals if _RARER * decision.probabilities[names] < decision.probability]
+    if not rare:
         return ""
-    *first, last = (named(names) for names in decision.rivals)
+    *first, last = (named(names) for names in rare)
     others = f"{', '.join(first)} and {last}" if first else last
     return f" By these records alone {others} would be as likely as {named(decision.best)}, which is met more often."
 
