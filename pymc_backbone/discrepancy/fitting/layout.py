@@ -98,6 +98,12 @@ class Layout:
         return found
 
     @property
+    def sliders(self) -> list[tuple[int, int]]:
+        """Coordinates of each single slider: strength and slip."""
+        beds = {strength for strength, _, _ in self.beds}
+        return [pair for pair in self.slips if pair[0] not in beds]
+
+    @property
     def lags(self) -> list[tuple[int, list[int]]]:
         """Coordinates of each displacement that lags: strength, and what it saturates by."""
         found = []

@@ -23,7 +23,6 @@ _UNMOVED, _FAR_SMALLER, _SMALLER = 1.0, 1e-2, 3  # rise of chi-square by what sh
 _SHAPES = (0.12, 0.35, 0.75)
 _SLIPS = (0.03, 0.15, 0.5, 0.85)  # slip displacement over amplitude; at the last it slips in few cycles
 _SLIPS_OF_ONE = (0.03, 0.08, 0.15, 0.3, 0.5, 0.62, 0.73, 0.85, 1.0)  # of a single slider, clear near its own alone
-_OF_ONE = 2  # parameters of a single slider
 _MANY = 4  # parameters beyond which each shape has two values only
 _KEPT = 2
 _SIDES = (-0.9, -0.5, -0.2, 0.2, 0.5, 0.9)  # displacements over the amplitude
@@ -72,7 +71,7 @@ def grid(layout: Layout, effect: str, strengths: Sequence[float]) -> list[FloatA
 def is_slider(layout: Layout, effect: str) -> bool:
     """Return whether an effect is a single slider: a spring that slips at a force."""
     where = positions(layout, effect)
-    return len(where) == _OF_ONE and any(force in where for _, force in layout.slips)
+    return any(strength in where for strength, _ in layout.sliders)
 
 
 class Scored(NamedTuple):
@@ -284,10 +283,9 @@ def slipping_each(layout: Layout, state: State, lags: BoolArray) -> list[State]:
         Specimens that are fitted worse than others.
     """
     released = np.abs(state.own[:, 2]) / layout.amplitude
-    beds = {strength for strength, _, _ in layout.beds}
     found: list[State] = []
-    for strength, slip in layout.slips:
-        if strength in beds or not state.eta[slip] > 0.0:
+    for strength, slip in layout.sliders:
+        if not state.eta[slip] > 0.0:
             continue
         columns = [normal_equations.NUISANCES + place for place in (strength, slip)]
         reach = state.eta[slip] * (1.0 + layout.scatter * state.own[:, columns[1]])
@@ -309,12 +307,9 @@ def jolted(layout: Layout, state: State) -> list[State]:
 
     In which cycles a slider slips is a whole number: the sum of squares has a dent for each, and a fit rests in one.
     """
-    beds = {strength for strength, _, _ in layout.beds}
     found: list[State] = []
-    for strength, slip in layout.slips:
-        if strength in beds or not state.eta[strength] > 0.0:
-            continue
-        for ratio in _JOLTS:
+    for strength, slip in layout.sliders:
+        for ratio in _JOLTS if state.eta[strength] > 0.0 else ():
             eta = state.eta.copy()
             eta[slip] *= ratio
             found.append(State(eta, state.own.copy()))
