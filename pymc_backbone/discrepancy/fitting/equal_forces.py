@@ -9,7 +9,7 @@ from ...effects import Effect
 from .joint_fit import Fit
 from .layout import Layout
 from .normal_equations import State
-from .starts import embedded, forces, parameters_at, positions
+from .starts import embedded, forces, grid, parameters_at, positions
 
 Motion = tuple[FloatArray, FloatArray, FloatArray]
 """Displacements, velocities and accelerations (n,)."""
@@ -19,24 +19,30 @@ _SIZES, _ANGLES = (0.4, 0.7, 1.0), 24  # amplitudes over the typical one, and in
 
 
 def in_place_of(layout: Layout, known: Fit, angular_frequency: float) -> State:
-    """Return a fit as a start of a model with another effect in the place of one, neither of them with states.
+    """Return a fit as a start of a model with another effect in the place of one or several, none of them with states.
 
-    Its gap is taken over; the strength, and what it changes in stiffness and damping, bring its force over the motion
-    as near as they can to that of the effect which it stands for.
+    The gap of what it stands for is taken over, or another shape where that has more nearly its force; the strength,
+    and what it changes in stiffness and damping, bring that as near as they can over the motion.
     """
     state, _ = embedded(layout, known)
-    new, old = (
-        next(effect for effect in one.oscillator.effects if effect not in other.oscillator.effects)
-        for one, other in ((layout, known.layout), (known.layout, layout))
-    )
-    before, after = parameters_at(known.layout, known.state.eta), parameters_at(layout, state.eta)
-    gaps = [before[known.layout.oscillator.index(q.name)] for q in old.parameters if q.role == "gap"]
-    for q in new.parameters:
-        if q.role == "gap" and gaps:
-            after[layout.oscillator.index(q.name)] = gaps[0]
+    new = next(effect for effect in layout.oscillator.effects if effect not in known.layout.oscillator.effects)
+    old = [effect for effect in known.layout.oscillator.effects if effect not in layout.oscillator.effects]
+    before = parameters_at(known.layout, known.state.eta)
     motion = typical_motion(layout, angular_frequency)
-    force = forces(known.layout, old, before, *motion)
-    return _as_strong(layout, new, after, state, motion, force)
+    force = np.sum([forces(known.layout, effect, before, *motion) for effect in old], axis=0)
+    gaps = [before[known.layout.oscillator.index(name)] for effect in old for name in effect.with_role("gap")]
+    own_gaps = [layout.oscillator.index(name) for name in new.with_role("gap")]
+    vectors = [parameters_at(layout, state.eta)]
+    if gaps and own_gaps:  # on which side a positive one lies, each law says for itself
+        vectors.append(vectors[0].copy())
+        vectors[0][own_gaps[0]], vectors[1][own_gaps[0]] = gaps[0], -gaps[0]
+    where = positions(layout, new.name)
+    for point in grid(layout, new.name, (1.0,)):
+        eta = state.eta.copy()
+        eta[where] = point
+        vectors.append(parameters_at(layout, layout.within(eta)))
+    begun = [_as_strong(layout, new, vector, state, motion, force) for vector in vectors]
+    return min(begun, key=lambda item: item[1])[0]
 
 
 def with_other_gaps(layout: Layout, known: Fit, angular_frequency: float) -> list[State]:
@@ -55,7 +61,7 @@ def with_other_gaps(layout: Layout, known: Fit, angular_frequency: float) -> lis
         for share in _OTHER_GAPS:
             after = before.copy()
             after[gaps[0]] = share * layout.amplitude * (np.sign(before[gaps[0]]) or 1.0)
-            found.append(_as_strong(layout, effect, after, known.state, motion, force))
+            found.append(_as_strong(layout, effect, after, known.state, motion, force)[0])
     return found
 
 
@@ -69,17 +75,22 @@ def typical_motion(layout: Layout, angular_frequency: float) -> Motion:
 
 def _as_strong(
     layout: Layout, effect: Effect, vector: FloatArray, state: State, motion: Motion, force: FloatArray
-) -> State:
-    """Return a state whose effect, with spring and damper beside it, comes as near to a force as it can."""
+) -> tuple[State, float]:
+    """Return a state whose effect, with spring and damper beside it, comes as near to a force as it can.
+
+    And how far from it that is, squared.
+    """
     x, v, _ = motion
     columns = np.column_stack([forces(layout, effect, vector, *motion), x, v])
     scale = np.maximum(np.abs(columns).max(axis=0), 1e-300)
     factor, stiffness, damping = np.linalg.lstsq(columns / scale, force, rcond=None)[0] / scale
     vector[layout.free[positions(layout, effect.name)[0]]] *= factor
+    eta = layout.within(layout.coordinates(vector[layout.free]))
     own = state.own.copy()
     own[:, 0] += stiffness
     own[:, 1] = np.maximum(own[:, 1] + damping, 0.0)
-    return State(layout.within(layout.coordinates(vector[layout.free])), own)
+    reached = forces(layout, effect, parameters_at(layout, eta), *motion) + stiffness * x + damping * v
+    return State(eta, own), float(np.sum((force - reached) ** 2))
 
 
 __all__ = ["in_place_of", "typical_motion", "with_other_gaps"]

@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from ..._common.checks import FloatArray
-from ..fitting import starts
+from ..fitting import equal_forces, starts
 from ..fitting.curves import is_told_apart, level_chi_square
 from ..fitting.descent import IN_REACH, Way
 from ..fitting.joint_fit import Fit
@@ -27,6 +27,7 @@ _APART = 1.0  # chi-square by which two fits ended in different minima
 _LOST = 6.0  # reduced chi-square of the backbones, over what was promised, from which a fit ended elsewhere
 _NOTED = 1.0  # chi-square above that of the smaller set up to which one step is enough to note a set
 _WORTH = 5.0  # fall of chi-square by which one more effect begins to earn its place
+_PROMISED = 3.0  # the same, as a linear step promises it, from which a set is fitted and not noted with one step
 _HINT = 1.0  # the same, from which a single effect is fitted although a linear step promises less than that
 
 
@@ -63,6 +64,12 @@ class FittedSets(KnownSets):
             return None
         self.fits[names] = min(found, key=lambda item: item.cost)
         return self.fits[names]
+
+    def _keep_lower(self, names: Set, found: Sequence[Fit]) -> None:
+        """Keep the lowest of some fits of a set, where none that is known is lower."""
+        for item in found:
+            if names not in self.fits or item.cost < self.fits[names].cost:
+                self.fits[names] = item
 
     def is_refuted(self, names: Set) -> bool:
         """Return whether the turning points refuted a set and nothing brought its fit near the records since."""
@@ -140,10 +147,9 @@ class FittedSets(KnownSets):
         if self.explains(parent):
             # whether anything is missing hangs on single effects, and where a shape bends the way, a step tells little
             is_single = len(names) == 1
-            if best.gain < (_HINT if is_single else _WORTH):
+            if best.gain < (_HINT if is_single else _PROMISED):
                 noted = self._noted(layout, best, parent)
                 return [] if noted is None else [noted]
-            promised = promised if is_single else [best]
         near = self.descent.from_near(layout, [item.moved for item in promised], rival=rival)
         if near is None or near.cost > parent.cost + _NOTED:  # the step went too far: what is there begins small
             small = self.descent.from_near(layout, [best.small], rival=rival)
@@ -188,7 +194,24 @@ class FittedSets(KnownSets):
         if known is not None:
             state.own[:, :2] += own - known.starts[0][2]
         reached = self.descent.from_near(layout, [state], rival=rival)
-        return [] if reached is None or self._is_lost(reached, promised) else [reached]
+        found = [] if reached is None or self._is_lost(reached, promised) else [reached]
+        if not found or found[0].cost > near[other].cost + _WORTH:
+            found += self._of_equal_force(layout, near[other])
+        return sorted(found, key=lambda item: item.cost)[:1]
+
+    def _of_equal_force(self, layout: Layout, other: Fit) -> list[Fit]:
+        """Return the fit of a set from where its force over the motion is that of another, with none of any states.
+
+        The start that its backbones propose may lie on the wrong side of the motion, or at another kink.
+        """
+        differing = {*layout.oscillator.effects} ^ {*other.layout.oscillator.effects}
+        if any(effect.n_states or effect.has_memory for effect in differing):
+            return []
+        state = equal_forces.in_place_of(layout, other, self.batch.angular_frequency)
+        reached = self.descent.from_afar(layout, state, other.cost, None, self._limit)
+        if reached is not None and not reached.is_converged and reached.cost < IN_REACH * self.count:
+            reached = self.descent.from_near(layout, [reached.state], rival=other.cost) or reached
+        return [] if reached is None else [reached]
 
     def fit_beside(self, names: Set) -> None:
         """Fit a set once more where it ended far above what the backbones promise and a set beside it did not."""

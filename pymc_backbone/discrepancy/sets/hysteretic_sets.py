@@ -9,6 +9,7 @@ from ..fitting import starts
 from ..fitting.descent import IN_REACH
 from ..fitting.joint_fit import Fit
 from ..proposals.set_fits import Set
+from ..weighing import evidence
 from .fitted_sets import FittedSets
 
 GAINED = 4.0
@@ -21,6 +22,7 @@ ASKED_FOR = 10.0
 """Fall of chi-square, as a linear step promises it, that no set in want of it can be named against."""
 _LAGS = 3.0  # standard deviations of noise
 _JOLTED = 60.0  # chi-square above the lowest within which a slider is looked for in the dents beside its own
+_NEAR_LOWEST = 1.5  # of what the lowest set leaves, within which a lost slider may lie lower
 _SLIDING = 2  # sets with a slider that are asked where else it slips, when the effort is spent
 
 
@@ -119,9 +121,14 @@ class HystereticSets(FittedSets):
                 self.fits[names] = beside
 
     def _with_sliders(self) -> list[Set]:
-        """Return the sets with a single slider that explain the records, lowest first."""
-        explaining = sorted((item.cost, names) for names, item in self.fits.items() if self.explains(item))
-        return [names for _, names in explaining if any(starts.is_slider(self.layout(names), name) for name in names)]
+        """Return the sets with a single slider that explain the records, or are near where nothing does; lowest first.
+
+        Where none leaves noise, a slider in any of the lowest may have been lost.
+        """
+        lowest = min(self.fits.values(), key=lambda item: item.cost)
+        most = 0.0 if evidence.leaves_noise(self.batch, lowest) else _NEAR_LOWEST * lowest.cost
+        near = sorted((f.cost, names) for names, f in self.fits.items() if f.cost < most or self.explains(f))
+        return [names for _, names in near if any(starts.is_slider(self.layout(names), name) for name in names)]
 
 
 __all__ = ["ASKED_FOR", "GAINED", "NEAR_BY", "REFUTED", "HystereticSets"]

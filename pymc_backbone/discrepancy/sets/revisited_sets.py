@@ -307,11 +307,18 @@ class RevisitedSets(HystereticSets):
         return [names for names in apart if not is_heavy(self.layout(names))][:_MOST_RIVALS]
 
     def _settle(self) -> None:
-        """Carry the fit of the best set on if it did not come to rest; and others where nothing explains."""
+        """Carry the fit of the best set on if it did not come to rest; and others near it, or where nothing explains.
+
+        Those that were noted with one step may have more to gain than it promised.
+        """
         best = self.best()
         if not (self.is_refuted(best) or self.fits[best].is_converged):
             self._carry_on(best)
         if self._is_explained():
+            near = [names for names, item in self.fits.items() if item.cost < self.fits[best].cost + CLOSE]
+            for names in [names for names in near if not self.fits[names].is_converged]:
+                if not (self._is_spent and self._is_costly(names)):
+                    self._carry_on(names)
             return
         open_sets = (names for names in self.ranked() if not self.is_refuted(names))
         restless = [names for names in open_sets if not self.fits[names].is_converged]

@@ -29,6 +29,7 @@ _MOST = 0.5  # of what such a set leaves beyond the noise, that one more effect 
 _SURELY = 0.5  # share of the tolerance within which further effects would not change the answer
 _OF_TWO_SIDES, _OF_CONTACT = "asymmetry", "clearance"  # mechanisms
 _WITH_SIDES = 3  # single effects that are asked beside one of these where no mid-line is measured
+_RESERVE = 2.0  # of the budget, that is kept for what the best set may lack and for other laws in it
 _NEAR = 1.5  # reduced chi-square of a fit to the samples from which its backbones were judged wrongly
 
 
@@ -75,13 +76,20 @@ class Search(EnlargedSets):
         self._vary()
         self._ask_reserved()
         if self.is_cut:
+            self._keep_reserve()
             self._complete()
+        self._keep_reserve()
         self._ask_kindred()
         self._ask_parts()
         if self._begin_otherwise() and not self._is_spent:
             self._enlarge()
         self._look_back()
+        self._keep_reserve()
         self._settle()
+
+    def _keep_reserve(self) -> None:
+        """Leave the last looks at the best set enough effort to end: others were asked at its cost."""
+        self.descent.limit = max(self.descent.limit, self.descent.effort + _RESERVE * self.budget)
 
     def resume(self) -> None:
         """Go on to the end with a search that was halted, or short because a drift explains the records."""
@@ -196,6 +204,7 @@ class Search(EnlargedSets):
         if self._look_closer() and self._replace():
             self._look_back()
         self._look_forward()
+        self._keep_reserve()
         self._look_elsewhere()
         self._look_within()
         self._look_back()

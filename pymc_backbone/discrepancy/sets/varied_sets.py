@@ -15,6 +15,7 @@ from ..fitting.joint_fit import Fit
 from ..proposals.propose import propose
 from ..proposals.set_fits import Set
 from ..weighing import evidence
+from .hysteretic_sets import NEAR_BY
 from .revisited_sets import RevisitedSets
 from .side_by_side import ABREAST, fit_side_by_side
 
@@ -51,6 +52,10 @@ class VariedSets(RevisitedSets):
             fit_side_by_side(self, few)
         self._ask_plain()
         self._ask_common()
+        self._drop_unneeded()
+
+    def _drop_unneeded(self) -> None:
+        """Forget the sets with a variant that explains no more than what it varies does in its place."""
         for names in [names for names in self.fits if not self._is_needed(names)]:
             del self.fits[names]
 
@@ -89,12 +94,32 @@ class VariedSets(RevisitedSets):
             self.progress("what rare laws may imitate", 0.5)
             self.fit_set(names)
 
+    def _add_variants(self) -> None:
+        """Where nothing leaves noise, add to what is near the variant that a linear step promises most of.
+
+        Backbones look at variants in the place of what they vary: not at one beside effects that are there as well.
+        """
+        best = self.best()
+        if not self.batch.has_records or self.is_refuted(best) or evidence.leaves_noise(self.batch, self.fits[best]):
+            return
+        by_cost = sorted((item.cost, names) for names, item in self.fits.items() if len(names) < self.max_effects)
+        for cost, names in [item for item in by_cost if item[0] < NEAR_BY * self.count and item[1]][:_LACKING]:
+            others = [name for name in self.variants if name not in names]
+            for name in others:
+                self.layout(tuple(sorted((*names, name))))
+            gains = dict(zip(others, in_threads([partial(self._score, names, name) for name in others]), strict=True))
+            most = max(others, key=lambda name: gains[name], default=None)
+            if most is not None and gains[most] > _AS_MUCH * (cost - self.count):
+                self.progress("variants of effects", 0.5)
+                self.fit_set(tuple(sorted((*names, most))))
+
     def _ask_reserved(self) -> None:
         """Where nothing explains the records, fit what is otherwise looked for by name only, alone and in the best set.
 
         The backbones of one mode do not show such a law; what its force does within a cycle may be all that is left.
         It is as rare as a variant, and kept where it explains the records.
         """
+        self._add_variants()
         best = self.best()
         if not self.batch.has_records or evidence.leaves_noise(self.batch, self.fits[best]):
             return
@@ -178,6 +203,20 @@ class VariedSets(RevisitedSets):
                 if out != name:
                     self._fit_varied(tuple(other for other in names if other != out))
 
+    def _vary_two(self, varied: Set) -> None:
+        """Fit sets with a variant in the place of two effects of one that explains: from where it has their force.
+
+        A free exponent stands for two plain springs, and its backbones may have led nowhere.
+        """
+        known = self.fits[varied]
+        for variant in self.variants if not self.is_refuted(varied) and self.explains(known) else ():
+            for two in combinations([name for name in varied if is_akin(name, variant)], 2):
+                names = tuple(sorted({*varied, variant}.difference(two)))
+                if variant in varied or (names in self.fits and self.fits[names].cost < known.cost + NEEDED):
+                    continue
+                self.progress("variants of effects", 0.5)
+                self._keep_lower(names, self._of_equal_force(self.layout(names), known))
+
     def _plain(self, names: Set, *, is_reduced: bool = False) -> list[Set]:
         """Return the sets that hold what a variant in this one varies, or reduces to (or that alone), in its place."""
         return [
@@ -231,13 +270,18 @@ class VariedSets(RevisitedSets):
             best = self.best()
             if not best or self.is_refuted(best) or not self.explains(self.fits[best]):
                 return
+            self._vary_two(best)
+            is_dear = self._is_spent and self._is_costly(best)
+            variants = () if is_dear else self.variants
             for out in best:
-                kindred = [name for name in self.candidates if self.mechanism_of(name) == self.mechanism_of(out)]
+                mechanism = self.mechanism_of(out)
+                kindred = [name for name in (*self.candidates, *variants) if self.mechanism_of(name) == mechanism]
                 for names in [tuple(sorted({*best, name} - {out})) for name in kindred if name not in best]:
-                    if not (names in self.fits or self._is_far(names) or self._is_hopeless(names)):
+                    is_known = names in self.fits and (is_dear or self.fits[names].cost < self.fits[best].cost + NEEDED)
+                    if not (is_known or self._is_far(names) or self._is_hopeless(names)):
                         self.progress("other laws of the same mechanisms", 0.5)
-                        for found in self._beside(names, self.fits[best].cost):
-                            self.fits[names] = found
+                        self._keep_lower(names, self._beside(names, self.fits[best].cost))
+                self._drop_unneeded()
 
     def _is_needed(self, names: Set) -> bool:
         """Return whether a fitted set leaves less than it does with what a variant in it varies in its place.
