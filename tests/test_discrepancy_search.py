@@ -1744,6 +1744,7 @@ def test_a_slider_is_looked_for_in_the_dents_beside_its_own(linear, monkeypatch)
 
     monkeypatch.setattr(search, "_sliding", lambda *_: [])
     monkeypatch.setattr(search, "explains", lambda _: True)
+    monkeypatch.setattr(evidence, "leaves_noise", lambda *_: True)
     monkeypatch.setattr(Search, "_is_spent", False)
     monkeypatch.setattr(search, "layout", lambda names: make_layout(Oscillator(MASS, names), AMPLITUDE, OMEGA))
     monkeypatch.setattr(search.descent, "from_near", beside)
@@ -1754,3 +1755,9 @@ def test_a_slider_is_looked_for_in_the_dents_beside_its_own(linear, monkeypatch)
     assert asked == [90.0, 100.0]
     assert search.fits["cubic_stiffness", "jenkins"].cost == 85.0
     assert search.fits[("jenkins",)] is fits[("jenkins",)]
+
+    # where none leaves noise, those near the lowest may have lost their slider, though they explain nothing
+    monkeypatch.setattr(search, "explains", lambda _: False)
+    assert search._with_sliders() == []
+    monkeypatch.setattr(evidence, "leaves_noise", lambda *_: False)
+    assert search._with_sliders() == [("cubic_stiffness", "jenkins")]  # half as much again is too far

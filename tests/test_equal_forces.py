@@ -158,16 +158,16 @@ def test_a_variant_is_added_to_what_is_near_where_nothing_leaves_noise():
     assert len(search.fits) == fitted
 
 
-def test_each_start_that_a_linear_step_promises_is_asked(powered, monkeypatch):
-    """Of two shapes of hysteresis the one that promised less led to the minimum."""
+@pytest.mark.parametrize(("second", "n_asked"), [(4.6, 2), (3.0, 1)])
+def test_another_start_that_promises_nearly_as_much_is_asked_too(second, n_asked, powered, monkeypatch):
+    """Of two shapes of hysteresis the one that promised a little less led to the minimum."""
     search = Search(powered, Oscillator(MASS), SPRINGS, 2)
     search.fit_set(())
     monkeypatch.setattr(Search, "explains", lambda _self, _found: True)
     parent, layout = search.fits[()], search.layout(("cubic_stiffness",))
     best = starts.by_score(layout, "cubic_stiffness", parent, powered)[0]
-    worse = best._replace(gain=4.0)
-    monkeypatch.setattr(starts, "by_score", lambda *_: [best._replace(gain=5.0), worse])
+    monkeypatch.setattr(starts, "by_score", lambda *_: [best._replace(gain=gain) for gain in (5.0, second)])
     asked = []
     monkeypatch.setattr(type(search.descent), "from_near", lambda _self, _layout, states, **_: asked.append(states))
     search._extended(("cubic_stiffness", "quintic_stiffness"), layout, parent, None)
-    assert len(asked[0]) == 2
+    assert len(asked[0]) == n_asked

@@ -28,6 +28,7 @@ _LOST = 6.0  # reduced chi-square of the backbones, over what was promised, from
 _NOTED = 1.0  # chi-square above that of the smaller set up to which one step is enough to note a set
 _WORTH = 5.0  # fall of chi-square by which one more effect begins to earn its place
 _PROMISED = 3.0  # the same, as a linear step promises it, from which a set is fitted and not noted with one step
+_AS_PROMISING = 0.8  # of what the best start promises, up to which another one is asked beside it
 _HINT = 1.0  # the same, from which a single effect is fitted although a linear step promises less than that
 
 
@@ -150,6 +151,8 @@ class FittedSets(KnownSets):
             if best.gain < (_HINT if is_single else _PROMISED):
                 noted = self._noted(layout, best, parent)
                 return [] if noted is None else [noted]
+            if not is_single:
+                promised = [item for item in promised if item.gain > _AS_PROMISING * best.gain]
         near = self.descent.from_near(layout, [item.moved for item in promised], rival=rival)
         if near is None or near.cost > parent.cost + _NOTED:  # the step went too far: what is there begins small
             small = self.descent.from_near(layout, [best.small], rival=rival)
