@@ -408,7 +408,9 @@ def test_the_scorer_on_batches_with_known_figures(tmp_path: Path, capsys: pytest
     assert {name: (part["count"], part["probability"]) for name, part in parts.items()} == {
         "the model as it is": (3, 0.75),
         "a set of effects": (5, pytest.approx(0.95)),
+        "a set whose law is named": (5, pytest.approx(0.95)),
     }
+    assert parts["a set whose law is named"]["right"] == pytest.approx(0.6)  # both adequate ones are left out
     assert parts["the model as it is"]["right"] == pytest.approx(1.0 / 3.0)
     # Eight claims in two bins: E|hits - claims| / 8 in closed form, from the binomial distributions of the hits.
     chance = sum(abs(k - 4.75) * scipy.stats.binom.pmf(k, 5, 0.95) for k in range(6))

@@ -252,6 +252,7 @@ def score(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "reliability_of": {
             "the model as it is": measure_reliability([o for o in answered if o.is_top_empty]),
             "a set of effects": measure_reliability([o for o in answered if not o.is_top_empty]),
+            "a set whose law is named": measure_reliability([o for o in answered if o.named]),
         },
         "gaps": measure_gaps(answered),
         "seconds": _quantiles(np.array([o.seconds for o in answered])),
