@@ -97,6 +97,22 @@ def test_hysteresis_begins_again_from_nearer_to_its_saturation(hysteretic, monke
     assert search.fit_set(("bouc_wen",)).cost < known.cost + 0.5
 
 
+def test_hysteresis_is_looked_for_in_the_other_valley_from_each_smaller_set(hysteretic, monkeypatch):
+    known_search, known = hysteretic
+    search = Search(known_search.batch, Oscillator(MASS), ("bouc_wen",), 1, budget=BUDGET)
+    search.fit_set(())
+    eta = known.state.eta * np.array([3.2, 1.0 / 3.2, 1.0 / 3.2, 1.0])
+    own = known.state.own[:, :2].copy()
+    own[:, 0] -= eta[0] - known.state.eta[0]
+    rested = search.descent.from_afar(known.layout, search.descent.released(known.layout, eta, own))
+    search.fits["bouc_wen",] = rested
+    search._look_in_other_valley()
+    assert search.fits["bouc_wen",] is rested  # what explains nothing is not named, and not asked
+    monkeypatch.setattr(Search, "explains", lambda _self, _found: True)
+    search._look_in_other_valley()
+    assert search.fits["bouc_wen",].cost < known.cost + 0.5 < rested.cost - 100.0
+
+
 @pytest.mark.parametrize(
     ("of_base", "of_other", "is_asked"),
     [(None, 0.0, True), (50.0, 0.0, True), (5.0, 0.0, False), (300.0, -200.0, False)],

@@ -31,6 +31,7 @@ _HARDLY = 0.05  # share of what a refuted set leaves, which one more effect has 
 _FAR = 1000.0  # chi-square of the backbones above those of the best set, from which they are not doubted
 _RIVALS, _MOST_RIVALS = 7.0, 8  # logarithm of the odds within which sets rival the best, and how many are asked
 _IDLE, _LOWER = 4, 0.5  # rivals in a row that lie no lower, after which no more are asked; and what is lower
+_LAGGING = 2  # sets with a displacement that lags, that are begun in the other valley
 _AS_GOOD = 6.0  # chi-square of the backbones within which a place is as good as the best
 _HARDLY_MORE, _WEIGHTIER = 3.0, 1.0  # chi-square that a wider minimum may leave; logarithm of odds by which it counts
 
@@ -305,6 +306,20 @@ class RevisitedSets(HystereticSets):
         near = [names for names in self.ranked() if probability[names].log_posterior > least]
         apart = [names for names in near if not set(best) < set(names) and not self.layout(names).is_strength.all()]
         return [names for names in apart if not is_heavy(self.layout(names))][:_MOST_RIVALS]
+
+    def _look_in_other_valley(self) -> None:
+        """Fit the likeliest sets with a displacement that lags from the linear step from each smaller one.
+
+        One that saturates early and one that does so late leave nearly the same, and a fit finds no way from one valley
+        to the other: each start goes to its end.
+        """
+        lagging = [names for names in self.ranked() if self.layout(names).lags and self.explains(self.fits[names])]
+        for names in lagging[:_LAGGING]:
+            for name in names:
+                parent = self.fits.get(tuple(other for other in names if other != name))
+                for promised in [] if parent is None else starts.by_score(self.layout(names), name, parent, self.batch):
+                    found = self.descent.from_near(self.layout(names), [promised.moved])
+                    self._keep_lower(names, [] if found is None else [found])
 
     def _settle(self) -> None:
         """Carry the fit of the best set on if it did not come to rest; and others near it, or where nothing explains.

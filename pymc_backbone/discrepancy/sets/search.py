@@ -44,6 +44,7 @@ class Search(EnlargedSets):
             return
         if self._is_explained():
             self._ask_single_effects()
+            self._settle()
             if self._is_answered():
                 return
             self._look_again()
@@ -85,6 +86,7 @@ class Search(EnlargedSets):
             self._enlarge()
         self._look_back()
         self._keep_reserve()
+        self._look_in_other_valley()
         self._settle()
 
     def _keep_reserve(self) -> None:
