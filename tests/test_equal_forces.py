@@ -101,6 +101,22 @@ def test_a_contact_is_found_from_the_force_of_another_where_its_backbones_led_to
     assert search.fits[HERTZ].value_of("hertz_stiffness") == pytest.approx(PUSH, rel=0.05)
 
 
+def test_a_variant_gives_way_to_the_plain_law_while_others_are_still_asked():
+    def force(x, v, direction):
+        return 0.1 * STIFFNESS / AMPLITUDE**2 * x**3 + 0.8 * DAMPING / (OMEGA * AMPLITUDE) * v * v * direction
+
+    search = Search(
+        decays(force, 50.0), Oscillator(MASS), (*SPRINGS, "quadratic_damping", "cubic_damping"), 2, variants=POWER
+    )
+    varied, plain = ("power_stiffness", "quadratic_damping"), ("cubic_stiffness", "quadratic_damping")
+    for names in ((), varied):
+        search.fit_set(names)
+    assert search.best() == varied and search.explains(search.fits[varied])
+    search._ask_kindred()
+    assert search.best() == plain and varied not in search.fits
+    assert ("cubic_damping", "cubic_stiffness") in search.fits
+
+
 @pytest.fixture(scope="module")
 def powered():
     """A spring of an exponent that no two plain ones have together, but nearly."""

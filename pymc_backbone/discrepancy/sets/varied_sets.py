@@ -281,7 +281,7 @@ class VariedSets(RevisitedSets):
                     if not (is_known or self._is_far(names) or self._is_hopeless(names)):
                         self.progress("other laws of the same mechanisms", 0.5)
                         self._keep_lower(names, self._beside(names, self.fits[best].cost))
-                self._drop_unneeded()
+            self._drop_unneeded()
 
     def _is_needed(self, names: Set) -> bool:
         """Return whether a fitted set leaves less than it does with what a variant in it varies in its place.
