@@ -27,7 +27,7 @@ from .discrepancy_cases import (
     noisy,
 )
 
-GAP, SOFTER, PUSH = 0.55 * AMPLITUDE, -0.01 * STIFFNESS, 0.5 * STIFFNESS / AMPLITUDE**0.5
+GAP, STOPS, PUSH = 0.55 * AMPLITUDE, 0.01 * STIFFNESS, 0.5 * STIFFNESS / AMPLITUDE**0.5
 HERTZ, STOP, PLAY = ("hertz_contact",), ("one_sided_stiffness",), ("damped_stop",)
 POWER, SPRINGS = ("power_stiffness",), ("cubic_stiffness", "quintic_stiffness")
 
@@ -168,7 +168,7 @@ def test_the_last_looks_have_effort_of_their_own(powered):
 
 def test_a_variant_is_added_to_what_is_near_where_nothing_leaves_noise():
     batch = decays(
-        lambda x, v, direction: 0.5 * DAMPING / (OMEGA * AMPLITUDE) * v * v * direction - SOFTER * max(x - GAP, 0.0),
+        lambda x, v, direction: 0.5 * DAMPING / (OMEGA * AMPLITUDE) * v * v * direction + STOPS * max(x - GAP, 0.0),
         54.0,
     )
     drag, both = ("quadratic_damping",), ("one_sided_stiffness", "quadratic_damping")
