@@ -26,6 +26,7 @@ import figures  # noqa: E402
 import laws  # noqa: E402
 import meanings  # noqa: E402
 import outcomes  # noqa: E402
+import plans  # noqa: E402
 import score  # noqa: E402
 from batches import make_batch  # noqa: E402
 from generate import write_batch  # noqa: E402
@@ -311,6 +312,22 @@ def _write_case(folder: Path, truth: dict, result: dict | None, distance: float 
         (folder / "result.json").write_text(json.dumps(result), encoding="utf-8")
     if distance is not None:
         (folder / "distance.json").write_text(json.dumps({"distance": distance, "nearest": []}), encoding="utf-8")
+
+
+def test_the_batches_whose_verdict_left_the_truth_open_are_asked_for_the_next_test(tmp_path):
+    listed = {"verdict": "ambiguous", "missing_effects": [], "ambiguous_sets": [["iwan"], ["jenkins"]]}
+    drawn = {"seed": 5, "quantity": "displacement", "band": None}
+    cases = [
+        ({"hidden": ["iwan"]}, listed),
+        ({"hidden": ["cubic_damping"]}, listed),  # the truth is not among them
+        ({"hidden": ["jenkins"]}, _found("jenkins")),
+        ({"hidden": ["jenkins"], "quantity": "acceleration"}, listed),  # its records are not those of the displacement
+        ({"hidden": ["jenkins"]}, listed),
+        ({"hidden": ["jenkins"]}, None),
+    ]
+    for number, (truth, result) in enumerate(cases):
+        _write_case(tmp_path / f"batch_{number:04d}", drawn | {"index": number} | truth, result, None)
+    assert list(plans.left_open(tmp_path)) == [(5, 0, None), (5, 4, None)]
 
 
 def _found(*effects: str, probability: float = 0.95) -> dict:

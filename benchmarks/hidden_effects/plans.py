@@ -1,13 +1,14 @@
 """Whether the test that is advised decides: batches that leave several sets, the advice carried out; prints Markdown.
 
     python benchmarks/hidden_effects/plans.py --batches 20 --seed 314159 [--tiers close_pairs few_data] [--workers 2]
+    python benchmarks/hidden_effects/plans.py --batches 100 --among DIR [--workers 2]
     python benchmarks/hidden_effects/plans.py --of ROWS [ROWS ...]
 
-Batches are drawn until so many leave several sets possible with the truth among them. For each the first advice and,
-for comparison, the present test are carried out with the same structures and fresh noise, by the generator's own
-integrator; the records at hand and the new ones are then diagnosed together. A test decides where a law
-is named. *Promised* is the probability that the plan gave. Each row is printed as a line of JSON; ``--of`` prints the
-table of files of such lines, also of a run that was ended before all were there.
+Batches are drawn until so many leave several sets possible with the truth among them; with ``--among`` they are those
+of a folder that `diagnose.py` left open. For each the first advice and, for comparison, the present test are carried
+out with the same structures and fresh noise, by the generator's own integrator; the records at hand and the new ones are
+then diagnosed together. A test decides where a law is named. *Promised* is the probability that the plan gave. Each row
+is printed as a line of JSON; ``--of`` prints the table of files of such lines, also of a run that was ended early.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from itertools import islice
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -26,7 +28,7 @@ from typing import Any
 import numpy as np
 from batches import Batch, make_batch
 from motion import simulate
-from outcomes import wilson_interval
+from outcomes import read_outcomes, wilson_interval
 from systems import pack
 
 from pymc_backbone import Design, InputError, Oscillator, Record, find_missing_effect, plan_tests
@@ -77,7 +79,7 @@ def outcome(batch: Batch, study: Study) -> str:
     return str(study.verdict)
 
 
-def judge(task: tuple[int, int, str]) -> dict[str, Any] | None:
+def judge(task: tuple[int, int, str | None]) -> dict[str, Any] | None:
     """Return what became of one batch; None where it is not ambiguous, or the truth is not listed."""
     seed, index, tier = task
     batch = make_batch(seed, index, tier)
@@ -92,7 +94,7 @@ def judge(task: tuple[int, int, str]) -> dict[str, Any] | None:
         plan = plan_tests(base, study.contenders, study.present, random_seed=index)
         seconds = time.perf_counter() - begin
         if not plan.best:
-            return {"index": index, "tier": tier, "hidden": hidden, "promised": None, "seconds": seconds}
+            return {"index": index, "tier": batch.truth["tier"], "hidden": hidden, "promised": None, "seconds": seconds}
         rng = np.random.default_rng([seed, index, 7])
         # what is listed speaks of the median release; a repetition has the releases of the batch
         advised = carried_out(batch, plan.best[0].design, rng, "next")
@@ -100,10 +102,10 @@ def judge(task: tuple[int, int, str]) -> dict[str, Any] | None:
         after = diagnosed(batch, records_of(batch) + advised)
         again = diagnosed(batch, records_of(batch) + repeat)
     except InputError as error:
-        return {"index": index, "tier": tier, "hidden": hidden, "error": str(error)}
+        return {"index": index, "tier": batch.truth["tier"], "hidden": hidden, "error": str(error)}
     return {
         "index": index,
-        "tier": tier,
+        "tier": batch.truth["tier"],
         "hidden": hidden,
         "promised": plan.best[0].probability,
         "promised_again": plan.repeat.probability,
@@ -111,6 +113,15 @@ def judge(task: tuple[int, int, str]) -> dict[str, Any] | None:
         "again": outcome(batch, again),
         "seconds": seconds,
     }
+
+
+def left_open(folder: Path) -> Iterator[tuple[int, int, str | None]]:
+    """Yield the batches of a folder, drawn without a tier, of which a recorded verdict lists the truth among others."""
+    for item in read_outcomes(folder):
+        if item.is_listed and item.hidden and item.outcome in ("listed", "mechanism"):
+            truth = json.loads((folder / item.folder / "truth.json").read_text(encoding="utf-8"))
+            if truth["quantity"] == "displacement" and not truth["band"]:
+                yield truth["seed"], truth["index"], None
 
 
 def drawn(seed: int, tiers: list[str]) -> Iterator[tuple[int, int, str]]:
@@ -166,16 +177,18 @@ def collected(
     """
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--batches", type=int, default=batches)
-    parser.add_argument("--seed", type=int, required=True)
+    where = parser.add_mutually_exclusive_group(required=True)
+    where.add_argument("--seed", type=int)
+    where.add_argument("--among", type=Path, help="folder of batches and of what was said of them")
     parser.add_argument("--tiers", nargs="+", default=list(AMBIGUOUS_TIERS))
     parser.add_argument("--workers", type=int, default=2)
     given = parser.parse_args()
     rows: list[dict[str, Any]] = []
     looked_at = 0
-    tasks = drawn(given.seed, given.tiers)
+    tasks = drawn(given.seed, given.tiers) if given.among is None else left_open(given.among)
     with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn")) as pool:
-        while len(rows) < given.batches:
-            for row in pool.map(judge, [next(tasks) for _ in range(2 * given.workers)]):
+        while len(rows) < given.batches and (few := list(islice(tasks, 2 * given.workers))):
+            for row in pool.map(judge, few):
                 looked_at += 1
                 if row is not None:
                     rows.append(row)
