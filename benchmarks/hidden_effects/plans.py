@@ -6,9 +6,10 @@
 
 Batches are drawn until so many leave several sets possible with the truth among them; with ``--among`` they are those
 of a folder that `diagnose.py` left open. For each the first advice and, for comparison, the present test are carried
-out with the same structures and fresh noise, by the generator's own integrator; the records at hand and the new ones are
-then diagnosed together. A test decides where a law is named. *Promised* is the probability that the plan gave. Each row
-is printed as a line of JSON; ``--of`` prints the table of files of such lines, also of a run that was ended early.
+out with the same structures and fresh noise, by the generator's own integrator; the records at hand and the new ones
+are then diagnosed together. A test decides where a law is named. *Promised* is the probability that the plan gave.
+Each row is printed as a line of JSON; ``--of`` prints the table of files of such lines, also of a run that was ended
+early.
 """
 
 from __future__ import annotations
