@@ -156,6 +156,29 @@ def test_single_effects_are_carried_to_their_end_before_nothing_is_said_to_be_mi
     assert settled == [({(), ("cubic_stiffness",)}, True)]
 
 
+def test_a_set_that_lost_its_way_begins_small_beside_the_lower_one_within_it(powered, monkeypatch):
+    """A joint beside a clearance ended 910 000 above its minimum, for the turning points had refuted a lost start."""
+    both = ("cubic_stiffness", "quintic_stiffness")
+    search = Search(powered, Oscillator(MASS), SPRINGS, 2)
+    for names in ((), *((name,) for name in SPRINGS), both):
+        search.fit_set(names)
+    found = search.fits[both]
+    assert search.fits[("cubic_stiffness",)].cost > search.fits[("quintic_stiffness",)].cost > 14.0 * search.count
+    eta = found.state.eta * np.array([0.91, 1.09])
+    lost = search.descent.fit(found.layout, powered.deciding, replace(found.state, eta=eta), iterations=0)
+    assert 10.0 * search.count < lost.cost < search.fits[("quintic_stiffness",)].cost
+    search.fits[both] = lost
+    search.refuted.add(both)
+    begun = []
+    near = search.descent.from_near
+    monkeypatch.setattr(search.descent, "from_near", lambda *given, **more: begun.append(given) or near(*given, **more))
+    search._begin_from_smaller()
+    assert search.fits[both].cost == pytest.approx(found.cost, abs=0.1) and not search.is_refuted(both)
+    asked = len(begun)
+    search._begin_from_smaller()  # nothing is lost any more
+    assert asked == len(begun) >= 1
+
+
 def test_the_last_looks_have_effort_of_their_own(powered):
     search = Search(powered, Oscillator(MASS), SPRINGS, 2)
     search.descent.effort = search.descent.limit

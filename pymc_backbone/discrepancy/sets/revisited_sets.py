@@ -307,6 +307,25 @@ class RevisitedSets(HystereticSets):
         apart = [names for names in near if not set(best) < set(names) and not self.layout(names).is_strength.all()]
         return [names for names in apart if not is_heavy(self.layout(names))][:_MOST_RIVALS]
 
+    def _begin_from_smaller(self) -> None:
+        """Where no fit has kept the phase, begin the lowest set from the lower one within it, small at first.
+
+        The turning points may have refuted it from a start that had lost its way.
+        """
+        names = min(self.fits, key=lambda item: self.fits[item].cost)
+        within = [self.fits[part] for part in combinations(names, max(len(names) - 1, 0)) if part in self.fits]
+        if len(names) < 2 or not within or self.fits[names].cost < NEAR_BY * self.count or not self.batch.has_records:
+            return
+        layout, parent = self.layout(names), min(within, key=lambda item: item.cost)
+        new = next(name for name in names if name not in self._names(parent))
+        promised = starts.by_score(layout, new, parent, self.batch)
+        for state in [*(item.small for item in promised), *(item.moved for item in promised)]:
+            self.progress("sets that have lost their way", 0.5)
+            found = self.descent.from_near(layout, [state], rival=self.fits[names].cost)
+            self._keep_lower(names, [] if found is None else [found])
+            if self.explains(self.fits[names]):
+                return
+
     def _look_in_other_valley(self) -> None:
         """Fit the likeliest sets with a displacement that lags from the linear step from each smaller one.
 

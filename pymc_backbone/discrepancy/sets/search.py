@@ -67,6 +67,7 @@ class Search(EnlargedSets):
             self.drift_alone = None  # a set explains them as well: the drift is asked beside it
             self._ask_plain_effects()
             self._look_wider()
+            self._begin_from_smaller()
         self._ask_two_sides()
         self._look_back()
         self._look_forward()  # from the base, where a larger set led it to a better place
