@@ -66,10 +66,10 @@ class FittedSets(KnownSets):
         self.fits[names] = min(found, key=lambda item: item.cost)
         return self.fits[names]
 
-    def _keep_lower(self, names: Set, found: Sequence[Fit]) -> None:
+    def _keep_lower(self, names: Set, *found: Fit | None) -> None:
         """Keep the lowest of some fits of a set, where none that is known is lower."""
         for item in found:
-            if names not in self.fits or item.cost < self.fits[names].cost:
+            if item is not None and (names not in self.fits or item.cost < self.fits[names].cost):
                 self.fits[names] = item
 
     def is_refuted(self, names: Set) -> bool:
@@ -221,7 +221,7 @@ class FittedSets(KnownSets):
         known, proposal = self.fits.get(names), self._proposal(names)
         if known is None or proposal is None or not self._is_lost(known, proposal.starts[0][0]):
             return
-        self.fits[names] = min([known, *self._beside(names, None)], key=lambda item: item.cost)
+        self._keep_lower(names, *self._beside(names, None))
 
     def _proposed(self, names: Set, rival: float | None) -> list[Fit]:
         """Return fits from what the backbones propose for a set, until one keeps what they promise.

@@ -44,7 +44,7 @@ class HystereticSets(FittedSets):
         if self.batch.has_records:
             others = [*self._slipping(found), *self._sliding(names, found)]
             others += self._saturating(found) if self._is_worth_while(found) else []
-            self.fits[names] = min([found, *others], key=lambda item: item.cost)
+            self._keep_lower(names, *others)
         return self.fits[names]
 
     def _is_worth_while(self, found: Fit) -> bool:
@@ -109,8 +109,7 @@ class HystereticSets(FittedSets):
         The best of them also in the dents beside the one in which they came to rest.
         """
         for names in self._with_sliders()[: _SLIDING if self._is_spent else None]:
-            found = self._sliding(names, self.fits[names])
-            self.fits[names] = min([self.fits[names], *found], key=lambda item: item.cost)
+            self._keep_lower(names, *self._sliding(names, self.fits[names]))
         lowest = min(item.cost for item in self.fits.values())
         for names in self._with_sliders()[:_SLIDING]:
             known = self.fits[names]

@@ -85,7 +85,7 @@ class RevisitedSets(HystereticSets):
         for name in self.candidates:
             known, has_shape = self.fits.get((name,)), len(starts.positions(self.layout((name,)), name)) > 1
             if known is not None and known.cost >= lowest + CLOSE and has_shape and not self._is_costly((name,)):
-                self.fits[(name,)] = min([known, *self._proposed((name,), lowest)], key=lambda item: item.cost)
+                self._keep_lower((name,), *self._proposed((name,), lowest))
 
     def _look_back(self) -> None:
         """Fit the subsets of the best sets again, from where these ended: a larger set may have found a better way."""
@@ -119,8 +119,7 @@ class RevisitedSets(HystereticSets):
                     if self._is_spent:
                         self.is_cut = True
                         return
-                    found = self._extended(names, self.layout(names), known, None)
-                    self.fits[names] = min([self.fits[names], *found], key=lambda item: item.cost)
+                    self._keep_lower(names, *self._extended(names, self.layout(names), known, None))
 
     def mend(self, names: Set) -> None:
         """Fit a set again from the smaller ones that leave less than it does: its own fit has lost its way."""
@@ -129,8 +128,7 @@ class RevisitedSets(HystereticSets):
         for smaller in combinations(names, max(len(names) - 1, 0)):
             known = self.fits.get(smaller)
             if names and known is not None and known.cost < self.fits[names].cost:
-                found = self._extended(names, self.layout(names), known, None)
-                self.fits[names] = min([self.fits[names], *found], key=lambda item: item.cost)
+                self._keep_lower(names, *self._extended(names, self.layout(names), known, None))
 
     def _look_within(self) -> None:
         """Fit the subsets that were not asked of sets that explain the records as well as the best.
@@ -169,8 +167,7 @@ class RevisitedSets(HystereticSets):
             if not promised or promised[0].gain < _LOST_GAIN * max(known.cost - self.fits[best].cost, REFUTED):
                 continue
             self.progress("effects that were lost on the way", 0.5)
-            found = self._extended(best, self.layout(best), known, None)
-            self.fits[best] = min([self.fits[best], *found], key=lambda item: item.cost)
+            self._keep_lower(best, *self._extended(best, self.layout(best), known, None))
         return self.fits[best] is not before
 
     def _complete(self) -> None:
@@ -321,8 +318,7 @@ class RevisitedSets(HystereticSets):
         promised = starts.by_score(layout, new, parent, self.batch)
         for state in [*(item.small for item in promised), *(item.moved for item in promised)]:
             self.progress("sets that have lost their way", 0.5)
-            found = self.descent.from_near(layout, [state], rival=self.fits[names].cost)
-            self._keep_lower(names, [] if found is None else [found])
+            self._keep_lower(names, self.descent.from_near(layout, [state], rival=self.fits[names].cost))
             if self.explains(self.fits[names]):
                 return
 
@@ -337,8 +333,7 @@ class RevisitedSets(HystereticSets):
             for name in names:
                 parent = self.fits.get(tuple(other for other in names if other != name))
                 for promised in [] if parent is None else starts.by_score(self.layout(names), name, parent, self.batch):
-                    found = self.descent.from_near(self.layout(names), [promised.moved])
-                    self._keep_lower(names, [] if found is None else [found])
+                    self._keep_lower(names, self.descent.from_near(self.layout(names), [promised.moved]))
 
     def _settle(self) -> None:
         """Carry the fit of the best set on if it did not come to rest; and others near it, or where nothing explains.
@@ -365,9 +360,7 @@ class RevisitedSets(HystereticSets):
     def _carry_on(self, names: Set) -> None:
         """Go on with the fit of a set from where it ended."""
         known = self.fits[names]
-        found = self.descent.from_near(known.layout, [known.state])
-        if found is not None and found.cost < known.cost:
-            self.fits[names] = found
+        self._keep_lower(names, self.descent.from_near(known.layout, [known.state]))
 
 
 __all__ = ["CLOSE", "RevisitedSets"]

@@ -215,7 +215,7 @@ class VariedSets(RevisitedSets):
                 if variant in varied or (names in self.fits and self.fits[names].cost < known.cost + NEEDED):
                     continue
                 self.progress("variants of effects", 0.5)
-                self._keep_lower(names, self._of_equal_force(self.layout(names), known))
+                self._keep_lower(names, *self._of_equal_force(self.layout(names), known))
 
     def _plain(self, names: Set, *, is_reduced: bool = False) -> list[Set]:
         """Return the sets that hold what a variant in this one varies, or reduces to (or that alone), in its place."""
@@ -280,7 +280,7 @@ class VariedSets(RevisitedSets):
                     is_known = names in self.fits and (is_dear or self.fits[names].cost < self.fits[best].cost + NEEDED)
                     if not (is_known or self._is_far(names) or self._is_hopeless(names)):
                         self.progress("other laws of the same mechanisms", 0.5)
-                        self._keep_lower(names, self._beside(names, self.fits[best].cost))
+                        self._keep_lower(names, *self._beside(names, self.fits[best].cost))
             self._drop_unneeded()
 
     def _is_needed(self, names: Set) -> bool:
