@@ -181,6 +181,33 @@ def test_what_is_as_likely_as_the_likeliest_is_asked_although_the_effort_is_spen
         assert len(likely) == several and len([names for names in asked if "bouc_wen" in names]) == several
 
 
+@pytest.mark.parametrize(("left", "few"), [(200.0, True), (50.0, False)])
+def test_few_sets_are_followed_where_all_are_far_off_and_none_of_those_that_costs_much(batch, left, few):
+    """What no set holds is there then: of a jointed beam ten hysteretic sets were fitted, and it was none of them."""
+    simple = {("cubic_stiffness", f"effect {k}"): -1.0 - k for k in range(10)}
+    costly = {("bouc_wen", f"effect {k}"): -0.5 - 0.1 * k for k in range(8)}
+    search, asked = search_with(batch, simple | costly, dict.fromkeys(simple | costly, left))
+    search._is_costly = lambda names: "bouc_wen" in names
+    search.layout = lambda names: None
+    search._follow_backbones(24)
+    assert (len(asked) < 8) == few  # six, and what is fitted beside the sixth
+    assert any("bouc_wen" in names for names in asked[3:]) != few
+
+
+@pytest.mark.parametrize(("left", "is_wider"), [(200.0, False), (50.0, True)])
+def test_a_search_ends_where_all_sets_are_far_off(batch, monkeypatch, left, is_wider):
+    """No wider scatter is looked at and nothing is added: another look at the best set is all."""
+    names, asked = ("cubic_stiffness",), []
+    others = dict.fromkeys([("quadratic_damping",), ("coulomb_friction",)], 2.0 * left)
+    search, _ = search_with(batch, {names: 0.0}, {names: left} | others)
+    monkeypatch.setattr(search_module, "propose", lambda *_, **__: asked.append("wider") or [proposal_of(names, 1.0)])
+    for name in ("_mind_scatter", "_begin_from_smaller"):
+        monkeypatch.setattr(search, name, lambda: None)
+    monkeypatch.setattr(search, "_look_around", lambda: asked.append("around") or True)
+    assert search._ends_following() != is_wider
+    assert asked == (["wider"] if is_wider else ["around"])
+
+
 def test_what_adds_to_a_set_that_leaves_more_than_another_is_asked(batch):
     """A pair explains the records about, another set better: what adds to the pair is no longer left for its sake."""
     candidates = ("coulomb_friction", "cubic_stiffness", "quadratic_damping", "quintic_stiffness")

@@ -303,6 +303,23 @@ def test_a_line_is_found_beside_the_model_as_it_is_although_the_noise_holds_it(r
     assert "what runs nearby" in sentences([found])[0]
 
 
+@pytest.mark.parametrize(("effects", "halts"), [((), True), (("cubic_stiffness",), True), ((), False)])
+def test_a_line_that_the_noise_holds_ends_a_search_before_larger_sets(effects, halts, rng):
+    """The model as it is explains the records then, or a spring does: both were searched once more without the line."""
+    line = 0.08 * AMPLITUDE * np.cos(2.0 * np.pi * LINE * TIME + 0.3)
+    records = [
+        replace(record, values=record.values + halts * line) for record in measured(rng, effects=effects, specimens=4)
+    ]
+    search = Search(batch_of(records), pb.Oscillator(MASS), CANDIDATES, 2, is_disturbed=early_line)
+    search.run()
+    assert max(map(len, search.fits)) == 1 and search._is_explained()
+    assert isinstance(search.halted, Disturbed) == halts
+    if search.halted is not None:
+        for item in search.halted.by_specimen.values():
+            assert item.frequency == pytest.approx(LINE, rel=3e-3)
+            assert item.line * item.scale == pytest.approx(0.08 * AMPLITUDE, rel=0.05)
+
+
 def test_a_hum_that_meets_a_harmonic_of_one_record_is_taken_away_beside_another_mode():
     """Both lines leave more than noise, and in that record the hum is no line; nothing is missing.
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import combinations
 
 import numpy as np
 
+from ..._common.threads import in_threads
 from ...effects import EITHER
 from ..checks.data_checks import are_far_off
 from ..fitting.batch import Batch
@@ -266,7 +268,8 @@ def _unfinished(search: Search, weighed: Weighed, ranked: Sequence[Set]) -> tupl
     """
     explaining = {names for names in ranked if weighed.gaps.get(names, 1.0) <= 1.0 - MOST_OF_THE_GAP}
     found = [names for names in weighed.ranked() if names in explaining and search.is_open(names)]
-    return tuple(names for names in found if len(names) < 2 or not _undo_each_other(search, weighed, names))
+    undone = in_threads([partial(_undo_each_other, search, weighed, names) for names in found])
+    return tuple(names for names, is_none in zip(found, undone, strict=True) if not is_none)
 
 
 def _undo_each_other(search: Search, weighed: Weighed, names: Set) -> bool:
@@ -274,6 +277,8 @@ def _undo_each_other(search: Search, weighed: Weighed, names: Set) -> bool:
 
     What they do in all specimens they do in some, which are spread over the batch.
     """
+    if len(names) < 2:
+        return False
     batch = search.batch.subset(spread(len(search.batch.levels), _SOME))
     found = _on_backbones(search, names, weighed, batch)
     return found is not None and compensation(search, names, found, batch) > _UNDONE

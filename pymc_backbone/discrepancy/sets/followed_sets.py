@@ -28,6 +28,7 @@ _STILL_COSTLY, _AS_LIKELY = 2, 6.0  # costly ones that are, as likely as the lik
 _SIMPLER = 3  # costly sets that are asked because they hold fewer effects than what explains
 _PASSED = 6  # less likely simple sets that are followed before one that costs much
 _FLOOR = 1.1  # ratio of costs within which sets leave the same
+_FAR_OFF = 100.0  # reduced chi-square of the lowest of so many, from which none that follow leaves noise
 _TOLD = 0.9  # probability of a drift in time beside the base, from which larger sets are not asked
 
 
@@ -57,13 +58,14 @@ class FollowedSets(VariedSets):
     def _follow_backbones(self, most: int) -> None:
         """Fit the sets in the order of their backbones until one explains the records and no rival is within reach.
 
-        ``most`` of them before anything explains the records. A set that adds to one that explains already is left to
-        the stage after, which starts from there; unless another turned out to leave less. The likeliest goes alone, for
-        what it explains needs no other beside it.
+        ``most`` of them before anything explains the records, few where all are far off: then something is there that
+        no set holds, or in front of the records, and more of them only cost. A set that adds to one that explains
+        already is left to the stage after, which starts from there; unless another turned out to leave less. The
+        likeliest goes alone, for what it explains needs no other beside it.
         """
         so_far = _Followed()
         queue = [item for item in self._queue() if item[0]]
-        while queue and so_far.fitted < most:
+        while queue and so_far.fitted < (min(most, FEW_FOLLOWED) if self._is_far_off() else most):
             few: list[Set] = []
             while queue and len(few) < (ABREAST if so_far.fitted else 1):
                 names, proposal = queue.pop(0)
@@ -129,6 +131,8 @@ class FollowedSets(VariedSets):
         if so_far.drift_leads and self._is_costly(names) and (len(names) > 1 or not so_far.explained):
             return False  # where a simple law explains as well, one that costs much by itself may be what it imitates
         if so_far.fitted >= _LEAST_FOLLOWED and not self._is_affordable(names):
+            return False
+        if so_far.fitted >= _FIRST and self._is_costly(names) and self._is_far_off():
             return False
         explained = [self.proposals[known].log_evidence for known in so_far.explained]
         is_likeliest = proposal.log_evidence > max(explained, default=-np.inf)
@@ -209,6 +213,10 @@ class FollowedSets(VariedSets):
             if item is not None:
                 first.setdefault(item[0], item)
         return list(first.values())
+
+    def _is_far_off(self) -> bool:
+        """Return whether no set comes anywhere near the records."""
+        return min(item.cost for item in self.fits.values()) > _FAR_OFF * self.count
 
     def _is_floor(self) -> bool:
         """Return whether several sets end at the same distance from the records: what is left is in none of them."""

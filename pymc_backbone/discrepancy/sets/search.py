@@ -42,32 +42,8 @@ class Search(EnlargedSets):
         self.fit_set(())
         if () not in self.fits:
             return
-        if self._is_explained():
-            self._ask_single_effects()
-            self._settle()
-            if self._is_answered():
-                return
-            self._look_again()
-        else:
-            self._mind_scatter()
-            if self._is_beyond():
-                self._follow_backbones(FEW_FOLLOWED)
-                if self.halted is not None or self._is_drift_likelier():
-                    return
-                if self.batch.lacks_mid_line:
-                    self._ask_plain_effects()
-                if min(item.cost for item in self.fits.values()) > _NEAR * self.count:
-                    self._look_back()
-                    self._vary()
-                    self._ask_reserved()
-                    return
-            self._follow_backbones(_MOST_FOLLOWED)
-            if self.halted is not None or self._is_drift_likelier():
-                return
-            self.drift_alone = None  # a set explains them as well: the drift is asked beside it
-            self._ask_plain_effects()
-            self._look_wider()
-            self._begin_from_smaller()
+        if self._ends_alone() if self._is_explained() else self._ends_following():
+            return
         self._ask_two_sides()
         self._look_back()
         self._look_forward()  # from the base, where a larger set led it to a better place
@@ -89,6 +65,42 @@ class Search(EnlargedSets):
         self._keep_reserve()
         self._look_in_other_valley()
         self._settle()
+
+    def _ends_alone(self) -> bool:
+        """Ask single effects, where the model as it is explains the records; return whether the search ends there."""
+        self._ask_single_effects()
+        self._settle()
+        if self._is_halted() or self._is_answered():  # noise that was estimated from records with a line holds it
+            return True
+        self._look_again()
+        return False
+
+    def _ends_following(self) -> bool:
+        """Follow the backbones to the records, of which the base leaves much; return whether the search ends there."""
+        self._mind_scatter()
+        if self._is_beyond():
+            self._follow_backbones(FEW_FOLLOWED)
+            if self.halted is not None or self._is_drift_likelier():
+                return True
+            if self.batch.lacks_mid_line:
+                self._ask_plain_effects()
+            if min(item.cost for item in self.fits.values()) > _NEAR * self.count:
+                return self._look_around()
+        self._follow_backbones(_MOST_FOLLOWED)
+        if self.halted is not None or self._is_drift_likelier():
+            return True
+        self.drift_alone = None  # a set explains them as well: the drift is asked beside it
+        self._ask_plain_effects()
+        self._look_wider()
+        self._begin_from_smaller()
+        return self._is_far_off() and self._look_around()
+
+    def _look_around(self) -> bool:
+        """Look at what lies next to the best set, and end: none leaves noise, and backbones say what is missing."""
+        self._look_back()
+        self._vary()
+        self._ask_reserved()
+        return True
 
     def _keep_reserve(self) -> None:
         """Leave the last looks at the best set enough effort to end: others were asked at its cost."""
@@ -241,9 +253,12 @@ class Search(EnlargedSets):
     def _look_wider(self) -> None:
         """Where nothing explains the records, look at effects that differ more between specimens, if that is likelier.
 
-        Sets of several effects may imitate in the backbones what wide scatter makes of a simpler one.
+        Sets of several effects may imitate in the backbones what wide scatter makes of a simpler one. Not where all are
+        far off the records: that specimens differ costs little beside that.
         """
-        if self._is_explained() or self.scatter != SCATTER or len(self.batch.specimens) < 2 or self._is_spent:
+        if self._is_explained() or self._is_far_off() or self._is_spent:
+            return
+        if self.scatter != SCATTER or len(self.batch.specimens) < 2:
             return
         narrow, before = self.proposals, self._kept()
         likeliest = next(iter(narrow.values())).log_evidence
