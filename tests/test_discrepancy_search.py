@@ -1761,3 +1761,17 @@ def test_a_slider_is_looked_for_in_the_dents_beside_its_own(linear, monkeypatch)
     assert search._with_sliders() == []
     monkeypatch.setattr(evidence, "leaves_noise", lambda *_: False)
     assert search._with_sliders() == [("cubic_stiffness", "jenkins")]  # half as much again is too far
+
+
+@pytest.mark.parametrize(("gains", "rival", "rounds"), [(10.0, None, 3), (10.0, 900.0, 1), (30.0, 900.0, 3)])
+def test_a_fit_that_comes_hardly_nearer_to_a_rival_begins_alike_once(cubic, monkeypatch, gains, rival, rounds):
+    """A magnet in the place of a pendulum began alike three times, 4800 above what explained the records."""
+    known, asked = replace(cubic.fits[("cubic_stiffness",)], chi_square=np.array([1000.0]), penalty=0.0), []
+
+    def fit_once(*_, rival=None, **__):
+        asked.append(rival)
+        return replace(known, chi_square=known.chi_square - gains * len(asked), is_converged=True)
+
+    monkeypatch.setattr(cubic.descent, "fit", fit_once)
+    lowest = cubic.descent.begun_alike(known, rival=rival)
+    assert len(asked) == rounds and lowest.cost == 1000.0 - gains * rounds

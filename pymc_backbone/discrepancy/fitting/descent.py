@@ -42,6 +42,7 @@ _FILTERED = 10.0  # how much more these have to leave behind a band-pass, where 
 _WINDOW_GROWTH = 3.0
 _PATIENT, _SHORT = 300, 80
 _ALIKE_AGAIN = 3  # times that a fit begins again with specimens that are alike, as long as that leaves less
+_NEARER = 0.2  # of what is left above a rival, that a fit with specimens alike has to gain to begin once more
 _NOT_FAR = 1.5  # reduced chi-square of the deciding term up to which a fit may be right but for a specimen
 _EVALUATIONS, _LEAST = 2.0, 3  # of the model in an iteration, as a rule; iterations of a fit whatever was spent
 
@@ -176,7 +177,7 @@ class Descent:
         found = self.fit(
             layout, batch.deciding, state, iterations=_SHORT, tolerance=0.03, rival=rival, nuisances=batch.nuisances
         )
-        return found if found is None or not self._is_strained(found) else self.begun_alike(found)
+        return found if found is None or not self._is_strained(found) else self.begun_alike(found, rival=rival)
 
     def from_several(
         self, layout: Layout, states: Sequence[State], is_enough: Callable[[Sequence[Fit]], bool]
@@ -244,13 +245,13 @@ class Descent:
                 tolerance=0.03, rival=rival, nuisances=batch.nuisances,
             )  # fmt: skip
             best = best if found is None else found
-        return self.begun_alike(best) if self._is_strained(best) else best
+        return self.begun_alike(best, rival=rival) if self._is_strained(best) else best
 
-    def begun_alike(self, known: Fit, iterations: int = _SHORT) -> Fit:
+    def begun_alike(self, known: Fit, iterations: int = _SHORT, rival: float | None = None) -> Fit:
         """Return a fit, or a lower one that begins where it ended with specimens that do not differ in their effects.
 
         Each specimen's own values of a gap, a slip or an exponent may rest on the far side of a kink, and hold the
-        shared ones there.
+        shared ones there. Not again where it comes hardly nearer to the cost of a ``rival``.
         """
         for _ in range(_ALIKE_AGAIN):
             found = self.fit(
@@ -262,11 +263,11 @@ class Descent:
             if not found.is_converged:
                 rest = self.fit(
                     known.layout, self.batch.deciding, found.state, iterations=_SHORT, tolerance=0.03,
-                    nuisances=self.batch.nuisances,
+                    rival=rival, nuisances=self.batch.nuisances,
                 )  # fmt: skip
                 found = found if rest is None else rest
             known, gain = found, known.cost - found.cost
-            if gain < _SAME:
+            if gain < _SAME or (rival is not None and gain < _NEARER * (known.cost - rival)):
                 break
         return known
 
