@@ -28,7 +28,7 @@ _STILL_COSTLY, _AS_LIKELY = 2, 6.0  # costly ones that are, as likely as the lik
 _SIMPLER = 3  # costly sets that are asked because they hold fewer effects than what explains
 _PASSED = 6  # less likely simple sets that are followed before one that costs much
 _FLOOR = 1.1  # ratio of costs within which sets leave the same
-_FAR_OFF = 100.0  # reduced chi-square of the lowest of so many, from which none that follow leaves noise
+_FAR_OFF = 100.0  # reduced chi-square of the lowest of the likeliest sets, from which none that follows leaves noise
 _TOLD = 0.9  # probability of a drift in time beside the base, from which larger sets are not asked
 
 

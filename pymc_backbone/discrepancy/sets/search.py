@@ -42,7 +42,8 @@ class Search(EnlargedSets):
         self.fit_set(())
         if () not in self.fits:
             return
-        if self._ends_alone() if self._is_explained() else self._ends_following():
+        ends = self._ends_alone() if self._is_explained() else self._ends_following()
+        if ends:
             return
         self._ask_two_sides()
         self._look_back()
