@@ -126,6 +126,18 @@ def test_specimens_without_a_common_range_have_levels_of_their_own(rng):
     assert all(here.sum() >= 2 for here in reached) and not np.any(reached[0] & reached[1])
 
 
+@pytest.mark.parametrize(("release", "cycles"), [(0.02, 24), (0.03, 9)])
+def test_two_halves_of_a_batch_far_apart_have_levels_where_each_of_them_was(release, cycles, rng):
+    """Records of a second test, from larger releases: the medians of both ends lie between the two halves."""
+    tests = [decay(rng, f"test {k}", 0.004 if k < 2 else release, cycles) for k in range(4)]
+    batch = measure_batch(tests, whole_range=True)
+    assert any("share no range" in note for note in batch.notes)
+    assert np.isfinite(batch.backbones["value"].sel(observable="frequency")).sum("level").min() >= 3
+    if cycles == 9:  # no specimen was at any amplitude between those medians
+        with pytest.raises(InputError, match="must share a range"):
+            default_levels(batch.extraction.cycles)
+
+
 def test_a_narrow_common_range_gives_levels_over_the_whole_where_the_search_asks(rng):
     cycles = extract_all(
         [decay(rng, "high", 0.1, 24), decay(rng, "middle", 0.07, 24), decay(rng, "low", 0.045, 24)]

@@ -28,7 +28,8 @@ def levels_for(
         Their number, or the amplitudes [m or rad]; by default as many as `default_levels` takes.
     whole_range : bool, optional
         Whether the levels go from the lowest to the highest amplitude of any specimen where the range that all share is
-        much narrower than that of one of them; each then has values at those it reaches.
+        much narrower than that of one of them, or one reaches less than half of them; each has values at those it
+        reaches then.
 
     Returns
     -------
@@ -51,16 +52,18 @@ def levels_for(
     if count is not None and count < 1:
         raise InputError(f"`levels` must be at least 1, or a list of amplitudes, got {count}.")
     widest = max(float(np.log(item.smoothed_amplitude.max() / item.smoothed_amplitude.min())) for item in cycles)
+    notes: list[str] = []
     try:
-        at, notes = default_levels(cycles, count), []
+        at = default_levels(cycles, count)
     except InputError:
+        at = np.empty(0)
+    if not at.size or (whole_range and any(2 * _reached(item, at) < at.size for item in cycles)):
         at = _levels_of_any(cycles, count, widest)
         notes = [f"the specimens share no range of amplitudes: {_of_any(at)}"]
-    else:
-        if whole_range and widest > _NARROW * np.log(at[-1] / at[0]):
-            shared = f"{at[0]:.4g} to {at[-1]:.4g}"
-            at = _levels_of_any(cycles, count, widest)
-            notes = [f"the range of amplitudes that all specimens share, {shared}, is narrow: {_of_any(at)}"]
+    elif whole_range and widest > _NARROW * np.log(at[-1] / at[0]):
+        shared = f"{at[0]:.4g} to {at[-1]:.4g}"
+        at = _levels_of_any(cycles, count, widest)
+        notes = [f"the range of amplitudes that all specimens share, {shared}, is narrow: {_of_any(at)}"]
     _check_number(cycles, at)
     return at, notes
 

@@ -59,7 +59,9 @@ def default_levels(cycles: Sequence[Cycles], n_levels: int | None = None) -> Flo
     for share in (0.0, 0.1, 0.2, 0.35, 0.5) if len(cycles) > 3 else (0.0,):
         low = float(np.quantile(bottoms, 1.0 - share))
         high = float(np.quantile(tops, share))
-        if high > 1.25 * low:
+        # of two halves far apart both medians lie between them, where no specimen was
+        is_reached = (bottoms < np.sqrt(low * high)) & (tops > np.sqrt(low * high))
+        if high > 1.25 * low and is_reached.any():
             break
     else:
         raise InputError(
