@@ -155,6 +155,19 @@ def test_a_plan_prefers_what_tells_the_springs_apart():
     assert all(item.design.release <= 1.501 * AMPLITUDE and item.design.records <= 2 for item in plan.best)
 
 
+def test_a_structure_whose_other_springs_outweigh_a_negative_one_is_planned_for():
+    """Stops without a gap take the place of the linear spring: of a negative stiffness the frequency was no number."""
+    outweighed = {**OWN, "linear_stiffness": -0.5 * STIFFNESS, "contact_stiffness": 1.5 * STIFFNESS, "gap": 0.0}
+    freeplay = Contender(("freeplay",), 0.7, outweighed)
+    weaker = dataclasses.replace(CUBIC, probability=0.3)
+    models = [pb.Oscillator(MASS, list(item.effects)) for item in (freeplay, weaker)]
+    found = planning._angular_frequency(models, [freeplay, weaker], AMPLITUDE)
+    assert found == pytest.approx(OMEGA, rel=1e-3)
+    assert planning._angular_frequency(models[::-1], [CUBIC, NOTHING], AMPLITUDE) == pytest.approx(OMEGA, rel=3e-3)
+    plan = plan_tests(pb.Oscillator(MASS), [freeplay, weaker], PRESENT, affordable=Affordable(records=2))
+    assert 0.0 <= plan.repeat.probability <= 1.0
+
+
 def test_a_larger_set_that_is_absent_is_not_told_apart_by_more_data():
     """Cubic stiffness of exactly zero in the larger set: whatever is measured, both sets predict it."""
     larger = Contender(("cubic_stiffness",), 0.5, {**OWN, "cubic_stiffness": 0.0})

@@ -105,13 +105,14 @@ def vector_of(layout: Layout, values: dict[str, float]) -> FloatArray:
 
 def imagine(layout: Layout, vector: FloatArray, design: Design) -> Imagined | None:
     """Return a test of a structure with these parameters; None where too few cycles stand above the noise."""
-    oscillator = layout.oscillator
-    simulator = with_mass(oscillator, design.added_mass) if design.added_mass else layout.simulator
+    simulator = with_mass(layout.oscillator, design.added_mass) if design.added_mass else layout.simulator
     turns = simulator.make_turns(_MOST_TURNS, False)
     count, _ = simulator.decay(vector, design.release, turns, tolerance=TOLERANCE)
     order = QUANTITY_OF_ORDER.index(design.quantity)
     values, times = np.array(turns[0][:count]), np.array(turns[1][:count])
-    omega = np.sqrt(vector[0] / (oscillator.mass + design.added_mass))
+    if count < _FEWEST_TURNS:
+        return None
+    omega = float(np.pi / np.median(np.diff(times)))
     loud = np.abs(values - values[-1]) * omega**order > _LOUD * design.noise
     seen = int(np.argmin(loud)) if not loud.all() else count
     seen = min(seen, int(np.searchsorted(times, design.duration)))

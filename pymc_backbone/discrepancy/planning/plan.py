@@ -135,6 +135,25 @@ def _ranked(tests: Sequence[PlannedTest]) -> list[PlannedTest]:
     return ranked
 
 
+def _angular_frequency(models: Sequence[Oscillator], contenders: Sequence[Contender], release: float) -> float:
+    """Return about that of the structure [rad/s]: by its linear stiffness, or else that of the likeliest contender.
+
+    Two springs that outweigh each other leave a linear stiffness that may be negative, and no less a motion.
+    """
+    weights = [item.probability for item in contenders]
+    mean = float(np.average([item.parameters["linear_stiffness"] for item in contenders], weights=weights))
+    rough = float(np.sqrt(abs(mean) / models[0].mass))
+    if mean > 0.0:
+        return rough
+    for model, item in zip(models, contenders, strict=True):
+        layout, values, status = make_layout(model, release, rough), np.full((3, 1), np.nan), np.zeros(1, np.int64)
+        vector = vector_of(layout, dict(item.parameters))
+        layout.simulator.backbone(vector, np.array([release]), 0.0, True, values, np.zeros((0, 0, 0)), status)
+        if not status.any() and values[0, 0] > 0.0:
+            return 2.0 * np.pi * float(values[0, 0])
+    return rough
+
+
 class _Planner:
     """What all scores share: layouts, the draws of parameters and of noise, and the misses of the present test."""
 
@@ -147,15 +166,9 @@ class _Planner:
         random_seed: int,
     ) -> None:
         self.contenders, self.present = contenders, present
-        mean = np.average(
-            [item.parameters["linear_stiffness"] for item in contenders],
-            weights=[item.probability for item in contenders],
-        )
-        omega = float(np.sqrt(mean / base.mass))
-        self.layouts = [
-            make_layout(base + [own_effects.get(name, name) for name in item.effects], present.release, omega)
-            for item in contenders
-        ]
+        models = [base + [own_effects.get(name, name) for name in item.effects] for item in contenders]
+        omega = _angular_frequency(models, contenders, present.release)
+        self.layouts = [make_layout(model, present.release, omega) for model in models]
         total = sum(item.probability for item in contenders)
         self.weights = np.array([item.probability / total for item in contenders])
         self.rest = max(1.0 - total, 0.0) / total  # odds of what is possible beside the contenders
