@@ -330,6 +330,18 @@ def test_the_batches_whose_verdict_left_the_truth_open_are_asked_for_the_next_te
     assert list(plans.left_open(tmp_path)) == [(5, 0, None), (5, 4, None)]
 
 
+def test_tests_are_counted_by_what_was_promised():
+    outcomes = [(1.0, "right"), (0.8, "mechanism"), (0.4, "wrong"), (0.05, "ambiguous")]
+    rows = [
+        {"promised": promised, "promised_again": 0.2, "after": after, "again": "mechanism", "seconds": 1.0}
+        for promised, after in outcomes
+    ]
+    told = plans.table([*rows, {"promised": None, "seconds": 3.0}]).splitlines()
+    assert "| advised | 56.2% | 50.0% (2 of 4) | 15% to 85% | 1 | 0.251 |" in told
+    assert "| advised | 75% to 100% | 2 | 90% | 1 |" in told and "| advised | 40% to 75% | 1 | 40% | 1 |" in told
+    assert "| advised | 10% to 40% | 0 |  | 0 |" in told and "| the same again | 10% to 40% | 4 | 20% | 0 |" in told
+
+
 def _found(*effects: str, probability: float = 0.95) -> dict:
     gap = {"held_out_levels": {"before": 100.0, "after": 1.2}, "shrink": 50.0}
     return {

@@ -21,7 +21,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from itertools import islice
+from itertools import islice, pairwise
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -37,6 +37,7 @@ from pymc_backbone.discrepancy.results.study import Study
 
 AMBIGUOUS_TIERS = ("close_pairs", "few_data", "noisy_and_coarse")
 LONGEST = 12000  # samples
+PROMISES = (0.0, 0.1, 0.4, 0.75, 1.0)  # between which tests are counted together
 
 
 def records_of(batch: Batch) -> list[Record]:
@@ -142,6 +143,7 @@ def table(rows: list[dict[str, Any]]) -> str:
         "| test | promised | decided | 95 % interval | of these wrong | Brier score |",
         "|---|---|---|---|---|---|",
     ]
+    by_promise = ["| test | promised | tests | promised, mean | decided |", "|---|---|---|---|---|"]
     for name, promise, key in (("advised", "promised", "after"), ("the same again", "promised_again", "again")):
         decided = np.array([row[key] in ("right", "wrong") for row in done], float)
         promised = np.array([row[promise] for row in done], float)
@@ -151,6 +153,11 @@ def table(rows: list[dict[str, Any]]) -> str:
             f"| {name} | {promised.mean():.1%} | {decided.mean():.1%} ({decided.sum():.0f} of {decided.size}) | "
             f"{low:.0%} to {high:.0%} | {wrong} | {np.mean((promised - decided) ** 2):.3f} |"
         )
+        for low, high in pairwise(PROMISES):
+            here = (promised >= low) & (promised <= high if high == PROMISES[-1] else promised < high)
+            mean = f"{promised[here].mean():.0%}" if here.any() else ""
+            between = f"{low:.0%} to {high:.0%}"
+            by_promise.append(f"| {name} | {between} | {here.sum()} | {mean} | {decided[here].sum():.0f} |")
     none = sum(row.get("promised", 0) is None for row in rows)
     failed = sum("error" in row for row in rows)
     seconds = [row["seconds"] for row in rows if "seconds" in row]
@@ -159,6 +166,7 @@ def table(rows: list[dict[str, Any]]) -> str:
         f"{len(rows)} ambiguous batches; for {none} no test is better than the same again; {failed} could not be "
         f"carried out; a plan takes {np.median(seconds) if seconds else float('nan'):.0f} s (median)."
     )
+    lines += ["", *by_promise]
     return "\n".join(lines)
 
 
