@@ -138,6 +138,34 @@ def test_backbones_far_behind_are_not_doubted_where_they_are_explained(batch, be
     assert not search._is_far(("coulomb_friction",))
 
 
+@pytest.mark.parametrize(
+    ("behind", "is_exact", "is_left"), [(40.0, True, True), (20.0, True, False), (40.0, False, False), (300.0, 0, True)]
+)
+def test_a_subset_far_behind_by_its_backbones_is_not_begun_beside_the_best(batch, behind, is_exact, is_left):
+    """Of a pair that is noted for the effect that it shares with the best, the other one alone is no rival."""
+    found, other = ("cubic_stiffness",), ("coulomb_friction",)
+    search, _ = search_with(batch, {found: 0.0, other: -behind}, {})
+    search.proposals[other] = replace(search.proposals[other], is_exact=bool(is_exact))
+    search.fits |= {names: SimpleNamespace(cost=float(search.count)) for names in (found, tuple(sorted(found + other)))}
+    search.best, search._is_hopeless, begun = lambda: found, lambda _: False, []
+    search._beside = lambda names, _cost: begun.append(names)
+    search._look_within()
+    assert begun == ([] if is_left else [other])
+
+
+@pytest.mark.parametrize(("is_explained", "rival"), [(True, 100.0), (False, 5000.0)])
+def test_a_smaller_set_that_a_larger_one_led_elsewhere_races_against_what_explains(is_explained, rival):
+    """It is fitted to the end where it comes near that only; where nothing explains, where it beats itself."""
+    asked, fits = [], {names: SimpleNamespace(cost=cost) for names, cost in ((("a",), 5000.0), (("a", "b"), 100.0))}
+    descent = SimpleNamespace(from_near=lambda _layout, _states, rival: asked.append(rival))
+    search = SimpleNamespace(
+        fits=fits, ranked=lambda: [("a", "b")], layout=lambda _: None, is_refuted=lambda _: False, descent=descent,
+        _was_asked=lambda *_: False, _smaller=lambda *_: None, _is_explained=lambda: is_explained,
+    )  # fmt: skip
+    Search._look_back(search)
+    assert asked == [rival]
+
+
 def test_single_effects_have_every_third_turn_and_nothing_is_asked_twice(batch):
     pairs = {("cubic_stiffness", "quadratic_damping"): 9.0, ("coulomb_friction", "cubic_stiffness"): 8.0,
              ("coulomb_friction", "quadratic_damping"): 7.0}  # fmt: skip
@@ -165,6 +193,19 @@ def test_the_likeliest_set_is_asked_whatever_it_costs(batch):
         search, asked = search_with(batch, evidences, explaining)
         search._follow_backbones(24)
         assert (COSTLY in asked) == is_asked
+
+
+@pytest.mark.parametrize(("is_settled", "left"), [(True, {3, 7}), (False, set())])
+def test_what_is_much_less_likely_than_a_simple_set_that_leaves_noise_is_not_followed(batch, is_settled, left):
+    """A pendulum was named in 4 s, and what lay 4 to 12 nats behind by its backbones took another 10."""
+    found, (one, other) = ("cubic_stiffness",), ("coulomb_friction", "quadratic_damping")
+    behind = {1: (one,), 2: (one, other), 3: (other,), 7: (one, "quintic_stiffness")}
+    distances = {1: -7.0, 2: -3.0, 3: -9.0, 7: -5.0}
+    evidences = {found: 0.0} | {names: distances[key] for key, names in behind.items()}
+    search, asked = search_with(batch, evidences, {found: 1.0})
+    search._is_settled = lambda: is_settled
+    search._follow_backbones(24)
+    assert {key for key, names in behind.items() if names not in asked} == left
 
 
 def test_what_is_as_likely_as_the_likeliest_is_asked_although_the_effort_is_spent(batch):

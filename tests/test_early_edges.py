@@ -196,7 +196,7 @@ def test_cycles_that_a_law_explains_nearly_are_its_own(left, is_cut, monkeypatch
     search = SimpleNamespace(fits=fits, count=100, best=lambda: ("jenkins",))
     seen = of_edges._Cut(None, Edges({"one": 1.0}, cycles=3), "batch", "fit")
     monkeypatch.setattr(of_edges, "is_exact", lambda _: False)
-    monkeypatch.setattr(of_edges, "_cut_by", lambda _changed, _search, names: None if names else seen)
+    monkeypatch.setattr(of_edges, "_cut_by", lambda _changed, _search, names, **_: None if names else seen)
     monkeypatch.setattr(of_edges.evidence, "leaves_noise", lambda *_: True)
     changed = SimpleNamespace(within=lambda lost: SimpleNamespace(asked=lambda: lost))
     found = of_edges.without_edges(changed, SimpleNamespace(search=search))

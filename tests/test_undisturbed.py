@@ -61,6 +61,19 @@ def test_first_cycles_that_come_to_be_off_one_after_the_other_are_no_edge(passes
         assert cut.lost.cycles == sum(passes)
 
 
+@pytest.mark.parametrize(("cycles", "left", "measured"), [(1, 1e3, 1), (1, 10.0, 3), (2, 10.0, 0)])
+def test_records_that_a_set_explains_are_seldom_measured_again_without_edges(cycles, left, measured, monkeypatch):
+    """One first cycle is all that is told beside such a set; and a set that is far off without it leaves more."""
+    posed, waiting = [], [cycles, 0, 0]
+    batch, again = SimpleNamespace(specimens=("one",), count=100), SimpleNamespace(chi_square=np.array([left * 100]))
+    monkeypatch.setattr(of_edges, "edges", lambda *_: Edges({"one": 1.0}, cycles=waiting.pop(0)) if waiting else None)
+    monkeypatch.setattr(of_edges, "fitted_on", lambda *_: again)
+    asked = SimpleNamespace(posed=lambda: posed.append(1) or SimpleNamespace(batch=batch))
+    asked.within = lambda _lost: asked
+    cut = of_edges._cut_by(asked, SimpleNamespace(batch=batch, fits={(): "a fit"}), (), is_needed=False)
+    assert len(posed) == measured and (cut is None) == (cycles > 1)
+
+
 @pytest.mark.parametrize("is_drifting", [True, False])
 def test_a_drift_is_asked_before_cycles_are_left_out_and_noise_is_weighed(is_drifting, monkeypatch):
     left = {"base": False, "drift": is_drifting}

@@ -18,6 +18,7 @@ from .changed import LESS, Changed, Known, Undisturbed, is_exact, takes_nearly_a
 from .edges import Edges, begun_otherwise, edges
 
 _EDGES = 4  # times that edges are looked for
+_NO_EDGE = 100.0  # reduced chi-square without the first edge found, above which a set leaves more than edges
 
 
 def without_edges(changed: Changed, known: Undisturbed) -> Known | None:
@@ -41,7 +42,9 @@ def without_edges(changed: Changed, known: Undisturbed) -> Known | None:
         idle = tuple(name for name in best if name not in names)
         if is_needed and takes_nearly_all(search, best, names):
             continue  # the first cycles are those of a law
-        if not (is_needed or _remember(search, idle)) or (cut := _cut_by(changed, search, names)) is None:
+        if not (is_needed or _remember(search, idle)):
+            continue
+        if (cut := _cut_by(changed, search, names, is_needed=is_needed)) is None:
             continue
         if evidence.leaves_noise(cut.batch, cut.found) and (is_needed or cut.lost.cycles == 1):
             beside = "" if is_needed else _in_words(idle)
@@ -84,21 +87,25 @@ class _Cut(NamedTuple):
     found: Fit
 
 
-def _cut_by(changed: Changed, search: Search, names: Set) -> _Cut | None:
-    """Return the records without the edges that are off by a set; None where none are, or too many cycles."""
+def _cut_by(changed: Changed, search: Search, names: Set, *, is_needed: bool = True) -> _Cut | None:
+    """Return the records without the edges that are off by a set; None where none are, or too many cycles.
+
+    Where none ``is_needed``, as another set explains them, more than one first cycle is none: measuring what is left
+    takes as long as reading the records. Nor are more looked for where the set is far off without the first of them.
+    """
     cut: _Cut | None = None
     batch, found, lost = search.batch, search.fits[names], None
     for _ in range(_EDGES):  # while one edge is in the record, the estimate of the noise holds it, and hides the other
         if (more := edges(batch, found, lost)) is None:
             break
         lost = more if lost is None else more.within(lost)
-        if lost.are_too_many:
+        if lost.are_too_many or (not is_needed and lost.cycles > 1):
             return None
         shorter = changed.within(lost)
         batch = shorter.posed().batch
         again = fitted_on(found, batch) if batch.specimens == search.batch.specimens else None
         cut = _Cut(shorter, lost, batch, again or found)
-        if again is None:
+        if again is None or (not is_needed and again.chi_square.sum() > _NO_EDGE * batch.count):
             break
         found = again
     return cut

@@ -278,7 +278,7 @@ def regression(
     looks = np.concatenate([item.looks for item in atoms])
     n, own = len(looks), 3 + len(scatter)
     everything = np.concatenate([looks, scatter]).transpose(1, 2, 0)  # (l, 4, n + k)
-    gram = np.zeros((n + 1, n + 1))
+    told, taken = [], []  # rows of the products of all specimens, and of what their own values take of these
     for r, m in enumerate(data.count):
         o, level = data.rows[r, :m, 0], data.rows[r, :m, 1]
         given = data.values[r, :m] - defect[r, o, level]
@@ -305,8 +305,11 @@ def regression(
         block = (local / size).T @ (local / size) + 1e-12 * np.eye(own)
         block[np.arange(3, own), np.arange(3, own)] += 1.0 / size[3:] ** 2
         rest = np.delete(white, np.arange(n, n + own), axis=1)
-        cross = (local / size).T @ rest
-        gram += rest.T @ rest - cross.T @ np.linalg.solve(block, cross)
+        told.append(rest)
+        taken.append(np.linalg.solve(np.linalg.cholesky(block), (local / size).T @ rest))
+    rows, own_rows = np.concatenate(told), np.concatenate(taken)
+    gram = rows.T @ rows
+    gram -= own_rows.T @ own_rows
     constants = np.zeros(n)
     first = 0
     for item in atoms:

@@ -21,6 +21,8 @@ NOISE = 0.01
 """P-value of the residuals from which they are taken for noise."""
 REACH = 12.0
 """Difference of the logarithm of evidence by the backbones within which the waveforms are asked, too."""
+_NEARER, _NEARER_LARGER = 8.0, 4.0
+"""The same where a simple set leaves noise: for sets of no more effects than those that explain, and of more."""
 _FIRST = 3  # sets that are followed before it is asked whether something is in front of the records
 _LEAST_FOLLOWED = 2  # sets that are followed although a base with a law of its own has taken all the effort
 _STILL = 6  # simple sets within reach that are followed although the effort is spent
@@ -124,7 +126,7 @@ class FollowedSets(VariedSets):
         if any(set(known) < set(names) for known in so_far.explained):
             so_far.left.append(names)
             return False
-        if proposal.log_evidence < so_far.reach:
+        if proposal.log_evidence < so_far.reach or self._is_out_of_reach(names, proposal, so_far):
             return False
         if proposal.log_evidence < so_far.likeliest - REACH and self._is_floor():
             return False
@@ -139,6 +141,18 @@ class FollowedSets(VariedSets):
         if self._is_costly(names) and not is_likeliest and self._is_settled():
             return False  # asked later, if at all: what is simple leaves noise
         return not (so_far.explained and self._is_hopeless(names))
+
+    def _is_out_of_reach(self, names: Set, proposal: Proposal, so_far: _Followed) -> bool:
+        """Return whether a set is much less likely by its backbones than a simple one that leaves noise.
+
+        Such a set can leave no less than that: what its backbones lack it has no samples to make up for, and each
+        effect more counts against it.
+        """
+        if not so_far.explained:
+            return False
+        is_larger = len(names) > min(map(len, so_far.explained))
+        least = so_far.reach + REACH - (_NEARER_LARGER if is_larger else _NEARER)
+        return proposal.log_evidence < least and self._is_settled()
 
     def _is_affordable(self, names: Set) -> bool:
         """Return whether a set is fitted after what was spent: a few simple ones do not pay for the costly ones.

@@ -105,11 +105,13 @@ def try_files() -> None:
 
 def _read(path: Path, name: str, head: bytes) -> tuple[list[Channel], list[str]] | None:
     """Return channels and notes; the readers are imported when they are needed."""
-    from . import lvm, mat5, mat73, npz, sep005, tree, uff58
+    from . import lvm, mat5, npz, sep005, tree, uff58
 
     if head.startswith(mat5.MAGIC):
         return tree.channels_of_tree(mat5.read_mat5(path))
-    if head.startswith(mat73.MAGIC):
+    if head.startswith(mat5.MAGIC_73):
+        from . import mat73
+
         return tree.channels_of_tree(mat73.read_mat73(path))
     if head.startswith((npz.ZIP_MAGIC, npz.NPY_MAGIC)):
         if head.startswith(npz.ZIP_MAGIC) and path.suffix.lower() in (".xlsx", ".xlsm", ".ods"):

@@ -19,6 +19,8 @@ from .channel import LARGEST_COMPRESSION, MAXIMUM_BYTES, read_bytes
 from .tree import Refused
 
 MAGIC = b"MATLAB 5.0 MAT-file"
+MAGIC_73 = b"MATLAB 7.3 MAT-file"
+"""Of files that `mat73` reads, whose HDF5 takes long to import."""
 _HEADER = 128
 _COMPRESSED, _MATRIX = 15, 14
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}

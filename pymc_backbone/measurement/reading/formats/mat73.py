@@ -15,7 +15,6 @@ from .isolation import check_that_it_ends
 from .mat5 import COMPLEX, object_words
 from .tree import Refused
 
-MAGIC = b"MATLAB 7.3 MAT-file"
 _DEEPEST = 16
 _MOST_ITEMS = 100_000
 _PLAIN = {"double", "single", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64"}
@@ -27,7 +26,7 @@ def read_mat73(path: Path) -> dict[str, Any]:
     Parameters
     ----------
     path : Path
-        A file that begins with `MAGIC`.
+        A file that begins with `MAGIC_73`.
 
     Returns
     -------
