@@ -166,6 +166,37 @@ def test_a_smaller_set_that_a_larger_one_led_elsewhere_races_against_what_explai
     assert asked == [rival]
 
 
+@pytest.mark.parametrize(
+    ("above", "behind", "is_exact", "is_begun"),
+    [(150.0, 1.0, True, True), (20.0, 1.0, True, False), (150.0, 20.0, True, False), (150.0, 1.0, False, False)],
+)
+def test_another_law_that_lost_its_way_begins_beside_the_best(batch, monkeypatch, above, behind, is_exact, is_begun):
+    """A pendulum beside joint and slider lay 160 above a cubic spring there, which its backbones were as good as."""
+    best, other = ("cubic_stiffness",), ("quintic_stiffness",)
+    search, _ = search_with(batch, {best: 0.0, other: -1.0}, {}, candidates=(*best, *other))
+    low = search.proposals[best].chi_square
+    search.proposals[other] = replace(search.proposals[other], chi_square=low + behind, is_exact=is_exact)
+    search.fits |= {best: SimpleNamespace(cost=1e3), other: SimpleNamespace(cost=1e3 + above)}
+    begun = []
+    monkeypatch.setattr(search, "budget", -1.0)  # spent
+    monkeypatch.setattr(search, "_beside", lambda names, _cost: begun.append(names) or [])
+    for name, said in (("best", best), ("explains", True), ("_is_costly", True), ("_is_hopeless", True)):
+        monkeypatch.setattr(search, name, lambda *_, said=said: said)
+    monkeypatch.setattr(search, "mechanism_of", lambda name: "spring" if name.endswith("stiffness") else "other")
+    monkeypatch.setattr(search, "_drop_unneeded", lambda: None)
+    search._ask_kindred()
+    assert begun == ([other] if is_begun else [])
+
+
+def test_a_variant_that_explains_no_more_is_no_rival_and_what_it_left_is_kept(batch):
+    plain, varied = ("cubic_stiffness",), ("power_stiffness",)
+    search, _ = search_with(batch, {plain: 0.0}, {}, variants=varied)
+    search.fits |= {plain: SimpleNamespace(cost=1e3), varied: SimpleNamespace(cost=1e3 - 1.0)}
+    left = search.fits[varied]
+    search._drop_unneeded()
+    assert set(search.fits) == {(), plain} and search.unneeded == {varied: left}
+
+
 def test_single_effects_have_every_third_turn_and_nothing_is_asked_twice(batch):
     pairs = {("cubic_stiffness", "quadratic_damping"): 9.0, ("coulomb_friction", "cubic_stiffness"): 8.0,
              ("coulomb_friction", "quadratic_damping"): 7.0}  # fmt: skip

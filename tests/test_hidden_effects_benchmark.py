@@ -7,6 +7,7 @@ import json
 import math
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -28,6 +29,7 @@ import meanings  # noqa: E402
 import outcomes  # noqa: E402
 import plans  # noqa: E402
 import score  # noqa: E402
+import search_success  # noqa: E402
 from batches import make_batch  # noqa: E402
 from generate import write_batch  # noqa: E402
 from motion import simulate  # noqa: E402
@@ -544,3 +546,20 @@ def test_the_truth_is_near_and_every_other_effect_is_further_away(tmp_path: Path
     assert found["truth"] < 3.0
     assert found["distance"] > 10.0
     assert found["nearest"] in (["jenkins"], ["iwan"])  # stiff sliders
+
+
+@pytest.mark.parametrize(("place", "asked"), [("fits", 0), ("unneeded", 0), (None, 1)])
+def test_a_set_that_the_search_fitted_and_left_for_a_plainer_one_counts_as_fitted(place, asked, monkeypatch):
+    import quantities
+
+    hidden, found, fitted = ("power_damping",), SimpleNamespace(cost=10.5, is_converged=True), []
+    monkeypatch.setattr(quantities, "fit_from_truth", lambda *_: SimpleNamespace(cost=10.0))
+    known = {"fits": {(): SimpleNamespace(cost=90.0)}, "unneeded": {}}
+    if place is not None:
+        known[place][hidden] = found
+    search = SimpleNamespace(
+        **known, batch=SimpleNamespace(deciding=[]), best=tuple, layout=lambda _: None, has_proposals=False,
+        fit_set=lambda names: fitted.append(names) or found,
+    )  # fmt: skip
+    said = search_success.compared(search, {"hidden": list(hidden)})
+    assert said["is_found"] and said["is_tried"] == (place is not None) and len(fitted) == asked

@@ -6,7 +6,8 @@
 Batches are generated as `generate.py` does and searched as `find_missing_effect` does with ``quick``, up to the
 decision. A search succeeds where its cost of the hidden set is at most `WITHIN` above that of the fit from the truth.
 A set that the search left aside, because it had explained the records already or not, is fitted by it afterwards, and
-counted as *left aside*. Prints a table in Markdown; each batch goes to the standard error, failures with what happened.
+counted as *left aside*; one with a variant that it fitted, and left for what it varies, which explained as much, counts
+as it was fitted. Prints a table in Markdown; each batch goes to the standard error, failures with what happened.
 ``--of`` reads what ``diagnose.py --search`` wrote into folders of batches instead.
 """
 
@@ -86,9 +87,10 @@ def compared(search: Any, truth: dict[str, Any]) -> dict[str, Any]:
     if not hidden or truth.get("outside") or truth.get("drift") or truth.get("second_mode"):
         return {"hidden": hidden, "skipped": "nothing is hidden that the library holds, or something else acts as well"}
     batch = search.batch
-    said: dict[str, Any] = {"hidden": hidden, "is_tried": hidden in search.fits, "n_fits": len(search.fits)}
+    known = {**search.unneeded, **search.fits}  # a variant may have explained no more than a plain law, and left
+    said: dict[str, Any] = {"hidden": hidden, "is_tried": hidden in known, "n_fits": len(search.fits)}
     said["best"] = search.best() if search.fits else None
-    found = search.fit_set(hidden)
+    found = known[hidden] if hidden in known else search.fit_set(hidden)
     true = fit_from_truth(search.layout(hidden), batch, truth)
     if true is None:
         return said | {"skipped": "the truth cannot be simulated over the records"}

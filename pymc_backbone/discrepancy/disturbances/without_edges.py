@@ -90,8 +90,8 @@ class _Cut(NamedTuple):
 def _cut_by(changed: Changed, search: Search, names: Set, *, is_needed: bool = True) -> _Cut | None:
     """Return the records without the edges that are off by a set; None where none are, or too many cycles.
 
-    Where none ``is_needed``, as another set explains them, more than one first cycle is none: measuring what is left
-    takes as long as reading the records. Nor are more looked for where the set is far off without the first of them.
+    Where no cut ``is_needed``, as another set explains the records, more than one first cycle is too many, and no more
+    edges are looked for once the set is far off without the first: to measure what is left takes as long as reading.
     """
     cut: _Cut | None = None
     batch, found, lost = search.batch, search.fits[names], None

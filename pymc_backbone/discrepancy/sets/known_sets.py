@@ -57,6 +57,8 @@ class KnownSets:
     drift_alone : Drifting, optional
         The model as it is with a drift in time, where that explains the records, and what its evidence gains: then few
         sets more are asked, and none that costs much.
+    unneeded : mapping of tuple of str to Fit
+        Sets with a variant that explained no more than what it varies, and are no rivals of that.
     refuted : set of tuple of str
         Sets that were not fitted to the samples, because the turning points leave no doubt.
     scatter : float
@@ -85,6 +87,7 @@ class KnownSets:
     varied: dict[Set, Proposal] = field(default_factory=dict)
     limited: tuple[Fit | None, float] = (None, np.inf)
     noisy: dict[int, tuple[Fit, bool]] = field(default_factory=dict)
+    unneeded: dict[Set, Fit] = field(default_factory=dict)
     refuted: set[Set] = field(default_factory=set)
     scatter: float = SCATTER
     drift_alone: Drifting | None = None

@@ -66,7 +66,7 @@ class RevisitedSets(HystereticSets):
     def _begin_again(self, scatter: float) -> bool:
         """Forget all fits and fit the base with another scatter; return whether that can be simulated."""
         before, self.scatter = self._kept(), scatter
-        self.fits, self.failed, self.refuted = {}, {}, set()
+        self.fits, self.failed, self.refuted, self.unneeded = {}, {}, set(), {}
         self.layouts, self.asked, self.limited, self.noisy = {}, {}, (None, np.inf), {}
         if self.fit_set(()) is None:
             self._return_to(before)

@@ -16,7 +16,7 @@ from ..proposals.propose import propose
 from ..proposals.set_fits import Set
 from ..weighing import evidence
 from .hysteretic_sets import NEAR_BY
-from .revisited_sets import RevisitedSets
+from .revisited_sets import CLOSE, RevisitedSets
 from .side_by_side import ABREAST, fit_side_by_side
 
 _LIKELIEST = 4  # sets whose variants are replaced by what they vary
@@ -57,7 +57,7 @@ class VariedSets(RevisitedSets):
     def _drop_unneeded(self) -> None:
         """Forget the sets with a variant that explains no more than what it varies does in its place."""
         for names in [names for names in self.fits if not self._is_needed(names)]:
-            del self.fits[names]
+            self.unneeded[names] = self.fits.pop(names)
 
     def _ask_common(self) -> None:
         """Where the best set holds variants, fit sets of none whose backbones leave hardly more, however improbable.
@@ -278,10 +278,21 @@ class VariedSets(RevisitedSets):
                 kindred = [name for name in (*self.candidates, *variants) if self.mechanism_of(name) == mechanism]
                 for names in [tuple(sorted({*best, name} - {out})) for name in kindred if name not in best]:
                     is_known = names in self.fits and (is_dear or self.fits[names].cost < self.fits[best].cost + NEEDED)
-                    if not (is_known or self._is_far(names) or self._is_hopeless(names)):
+                    is_left = is_known or self._is_far(names) or self._is_hopeless(names)
+                    if not is_left or self._has_lost_its_way(names, best):
                         self.progress("other laws of the same mechanisms", 0.5)
                         self._keep_lower(names, *self._beside(names, self.fits[best].cost))
             self._drop_unneeded()
+
+    def _has_lost_its_way(self, names: Set, best: Set) -> bool:
+        """Return whether a set was fitted far above the best, though its simulated backbones leave as little."""
+        known = self.fits.get(names)
+        if known is None or known.cost < self.fits[best].cost + CLOSE:
+            return False
+        of_best, of_set = self._proposal(best), self._proposal(names)
+        if of_best is None or of_set is None or not (of_best.is_exact and of_set.is_exact):
+            return False
+        return of_set.chi_square < of_best.chi_square + NEEDED
 
     def _is_needed(self, names: Set) -> bool:
         """Return whether a fitted set leaves less than it does with what a variant in it varies in its place.
