@@ -11,16 +11,16 @@ from ..fitting.normal_equations import DRIFTS
 
 _KINDS = ((0.25, 0.5, 0.25), (0.5, 0.25, 0.25))  # priors of none, common and own: of frequency, of damping
 _SIZES = (1.0, 0.1, 0.01)  # of a drift that is common to all records, in units of drift: each as probable
-_APART = 0.2  # of a common drift, by which the records differ in it
+_APART = (0.2, 0.06, 0.02)  # of a common drift, by which the records differ in it: each as probable
 
 
 def drift_bonus(drifting: Fit, alone: Fit) -> float:
     """Return by how much the drift's evidence grows where it may be alike in all records, or of one kind only.
 
     The fit gives every record drifts of its own. Here, given these with their errors, each kind is absent, common to
-    all records up to a scatter of a fifth, or independent; beforehand, a stiffness that follows the temperature is the
-    most probable. No way to see drifts takes away more than they cost: a fit that ended far from the records, at drifts
-    of no meaning, gains that.
+    all records up to a scatter of 2 to 20 %, or independent; beforehand, a stiffness that follows the temperature is
+    the most probable. No way to see drifts takes away more than they cost: a fit that ended far from the records, at
+    drifts of no meaning, gains that.
 
     Drifts of each record its own take the place of differences between specimens. What the scatter of the effects gains
     by these drifts counts as far as they are of that kind; else it is that of the set ``alone``, if less.
@@ -32,8 +32,9 @@ def drift_bonus(drifting: Fit, alone: Fit) -> float:
         noise = 1.0 / (1.0 / variance - 1.0)
         measured_drift = value * noise / variance
         weight = 1.0 / noise
-        apart = (_APART * float((weight * measured_drift).sum() / weight.sum())) ** 2
-        common = [_log_normal(measured_drift, noise + apart, size**2) for size in _SIZES]
+        mean = float((weight * measured_drift).sum() / weight.sum())
+        scatters = [(share * mean) ** 2 for share in _APART]
+        common = [_log_normal(measured_drift, noise + apart, size**2) for size in _SIZES for apart in scatters]
         logs = [
             _log_normal(measured_drift, noise),
             float(logsumexp(common)) - float(np.log(len(common))),
