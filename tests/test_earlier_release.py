@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import pymc_backbone as pb
 from pymc_backbone.discrepancy.disturbances import earlier_release as module
+from pymc_backbone.discrepancy.disturbances import undisturbed
+from pymc_backbone.discrepancy.disturbances.changed import Known, Undisturbed
 from pymc_backbone.discrepancy.disturbances.earlier_release import Earlier, earlier
 from pymc_backbone.discrepancy.sets.search import Search
 from pymc_backbone.discrepancy.weighing import evidence
@@ -53,6 +56,39 @@ def test_what_remembers_tells_that_its_release_was_earlier(rng):
     assert amplitude == pytest.approx(0.9 * AMPLITUDE, rel=0.01)
     assert again.batch.levels[1].release == pytest.approx(0.9 * AMPLITUDE, rel=0.05)
     assert "specimen 2" in found.sentence
+
+
+@pytest.mark.parametrize(("left", "is_told"), [(110.0, True), (140.0, False)])
+def test_fewer_effects_are_asked_beside_several_that_explain(left, is_told, monkeypatch):
+    """Two records began a quarter of a cycle late: Bouc-Wen left 1.2 of the noise, and a slider with a drag passed."""
+    best, fewer, far = ("jenkins", "power_damping"), ("bouc_wen",), ("iwan",)
+    fits = {names: SimpleNamespace(cost=cost) for names, cost in ((best, 100.0), (fewer, 140.0), (far, 400.0))}
+    asked = []
+    monkeypatch.setattr(module, "remembers", lambda _: True)
+    monkeypatch.setattr(module.evidence, "leaves_noise", lambda *_: True)
+    monkeypatch.setattr(module, "_released", lambda _, found: asked.append(found) or (left, {"specimen 1": 1}))
+    search = SimpleNamespace(
+        batch=SimpleNamespace(has_open_records=True), fits=fits, best=lambda: best, ranked=lambda: [*fits]
+    )
+    found = earlier(search)
+    assert asked == [fits[fewer]]
+    assert (found is not None and found.turns == {"specimen 1": 1}) == is_told
+
+
+@pytest.mark.parametrize(
+    ("was_exact", "now", "is_taken"), [(True, 1, True), (True, 2, False), (False, 2, True), (False, 3, True)]
+)
+def test_a_release_that_was_earlier_has_to_take_fewer_effects_where_records_were_explained(
+    was_exact, now, is_taken, monkeypatch
+):
+    before, after = (SimpleNamespace(best=lambda n=n: ("effect",) * n) for n in (2, now))
+    tried = Known(None, Undisturbed(None, after))
+    monkeypatch.setattr(undisturbed, "earlier", lambda _: SimpleNamespace(sentence="earlier"))
+    monkeypatch.setattr(undisturbed, "is_exact", lambda _: was_exact)
+    monkeypatch.setattr(undisturbed, "is_better", lambda *_: True)
+    changed = SimpleNamespace(but=lambda *_, **__: SimpleNamespace(asked=lambda: tried))
+    found = undisturbed._released_earlier(changed, Undisturbed(None, before))
+    assert (found is tried) == is_taken
 
 
 def test_what_remembers_nothing_is_not_asked(rng):

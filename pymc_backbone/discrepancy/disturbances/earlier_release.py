@@ -25,6 +25,7 @@ _BEGUN, _SETTLED = 8, 12  # iterations over the turning points and the samples, 
 _FEWEST = 4  # turning points that tell those before them
 _RUN_IN, _LARGER = 4, 1.25  # turning points from which a cut record runs in, and how much larger these may be
 _WORTH = 25.0  # fall of chi-square of one record from which it was released earlier
+_NEAR = 1.5  # of what the most probable set leaves, within which a set of fewer effects is asked beside it
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,14 +52,21 @@ def earlier(search: Search) -> Earlier | None:
     """Return which specimens were released earlier than taken for, if what remembers does not explain the records.
 
     Each is released from there once more, the shared values of one of the likeliest sets that remember held; that set
-    counts which leaves least then. None where records are compared through a band-pass: their releases are found from
-    the course of the decay.
+    counts which leaves least then. Where a set of several effects explains the records, sets of fewer are asked that
+    leave hardly more, and count where they leave as little then: what a release at another place leaves is small, and
+    several effects imitate it. None where records are compared through a band-pass: their releases are found from the
+    course of the decay.
     """
-    batch = search.batch
-    if not batch.has_open_records or evidence.leaves_noise(batch, search.fits[search.best()]):
+    batch, best = search.batch, search.best()
+    if not batch.has_open_records:
         return None
-    asked = [names for names in search.ranked() if remembers(search.fits[names])][:_ASKED]
-    found = [item for item in (_released(batch, search.fits[names]) for names in asked) if item is not None]
+    asked, most = [names for names in search.ranked() if remembers(search.fits[names])], np.inf
+    if evidence.leaves_noise(batch, search.fits[best]):
+        lowest = search.fits[best].cost
+        asked = [names for names in asked if len(names) < len(best) and search.fits[names].cost < _NEAR * lowest]
+        most = lowest + _WORTH
+    found = [item for item in (_released(batch, search.fits[names]) for names in asked[:_ASKED]) if item is not None]
+    found = [item for item in found if item[0] < most]
     if not found:
         return None
     turns = min(found, key=lambda item: item[0])[1]

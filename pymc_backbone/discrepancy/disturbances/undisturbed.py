@@ -278,10 +278,16 @@ def _filtered(changed: Changed, known: Undisturbed) -> Known | None:
 
 
 def _released_earlier(changed: Changed, known: Undisturbed) -> Known | None:
-    """Return the question of specimens that were released before the record, where it is clearly better then."""
-    if (release := earlier(known.search)) is None:
+    """Return the question of specimens that were released before the record, where it is clearly better then.
+
+    Where a set leaves noise already, that is where one of fewer effects does.
+    """
+    search = known.search
+    if (release := earlier(search)) is None:
         return None
-    return _if_better(changed.but(release.sentence, release=release).asked(), known.search)
+    tried = _if_better(changed.but(release.sentence, release=release).asked(), search)
+    is_simpler = tried is not None and len(tried.search.best()) < len(search.best())
+    return tried if is_simpler or not is_exact(search) else None
 
 
 def _is_better_without(cut: Search, search: Search) -> bool:
