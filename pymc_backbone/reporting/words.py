@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .._common.text import capitalised, in_words
-from ..discrepancy.deciding.decision import as_one
+from ..discrepancy.deciding.decision import as_told
 from ..discrepancy.results.verdict import AdequateBy, NamedLevel, Status, Verdict
 from ..discrepancy.weighing.evidence import MISSING
 from ..effects import LIBRARY, MECHANISMS
@@ -109,10 +109,9 @@ def remaining(study: Study) -> list[str]:
 
 
 def _chances(study: Study) -> dict[tuple[str, ...], float]:
-    """Return the probabilities of sets, which are one where they are listed without what is below the tolerance."""
+    """Return the probabilities of sets as they are told."""
     chances = {candidate.effects: candidate.probability for candidate in study.candidates}
-    is_one = not any(set(names) & set(study.below_tolerance) for names in study.ambiguous_sets)
-    return as_one(study.below_tolerance if is_one else (), chances)
+    return as_told(study.ambiguous_sets, study.below_tolerance, chances)
 
 
 def remaining_by_mechanism(study: Study) -> list[tuple[str, list[str]]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from ..fitting.joint_fit import Fit
@@ -144,6 +144,12 @@ def as_one(below: Set, chances: Mapping[Set, float]) -> dict[Set, float]:
         one = rest if rest in chances else names
         kept[one] = kept.get(one, 0.0) + chance
     return kept
+
+
+def as_told(possible: Iterable[Set], below: Set, chances: Mapping[Set, float]) -> dict[Set, float]:
+    """Return the probabilities of sets, which are one where they are listed without what is below the tolerance."""
+    is_one = not any(set(names) & set(below) for names in possible)
+    return as_one(below if is_one else (), chances)
 
 
 def listed(chances: Mapping[Set, float], total: float) -> tuple[Set, ...]:

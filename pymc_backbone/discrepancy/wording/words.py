@@ -10,7 +10,7 @@ from ..._common.checks import OBSERVABLES, BoolArray, FloatArray
 from ..._common.text import amplitude, capitalised, in_a_sentence, in_words, per_cent, span
 from ...effects import BASE_EFFECTS
 from ...oscillator import Oscillator
-from ..deciding.decision import Decision
+from ..deciding.decision import Decision, as_told
 from ..fitting import starts
 from ..fitting.batch import Batch
 from ..fitting.curves import curve, measured, on_levels
@@ -314,7 +314,8 @@ def advice(search: Search, decision: Decision) -> tuple[str, ...]:
                 f"at the present amplitudes it takes about {more:.1f} times as many records, or {np.sqrt(more):.1f} "
                 f"times less noise, to tell {pair} apart."
             )
-    other = 1.0 - sum(decision.probabilities.get(names, 0.0) for names in decision.listed)
+    told = as_told(decision.listed, decision.below, decision.probabilities)
+    other = 1.0 - sum(told.get(names, 0.0) for names in decision.listed)
     if other > _ELSE:
         sentences.append(
             f"with {per_cent(other)} it is none of these sets, but another, a drift or nothing known, and such a test "
