@@ -31,7 +31,7 @@ _HARDLY = 0.05  # share of what a refuted set leaves, which one more effect has 
 _FAR = 1000.0  # chi-square of the backbones above those of the best set, from which they are not doubted
 _BEHIND, _BEHIND_BY_LOOKS = 30.0, 200.0
 """Logarithm of evidence of the backbones, simulated or looked at, by which a set is too far behind to begin beside the
-best: of 51 that were, in seventeen batches, none came within 100 of its chi-square."""
+best: an effect that both hold lets a larger set explain, and the rest of that is no rival."""
 _RIVALS, _MOST_RIVALS = 7.0, 8  # logarithm of the odds within which sets rival the best, and how many are asked
 _IDLE, _LOWER = 4, 0.5  # rivals in a row that lie no lower, after which no more are asked; and what is lower
 _LAGGING = 2  # sets with a displacement that lags, that are begun in the other valley
@@ -148,7 +148,7 @@ class RevisitedSets(HystereticSets):
         for names in dict.fromkeys(asked):
             is_slow = self._is_costly(names) and not self._is_costly(best)
             is_left = is_slow or self._is_spent or self._is_behind(names)
-            if names in self.fits or is_left or self._is_far(names) or self._is_hopeless(names):
+            if names in self.fits or is_left or self._is_hopeless(names):
                 continue
             found = self._beside(names, self.fits[best].cost)
             if found:
