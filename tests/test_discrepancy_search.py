@@ -972,6 +972,24 @@ def test_a_mode_that_decays_soon_is_seen_beside_a_name_that_leaves_more(left, pa
         assert float(check.message.split(" Hz")[0].split()[-1]) == pytest.approx(13.5, rel=0.03)
 
 
+@pytest.mark.parametrize(("orders", "is_told"), [((2.7, 0.0, 0.0), False), ((2.7, 2.72, 0.0), True)])
+def test_what_goes_on_moving_a_structure_leaves_lines_that_come_and_go(orders, is_told, linear, monkeypatch, rng):
+    """A band of noise about the mode has a highest bin in each record, and another mode is at one place in most."""
+    time = np.arange(3000) / (30.0 * 5.0)
+    values = np.exp(-0.1 * time) * np.cos(OMEGA * time)
+    lines = [0.05 * values.std() * np.cos(order * OMEGA * time) * (order > 0.0) for order in orders]
+    noise = [3e-4 * rng.standard_normal(time.size) for _ in orders]
+    left = [line + item for line, item in zip(lines, noise, strict=True)]
+    monkeypatch.setattr(evidence, "residuals_of", lambda _term, _best, r: left[r])
+    terms = [replace(linear.batch.waveform[0], time=time, values=values, size=time.size) for _ in orders]
+    batch = linear.batch.subset([0] * len(orders))
+    batch = replace(batch, waveform=tuple(terms))
+    best = SimpleNamespace(chi_square=[3.0 * time.size] * len(orders))
+    assert not second_mode_check(batch, best).passed
+    check = second_mode_check(batch, best, is_moved=True)
+    assert check.passed is not is_told and "13.5 Hz" in check.message.replace("13.6", "13.5")
+
+
 @pytest.mark.parametrize(("ratio", "share", "passes"), [(0.6, 0.015, False), (0.6, 0.007, True), (1.6, 0.015, True)])
 def test_a_smaller_line_counts_below_the_frequency_of_the_mode(ratio, share, passes, linear, monkeypatch, rng):
     """As that of a liquid that moves along; above, a percent may be anything."""
@@ -1087,6 +1105,9 @@ def test_records_that_grow_again_are_told_where_no_set_leaves_noise(cubic):
     assert data_checks.one_decay_check(cubic.batch, base).passed
     few = replace(batch, records=(growing[0], *cubic.batch.records[1:]))
     assert data_checks.one_decay_check(few, base).passed == (count > 1)
+    # what goes on moving the structures makes them grow, and is told itself
+    moved = data_checks.one_decay_check(batch, base, is_moved=True)
+    assert moved.passed and moved.message.startswith(f"{count} of {count} records grow again")
 
 
 def test_one_of_specimens_that_scatter_widely_is_no_outlier(rng):

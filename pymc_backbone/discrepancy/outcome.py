@@ -84,7 +84,9 @@ def checks_of(question: Question, outcome: Outcome, verification: Verification) 
             settling=batch.settling_time,
         ),
         outcome.second_mode,
-        data_checks.one_decay_check(batch, outcome.model, is_exact=not decision.is_approximate),
+        data_checks.one_decay_check(
+            batch, outcome.model, is_exact=not decision.is_approximate, is_moved=not outcome.ambient.passed
+        ),
         data_checks.alike_check(batch, outcome.model, is_exact=not decision.is_approximate),
         data_checks.data_terms_check(
             outcome.judged,

@@ -248,15 +248,16 @@ def _decided(known: Undisturbed) -> Outcome:
     drifting = known.drifting or {}
     decision = decide(search, drifting, question.tolerance)
     base_drifting = drifting[()].fit if () in drifting else None
+    ambient = ambient_check(question.batch, search.fits[decision.model], is_explained=not _is_left(decision))
     second_mode = Check("no second mode", True, "not testable without records")
     if question.batch.has_records:
         is_bare = decision.verdict is Verdict.ADEQUATE
         is_bare |= decision.verdict is Verdict.UNEXPLAINED and not decision.model
-        second_mode = second_mode_check(question.batch, search.fits[decision.model], is_bare=is_bare)
+        check = partial(second_mode_check, question.batch, is_moved=not ambient.passed)
+        second_mode = check(search.fits[decision.model], is_bare=is_bare)
         if not second_mode.passed:
-            is_beside = base_drifting is not None and not second_mode_check(question.batch, base_drifting).passed
+            is_beside = base_drifting is not None and not check(base_drifting).passed
             decision = mind_second_mode(decision, is_beside_drift=is_beside)
-    ambient = ambient_check(question.batch, search.fits[decision.model], is_explained=not _is_left(decision))
     if not ambient.passed:
         decision = mind_what_moves_on(decision)
     if known.is_bent:

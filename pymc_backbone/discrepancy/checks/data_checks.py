@@ -69,22 +69,25 @@ def _is_outlier(values: FloatArray, at: int, width: float) -> bool:
     return bool(2.0 * stdtr(freedom, -apart) * values.size < _RARE)
 
 
-def one_decay_check(batch: Batch, best: Fit, *, is_exact: bool = True) -> Check:
+def one_decay_check(batch: Batch, best: Fit, *, is_exact: bool = True, is_moved: bool = False) -> Check:
     """Say whether most records grow again after what was used of them, and that is no free decay of one mode.
 
     What is used of two modes that beat is a piece of the beat, and its change of amplitude no law. Where the best set
-    leaves noise (``is_exact``: of the samples), what was used is the decay of one mode, whatever follows.
+    leaves noise (``is_exact``: of the samples), what was used is the decay of one mode, whatever follows. What goes on
+    moving the structures (``is_moved``) makes records grow again, too.
     """
     name = "one decay in each record"
     growing = [record.grows_again for record in batch.records]
     if not growing or 2 * sum(growing) <= len(growing) or (is_exact and leaves_noise(batch, best)):
         return Check(name, True, "what was used of the records is the decay of one mode, or nothing says otherwise")
+    said = f"{sum(growing)} of {len(growing)} records grow again after what was used of them"
+    if is_moved:
+        return Check(name, True, f"{said}, as what goes on moving the structure makes them")
     return Check(
         name,
         False,
-        f"{sum(growing)} of {len(growing)} records grow again after what was used of them, and no set leaves noise "
-        "there: where two modes beat, what was used is a piece of the beat, and no law is in it; keep one mode with "
-        "`band`, or choose one decay with `start` and `stop`",
+        f"{said}, and no set leaves noise there: where two modes beat, what was used is a piece of the beat, and no "
+        "law is in it; keep one mode with `band`, or choose one decay with `start` and `stop`",
     )
 
 
