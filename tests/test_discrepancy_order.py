@@ -253,6 +253,30 @@ def test_what_is_as_likely_as_the_likeliest_is_asked_although_the_effort_is_spen
         assert len(likely) == several and len([names for names in asked if "bouc_wen" in names]) == several
 
 
+def test_a_costly_law_is_asked_in_the_place_of_several_simple_ones_although_the_effort_is_spent(batch):
+    """Bouc-Wen, second by its backbones, was never fitted: triples of simple effects had taken the effort before."""
+    pair, beside = ("cubic_stiffness", "quadratic_damping"), ("bouc_wen", "coulomb_friction")
+    for best, likelihood, is_asked in ((pair, -1.0, True), (pair, -40.0, False), (("cubic_stiffness",), -1.0, False)):
+        evidences = {best: 0.0, COSTLY: likelihood, beside: -0.5}
+        search, asked = search_with(batch, evidences, {best: 1.0})
+        search._is_costly = lambda names: "bouc_wen" in names
+        search.fit_set(best)
+        search.best, search.descent.effort = lambda best=best: best, 2.0 * search.budget
+        search._ask_costly()
+        assert (COSTLY in asked) == is_asked and beside not in asked
+
+
+def test_a_rare_law_alone_is_asked_where_several_effects_explain(batch):
+    """A damper with a dead band was a drag: friction and a power of the speed drew its backbones better."""
+    pair, varied = ("coulomb_friction", "cubic_stiffness"), ("dead_band_damping",)
+    for best, likelihood, is_asked in ((pair, -20.0, True), (pair, -40.0, False), (("cubic_stiffness",), -20.0, False)):
+        evidences = {best: 0.0, varied: likelihood, ("dead_band_damping", "quadratic_damping"): -20.0}
+        search, _ = search_with(batch, evidences, {best: 1.0}, variants=("dead_band_damping",))
+        search.fit_set(best)
+        search.best = lambda best=best: best
+        assert search._promised_variants() == ([varied] if is_asked else [])
+
+
 @pytest.mark.parametrize(("left", "few"), [(200.0, True), (50.0, False)])
 def test_few_sets_are_followed_where_all_are_far_off_and_none_of_those_that_costs_much(batch, left, few):
     """What no set holds is there then: of a jointed beam ten hysteretic sets were fitted, and it was none of them."""

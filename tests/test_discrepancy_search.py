@@ -1517,6 +1517,25 @@ def test_what_acts_above_all_levels_is_asked_from_the_model_as_it_is():
     assert search.fits[("jenkins",)].cost < 1.1 * search.count
 
 
+@pytest.mark.parametrize(("share", "slip", "releases"), [(0.073, 0.82, (0.6, 1.0)), (0.3, 0.55, (1.0,))])
+def test_a_slider_of_the_model_as_it_is_is_not_lost_at_zero(share, slip, releases):
+    """One that slips in the first cycles only; without it a damper with a dead band explained the records."""
+    names = ("linear_stiffness", "viscous_damping", "slider_stiffness", "slip_force")
+    slider, rng = share * STIFFNESS, np.random.default_rng(11)
+    truth = dict(zip(names, (STIFFNESS, DAMPING, slider, slip * AMPLITUDE * slider), strict=True))
+    base, records = Oscillator(MASS, ["jenkins"]), []
+    for r, release in enumerate(releases):
+        after = np.maximum(TIME - RELEASE_TIME, 0.0)
+        held = np.unique(after)
+        exact = simulate_waveform(base, truth, held, release * AMPLITUDE).displacement
+        records.append(noisy(rng, f"specimen {r + 1}", TIME, np.interp(after, held, exact), 51.0))
+    search = Search(batch_of(records), base, ("quadratic_damping",), 1)
+    found = search.fit_set(())
+    assert found.cost < 1.1 * search.count
+    values = dict(zip(names, found.parameters(0), strict=True))
+    assert values["slip_force"] / values["slider_stiffness"] == pytest.approx(slip * AMPLITUDE, rel=0.02)
+
+
 def test_a_start_in_the_place_of_another_effect_has_its_force(linear):
     play = LIBRARY["offset_freeplay"], LIBRARY["freeplay"]
     names = [effect.parameter_names for effect in play]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..._common.checks import BoolArray
+from ...oscillator import Oscillator
 from ..fitting import starts
 from ..fitting.descent import IN_REACH
 from ..fitting.joint_fit import Fit
@@ -35,14 +36,18 @@ class HystereticSets(FittedSets):
         Where it came to rest on the plateau of a bed of sliders that does not slip as a whole, or of a slider that
         holds in some specimens, it begins again from beyond the edge of that; hysteresis that is far from saturation,
         which a stiffer spring makes up for, from nearer to it. A single slider begins again from where else a linear
-        step promises more.
+        step promises more, one of the model as it is too.
         """
         is_known = names in self.fits
         found = super().fit_set(names)
-        if is_known or found is None or not found.is_converged or not found.cost < IN_REACH * self.count:
+        if is_known or found is None or not found.is_converged:
             return found
+        if not names and self.batch.has_records:  # where its slider is lost, the model as it is may be far off
+            self._keep_lower((), *self._sliding((), found))
+        if not found.cost < IN_REACH * self.count:
+            return self.fits[names]
         if self.batch.has_records:
-            others = [*self._slipping(found), *self._sliding(names, found)]
+            others = [*self._slipping(found), *(self._sliding(names, found) if names else [])]
             others += self._saturating(found) if self._is_worth_while(found) else []
             self._keep_lower(names, *others)
         return self.fits[names]
@@ -72,17 +77,23 @@ class HystereticSets(FittedSets):
         a fit has no way.
         """
         states = []
-        for name in names:
-            without = self.fits.get(tuple(other for other in names if other != name))
-            if without is None or not starts.is_slider(known.layout, name) or without.cost > NEAR_BY * self.count:
-                continue
-            if self._was_asked(names, without):
+        asked = names or [effect.name for effect in self.base.effects]
+        for name in [item for item in asked if starts.is_slider(known.layout, item)]:
+            rest = tuple(other for other in names if other != name)
+            without = self.fits.get(rest) if names else self._base_without(name, known)
+            if without is None or (names and without.cost > NEAR_BY * self.count) or self._was_asked(names, without):
                 continue
             gained = max(without.cost - known.cost, 0.0) + GAINED
             promised = starts.by_score(known.layout, name, without, self.batch)
             states += [item.moved for item in promised if item.gain > gained]
         beyond = self.descent.from_near(known.layout, states, rival=known.cost) if states else None
         return [] if beyond is None else [beyond]
+
+    def _base_without(self, name: str, known: Fit) -> Fit | None:
+        """Return the fit of the model as it is without one of its effects, from where it ended with it."""
+        rest = Oscillator(self.base.mass, [effect for effect in self.base.effects if effect.name != name])
+        layout = self.layout_of(rest)
+        return self.descent.from_near(layout, [starts.restricted(layout, known.layout, known.state)])
 
     def _saturating(self, known: Fit) -> list[Fit]:
         """Return the fits of hysteresis from nearer to its saturation, where one came to rest far from that."""

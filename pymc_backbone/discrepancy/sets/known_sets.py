@@ -162,12 +162,15 @@ class KnownSets:
     def layout(self, names: Set) -> Layout:
         """Return the layout of the base with these effects."""
         if names not in self.layouts:
-            extended = self.base + [self.own.get(name, name) for name in names]
-            self.layouts[names] = make_layout(
-                extended, self.batch.amplitude, self.batch.angular_frequency, self.scatter,
-                is_relaxed=self.batch.is_relaxed,
-            )  # fmt: skip
+            self.layouts[names] = self.layout_of(self.base + [self.own.get(name, name) for name in names])
         return self.layouts[names]
+
+    def layout_of(self, oscillator: Oscillator) -> Layout:
+        """Return the layout of an oscillator for these records."""
+        return make_layout(
+            oscillator, self.batch.amplitude, self.batch.angular_frequency, self.scatter,
+            is_relaxed=self.batch.is_relaxed,
+        )  # fmt: skip
 
     def mechanism_of(self, name: str) -> str:
         """Return the mechanism of an effect: where a parameter decides, by the fit that leaves least with it."""

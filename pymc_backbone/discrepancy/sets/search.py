@@ -23,6 +23,7 @@ _ROUNDS = 2
 _MOST_FOLLOWED = 24  # sets that are followed from the backbones to the waveforms before anything explains these
 _CLEARLY = 5.0  # logarithm of evidence by which wider scatter must be likelier
 _COSTLY_SETTLED, _COSTLY_REACH = 4, 3.0  # costly sets that are asked although what is simple leaves noise, their reach
+_COSTLY_SIMPLER = 2  # costly sets of fewer effects than the best has, that are asked whatever was spent
 _PROMISING = 3  # simple sets that are asked at a time what they lack
 _WORTH_MORE = 10.0  # reduced chi-square up to which they are
 _MOST = 0.5  # of what such a set leaves beyond the noise, that one more effect has to promise
@@ -279,8 +280,9 @@ class Search(EnlargedSets):
     def _ask_costly(self) -> bool:
         """Fit the costly sets that explain the backbones as well as what explains the records does.
 
-        Where that leaves noise and costs little, only the likeliest of those that have no more effects. Return whether
-        one of them is now the best.
+        Where that leaves noise and costs little, only the likeliest of those that have no more effects; where the
+        effort is spent, of those that have fewer: several simple effects may follow what one with a memory does. Return
+        whether one of them is now the best.
         """
         if not self._is_explained() or not self.has_proposals:
             return False
@@ -291,8 +293,10 @@ class Search(EnlargedSets):
         before, fitted = self.best(), 0
         largest = len(before) if is_settled else self.max_effects
         for names, proposal in self.proposals.items():
-            if proposal.log_evidence < least or self._is_spent or (is_settled and fitted >= _COSTLY_SETTLED):
+            if proposal.log_evidence < least or (is_settled and fitted >= _COSTLY_SETTLED):
                 break
+            if self._is_spent and not (len(names) < len(before) and fitted < _COSTLY_SIMPLER):
+                continue
             is_new = names not in self.fits and not any(set(smaller) < set(names) for smaller in explained)
             if is_new and self._is_costly(names) and len(names) <= largest:
                 self.progress("sets with states of their own", 0.5)

@@ -22,6 +22,7 @@ from .side_by_side import ABREAST, fit_side_by_side
 _LIKELIEST = 4  # sets whose variants are replaced by what they vary
 _OVERDRAWN = 1.3  # of the budget, up to which variants are asked where that is spent
 _AS_LIKELY = 4.0  # logarithm of evidence of the backbones, within which others with variants are asked ...
+_AS_LIKELY_ALONE = 30.0  # ... within which a variant alone is, where the best set takes several effects ...
 _MOST_PROMISED = 8  # ... and how many
 _COMMON = 3  # sets without a variant, of those that leave as little of the backbones as one with a variant does
 _LACKING = 3  # likeliest sets without a variant, to which one more effect may be added
@@ -142,14 +143,18 @@ class VariedSets(RevisitedSets):
     def _promised_variants(self) -> list[Set]:
         """Return sets with variants that were not fitted and whose backbones are as likely as those of the best set.
 
-        What they vary may be far off, and a law of many parameters come near in their place.
+        What they vary may be far off, and a law of many parameters come near in their place; or several simple effects
+        in that of one variant, which they follow more closely where the errors of the backbones are.
         """
         best = self.best()
         if self.is_refuted(best) or not self.explains(self.fits[best]) or best not in self.proposals:
             return []
-        least = self.proposals[best].log_evidence - _AS_LIKELY
+        most = self.proposals[best].log_evidence
         near = [
-            names for names, item in self.proposals.items() if item.log_evidence > least and len(names) <= len(best)
+            names
+            for names, item in self.proposals.items()
+            if len(names) <= len(best)
+            and item.log_evidence > most - (_AS_LIKELY_ALONE if len(names) == 1 < len(best) else _AS_LIKELY)
         ]
         new = [names for names in near if names not in self.fits and not {*names}.isdisjoint(self.variants)]
         return [names for names in new if not (self._is_costly(names) or self._is_far(names))][:_MOST_PROMISED]
