@@ -40,16 +40,15 @@ class HystereticSets(FittedSets):
         """
         is_known = names in self.fits
         found = super().fit_set(names)
-        if is_known or found is None or not found.is_converged:
+        if is_known or found is None or not found.is_converged or not self.batch.has_records:
             return found
-        if not names and self.batch.has_records:  # where its slider is lost, the model as it is may be far off
-            self._keep_lower((), *self._sliding((), found))
-        if not found.cost < IN_REACH * self.count:
-            return self.fits[names]
-        if self.batch.has_records:
-            others = [*self._slipping(found), *(self._sliding(names, found) if names else [])]
+        is_near = found.cost < IN_REACH * self.count
+        # where its slider is lost, the model as it is may be far off
+        others = self._sliding(names, found) if is_near or not names else []
+        if is_near:
+            others += self._slipping(found)
             others += self._saturating(found) if self._is_worth_while(found) else []
-            self._keep_lower(names, *others)
+        self._keep_lower(names, *others)
         return self.fits[names]
 
     def _is_worth_while(self, found: Fit) -> bool:
