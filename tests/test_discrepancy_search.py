@@ -1517,7 +1517,9 @@ def test_what_acts_above_all_levels_is_asked_from_the_model_as_it_is():
     assert search.fits[("jenkins",)].cost < 1.1 * search.count
 
 
-@pytest.mark.parametrize(("share", "slip", "releases"), [(0.073, 0.82, (0.6, 1.0)), (0.3, 0.55, (1.0,))])
+@pytest.mark.parametrize(
+    ("share", "slip", "releases"), [(0.073, 0.82, (0.6, 1.0)), (0.3, 0.55, (1.0,)), (0.275, 0.38, (0.6, 0.8, 1.0))]
+)
 def test_a_slider_of_the_model_as_it_is_is_not_lost_at_zero(share, slip, releases):
     """One that slips in the first cycles only; without it a damper with a dead band explained the records."""
     names = ("linear_stiffness", "viscous_damping", "slider_stiffness", "slip_force")
@@ -1534,6 +1536,22 @@ def test_a_slider_of_the_model_as_it_is_is_not_lost_at_zero(share, slip, release
     assert found.cost < 1.1 * search.count
     values = dict(zip(names, found.parameters(0), strict=True))
     assert values["slip_force"] / values["slider_stiffness"] == pytest.approx(slip * AMPLITUDE, rel=0.02)
+
+
+def test_a_stop_of_the_model_as_it_is_that_is_met_once_is_found():
+    """One at 0.94 of the largest amplitude, nearly twice as stiff as the spring: it had been one on the other side."""
+    values = {"linear_stiffness": STIFFNESS, "viscous_damping": DAMPING, "stop_stiffness": 1.7 * STIFFNESS}
+    base, records, rng = Oscillator(MASS, ["one_sided_stiffness"]), [], np.random.default_rng(19)
+    for r, release in enumerate((0.6, 0.8, 1.0)):
+        after = np.maximum(TIME - RELEASE_TIME, 0.0)
+        held = np.unique(after)
+        truth = values | {"stop_gap": 0.94 * AMPLITUDE}
+        exact = simulate_waveform(base, truth, held, release * AMPLITUDE).displacement
+        records.append(noisy(rng, f"specimen {r + 1}", TIME, np.interp(after, held, exact), 52.0))
+    search = Search(batch_of(records), base, ("quadratic_damping",), 1)
+    found = search.fit_set(())
+    assert found.cost < 1.06 * search.count
+    assert 0.7 * AMPLITUDE < found.parameters(0)[-1] < AMPLITUDE  # one specimen meets it, and once
 
 
 def test_a_start_in_the_place_of_another_effect_has_its_force(linear):

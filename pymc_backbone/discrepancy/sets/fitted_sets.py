@@ -11,7 +11,7 @@ import numpy as np
 from ..._common.checks import FloatArray
 from ..fitting import equal_forces, starts
 from ..fitting.curves import is_told_apart, level_chi_square
-from ..fitting.descent import IN_REACH, Way
+from ..fitting.descent import IN_REACH, Way, is_heavy
 from ..fitting.joint_fit import Fit
 from ..fitting.layout import Layout
 from ..proposals.proposal import Proposal
@@ -29,6 +29,7 @@ _NOTED = 1.0  # chi-square above that of the smaller set up to which one step is
 _WORTH = 5.0  # fall of chi-square by which one more effect begins to earn its place
 _PROMISED = 3.0  # the same, as a linear step promises it, from which a set is fitted and not noted with one step
 _AS_PROMISING = 0.8  # of what the best start promises, up to which another one is asked beside it
+_BASE_STRENGTHS, _THINNED = (0.02, 0.3), 2  # of an effect of the base over their bound, as it begins again; of shapes
 _HINT = 1.0  # the same, from which a single effect is fitted although a linear step promises less than that
 
 
@@ -103,6 +104,27 @@ class FittedSets(KnownSets):
         found = self.descent.from_several(layout, states, self.is_any_exact)
         if eta.size and not self.is_any_exact(found):
             found += self._proposed((), None)
+        if not self.is_any_exact(found) and not is_heavy(layout):
+            found += self._base_shapes(layout)
+        return found
+
+    def _base_shapes(self, layout: Layout) -> list[Fit]:
+        """Return fits of the model as it is from other shapes of its effects.
+
+        What acts in the first cycles only shows in no level, and a fit that began elsewhere has lost it. All of them
+        are asked: one that leaves noise of most records may be far from the lowest.
+        """
+        found: list[Fit] = []
+        ways: list[Way] = []
+        for effect in self.base.effects:
+            where = starts.positions(layout, effect.name)
+            points = starts.grid(layout, effect.name, _BASE_STRENGTHS)[::_THINNED] if len(where) > 1 else []
+            for point in points:
+                eta = starts.typical(layout)
+                eta[where] = point
+                state = self.descent.released(layout, eta, self.batch.own[:, :2])
+                reached = self.descent.from_afar(layout, state, ways=ways)
+                found += [] if reached is None else [reached]
         return found
 
     def _set_fits(self, names: Set) -> list[Fit]:
