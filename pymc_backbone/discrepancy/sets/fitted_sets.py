@@ -29,8 +29,9 @@ _NOTED = 1.0  # chi-square above that of the smaller set up to which one step is
 _WORTH = 5.0  # fall of chi-square by which one more effect begins to earn its place
 _PROMISED = 3.0  # the same, as a linear step promises it, from which a set is fitted and not noted with one step
 _AS_PROMISING = 0.8  # of what the best start promises, up to which another one is asked beside it
-_BASE_STRENGTHS, _THINNED = (0.02, 0.3), 2  # of an effect of the base over their bound, as it begins again; of shapes
 _HINT = 1.0  # the same, from which a single effect is fitted although a linear step promises less than that
+_BASE_STRENGTHS = (0.02, 0.3)  # of an effect of the model as it is, over their bound, where it begins again ...
+_THINNED = 2  # ... at every second of its shapes
 
 
 @dataclass
