@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pymc_backbone.discrepancy.checks import rivals
-from pymc_backbone.discrepancy.drift.drift_fits import Settled, drift_fit, weighed
+from pymc_backbone.discrepancy.drift.drift_fits import Settled, drift_fit, likeliest, weighed
 from pymc_backbone.discrepancy.fitting import equal_forces, starts
 from pymc_backbone.discrepancy.fitting.normal_equations import State
 from pymc_backbone.discrepancy.weighing import evidence
@@ -35,6 +35,20 @@ def test_what_is_in_a_set_with_a_drift_begins_where_that_ended(rng, monkeypatch)
     assert evidence.leaves_noise(search.batch, found[law].fit)
     assert found[law].fit.cost < larger.cost + 10.0 < lost.cost
     assert () not in found or found[()].fit.cost > 2.0 * larger.cost
+
+
+@pytest.mark.parametrize("change", [-0.01, -0.02])
+def test_what_a_variant_varies_is_asked_beside_a_drift(change, rng):
+    """A gap makes up for a small drift, and no other law of a contact did without: that of no gap is no contact."""
+    search = searched(drifting_records(rng, change, one_side=-0.15), ("bilinear_stiffness", "coulomb_friction"))
+    search.variants = ("one_sided_stiffness",)
+    varied, plain = ("one_sided_stiffness",), ("bilinear_stiffness",)
+    search.fit_set(varied)
+    assert evidence.leaves_noise(search.batch, search.fits[varied]) == (change > -0.015)
+    found = rivals.drifting_sets(search)
+    assert evidence.leaves_noise(search.batch, found[plain].fit)
+    assert found[plain].fit.cost < search.fits[varied].cost - 20.0
+    assert likeliest(search, found) == (*plain, *evidence.DRIFT)
 
 
 def test_a_contact_beside_a_drift_is_begun_from_other_gaps(rng, monkeypatch):

@@ -155,7 +155,7 @@ def test_records_run_in_over_motion_that_is_hardly_larger(rng):
 
 def test_cut_records_are_remembered_to_begin_late():
     class Question(SimpleNamespace):
-        def of_records(self, records, _measuring, _notes):
+        def of_records(self, records, _measuring):
             return SimpleNamespace(batch=SimpleNamespace(specimens=("one", "two")), records=records)
 
     record = SimpleNamespace(specimen="one", time=np.arange(5.0), values=np.arange(5.0), starts_free=False)

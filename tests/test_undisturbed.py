@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -25,6 +25,9 @@ class Unmeasured:
 
     def of_records(self, *_):
         return Unmeasured(SimpleNamespace(records=(), waveform=(), specimens=("one",), count=4))
+
+    def saying(self, *_):
+        return self
 
 
 def _asked_in(name):
@@ -201,8 +204,11 @@ def test_a_low_pass_that_explains_nothing_to_the_noise_has_to_make_the_differenc
     class Question:
         batch: str = "as measured"
 
-        def of_records(self, records, measuring, said):
+        def of_records(self, records, measuring):
             return Question()
+
+        def saying(self, *_):
+            return self
 
     known = module.undisturbed(Question(), before, [], None, lambda _: after, lambda _: {})
     assert known.search is (after if same_set_leaves > 0.02 and most > 1 else before)
@@ -234,8 +240,8 @@ def test_a_low_pass_is_kept_where_more_is_explained_behind_it(helps, monkeypatch
         said: tuple[str, ...] = ()
         batch: str = "as measured"
 
-        def of_records(self, records, measuring, said):
-            return Question(tuple(said))
+        def saying(self, *said):
+            return replace(self, said=said)
 
     def searched(question):
         asked.append(question)
@@ -302,8 +308,11 @@ def test_records_are_searched_without_the_line_that_halted_a_search_or_beats(bea
         said: tuple[str, ...] = ()
         batch: object = None
 
-        def of_records(self, records, measuring, said):
-            return Question(records[0].taken, tuple(said))
+        def of_records(self, records, measuring):
+            return Question(records[0].taken)
+
+        def saying(self, *said):
+            return replace(self, said=said)
 
     def searched(question, *early):
         asked.append((question.taken, question.said, early))
@@ -341,8 +350,11 @@ def test_everything_is_asked_anew_where_a_line_is_not_all_that_disturbs_records(
     class Question:
         batch: object = None
 
-        def of_records(self, records, measuring, said):
+        def of_records(self, records, measuring):
             return Question()
+
+        def saying(self, *_):
+            return self
 
     def searched(question, *early):
         asked.append(early)
@@ -378,8 +390,11 @@ def test_a_filter_that_straightened_records_do_not_need_is_taken_back(plain, is_
     class Question:
         batch: dict
 
-        def of_records(self, records, measuring, said):
+        def of_records(self, records, measuring):
             return Question({"is_straight": records == ["straight"]})
+
+        def saying(self, *_):
+            return self
 
     def searched(question, *early):
         said = " ".join(word for word, key in (("straight", "is_straight"), ("behind", "is_behind")) if key in
@@ -504,3 +519,31 @@ def test_records_without_first_cycles_or_of_weighed_noise_are_searched_where_set
     # without first cycles half of what was left is enough; the noise has to explain all of it
     assert asked == [0.5, 0.0]
     assert len(searches) == (2 if is_worth_it else 0)
+
+
+def test_records_are_measured_once_however_often_they_are_asked(monkeypatch):
+    """Nor are those that were given, which the question was asked of."""
+    measured = []
+
+    @dataclass
+    class Question:
+        said: tuple[str, ...] = ()
+        batch: object = None
+
+        def of_records(self, records, measuring):
+            measured.append(records)
+            return Question(batch=SimpleNamespace(records=records))
+
+        def saying(self, *said):
+            return replace(self, said=said)
+
+    monkeypatch.setattr(module, "_undisturbed", lambda known: known.changed)
+    records = ["as given"]
+    given = module.undisturbed(Question(), None, records, None, None, None)
+    for _ in range(2):
+        assert given.but("said of them").posed() == Question(("said of them",))
+    assert measured == []
+    cut, other = given.but("cut", records=["cut"]), given.but(records=["other"])
+    for asked in (cut, cut.but("and more"), other, cut):
+        assert asked.posed().batch.records is asked.records
+    assert measured == [["cut"], ["other"]]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from functools import partial
 from itertools import batched, combinations
 
@@ -16,7 +16,7 @@ from ..fitting import equal_forces, starts
 from ..fitting.descent import is_heavy
 from ..fitting.drift_course import changes_of, stand_out
 from ..fitting.joint_fit import Fit
-from ..fitting.normal_equations import DRIFTS
+from ..fitting.normal_equations import DRIFTS, State
 from ..results.entries import Check
 from ..sets.search import Search, Set
 from ..sets.side_by_side import ABREAST, fit_side_by_side
@@ -37,9 +37,9 @@ def drifting_sets(search: Search) -> dict[Set, Drifting]:
     """Return the base with a drift in time, and the sets beside which a drift may be what a further effect imitates.
 
     These are what is in the most probable set, where that is not a single effect that leaves noise, and the other laws
-    of its mechanism where that effect is a variant of these; where no set leaves noise, what is in the next ones, too.
-    Where a drift helps one of them, the same is asked of the other laws of its mechanisms, and where none leaves noise
-    even so of variants in the place of its effects. Sets with an equation of
+    of its mechanism and what it varies where that effect is a variant; where no set leaves noise, what is in the next
+    ones, too. Where a drift helps one of them, the same is asked of the other laws of its mechanisms and of what its
+    variants vary, and where none leaves noise even so of variants in the place of its effects. Sets with an equation of
     their own are asked where they lack one effect only, or nothing simpler is left; where turning points refuted the
     most probable set, no set that remembers is. Where a drift alone explains half of what is missing, the backbones are
     asked beside drifts: for every effect where nothing leaves noise even so, and where something does, for those that
@@ -50,7 +50,7 @@ def drifting_sets(search: Search) -> dict[Set, Drifting]:
     asked: list[Set] = [()]
     if is_exact and len(best) == 1 and best[0] in search.variants:
         # its exponent may make up for a drift beside a simpler law
-        asked += _of_the_same_kind(search, best)
+        asked += _akin(search, best)
     if len(best) > 1 or not is_exact:
         for names in [best] if is_exact else search.ranked()[:_ASKED]:
             within = [part for size in range(1, len(names) + 1) for part in combinations(names, size)]
@@ -66,7 +66,7 @@ def drifting_sets(search: Search) -> dict[Set, Drifting]:
         if names and found[names].fit.cost < min(search.fits[names].cost - _HELPED, _NEAR * search.count)
     ]
     helped.sort(key=lambda names: found[names].fit.cost)
-    _ask(search, [other for names in helped[:_ASKED] for other in _of_the_same_kind(search, names)], found, limit)
+    _ask(search, [other for names in helped[:_ASKED] for other in _akin(search, names)], found, limit)
     if search.batch.has_open_records and (best or not is_exact) and _is_bent(search, found):
         if is_exact:
             _ask_plain(search, found, limit)
@@ -144,10 +144,9 @@ def _ask_plain(search: Search, found: dict[Set, Drifting], limit: float) -> None
     """
     best = search.best()
     worst = search.fits[best].cost + _HELPED
-    for names, state in single_beside_drifts(search, remembering=False):
-        if names in found or names == best:
-            continue
-        drifting = drift_fit(search.batch, search.layout(names), state, limit)
+    begun = single_beside_drifts(search, remembering=False)
+    asked = {names: state for names, state in begun if names not in found and names != best}
+    for names, drifting in _drifting(search, asked.items(), limit):
         if drifting is None or drifting.cost > worst or (alone := search.fit_set(names)) is None:
             continue
         if drifting.cost < alone.cost - _HELPED:
@@ -156,12 +155,17 @@ def _ask_plain(search: Search, found: dict[Set, Drifting], limit: float) -> None
 
 def _ask_other_gaps(search: Search, found: dict[Set, Drifting], limit: float) -> None:
     """Begin sets with a contact from other gaps, too: alone it had closed where that followed the drift best."""
-    for names in [item for item in found if not is_heavy(search.layout(item))]:
-        alone, layout = search.fits[names], search.layout(names)
-        for state in equal_forces.with_other_gaps(layout, alone, search.batch.angular_frequency):
-            drifting = drift_fit(search.batch, layout, state, limit)
-            if drifting is not None and drifting.cost < found[names].fit.cost - NEEDED:
-                found[names] = weighed(search.batch, drifting, alone)
+    asked = [
+        (names, state)
+        for names in found
+        if not is_heavy(search.layout(names))
+        for state in equal_forces.with_other_gaps(
+            search.layout(names), search.fits[names], search.batch.angular_frequency
+        )
+    ]
+    for names, drifting in _drifting(search, asked, limit):
+        if drifting is not None and drifting.cost < found[names].fit.cost - NEEDED:
+            found[names] = weighed(search.batch, drifting, search.fits[names])
 
 
 def _ask_parts(search: Search, found: dict[Set, Drifting], limit: float) -> None:
@@ -179,17 +183,27 @@ def _ask_parts(search: Search, found: dict[Set, Drifting], limit: float) -> None
         names = max(exact, key=len)
         exact.remove(names)
         larger = found[names].fit
-        for part in combinations(names, len(names) - 1):
-            layout = search.layout(part)
-            known = found[part].fit.cost if part in found else np.inf
-            if is_heavy(layout) or known < larger.cost + NEEDED or (alone := search.fit_set(part)) is None:
+        known = {
+            part: found[part].fit.cost if part in found else np.inf for part in combinations(names, len(names) - 1)
+        }
+        asked = [
+            (part, starts.restricted(search.layout(part), larger.layout, larger.state))
+            for part, cost in known.items()
+            if not (is_heavy(search.layout(part)) or cost < larger.cost + NEEDED or search.fit_set(part) is None)
+        ]
+        for part, drifting in _drifting(search, asked, limit):
+            if drifting is None or drifting.cost > known[part] - NEEDED:
                 continue
-            drifting = drift_fit(search.batch, layout, starts.restricted(layout, larger.layout, larger.state), limit)
-            if drifting is None or drifting.cost > known - NEEDED:
-                continue
-            found[part] = weighed(search.batch, drifting, alone)
+            found[part] = weighed(search.batch, drifting, search.fits[part])
             if part and evidence.leaves_noise(search.batch, drifting):
                 exact.append(part)
+
+
+def _drifting(search: Search, asked: Iterable[tuple[Set, State]], limit: float) -> Iterator[tuple[Set, Fit | None]]:
+    """Return the fits of sets with a drift beside them, each from its start, on all cores."""
+    known = list(asked)
+    jobs = [partial(drift_fit, search.batch, search.layout(names), state, limit) for names, state in known]
+    return zip([names for names, _ in known], in_threads(jobs), strict=True)
 
 
 def _is_explained(search: Search, found: dict[Set, Drifting]) -> bool:
@@ -283,6 +297,11 @@ def _ask(search: Search, sets: Iterable[Set], found: dict[Set, Drifting], limit:
     for names, drifting in zip(starts, in_threads(jobs), strict=True):
         if drifting is not None:
             found[names] = weighed(search.batch, drifting, starts[names])
+
+
+def _akin(search: Search, names: Set) -> list[Set]:
+    """Return the sets with another law of the same mechanism in the place of one effect, or with what it varies."""
+    return [*_of_the_same_kind(search, names), *search.plainer(names)]
 
 
 def _of_the_same_kind(search: Search, names: Set) -> list[Set]:

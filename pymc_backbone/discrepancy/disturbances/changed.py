@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -63,7 +63,8 @@ class Changed:
     """Records as they were changed, how they are measured and searched, and what is said of all that.
 
     ``question`` is that of the records as they were given; what was found on the way (lines, records that begin late, a
-    release, a filter, a noise) holds for every question that follows.
+    release, a filter, a noise) holds for every question that follows. ``measured`` holds the questions of records that
+    were measured already, by the identity of these, beside the records: they are measured once, however often asked.
     """
 
     question: Question
@@ -78,6 +79,7 @@ class Changed:
     is_relaxed: bool = False
     sensor_filter: SensorFilter | None = None
     noise: MotionNoise | None = None
+    measured: dict[int, tuple[Sequence[Record], Question]] = field(default_factory=dict)
 
     @property
     def is_of_rates(self) -> bool:
@@ -107,7 +109,9 @@ class Changed:
 
     def posed(self) -> Question:
         """Return the question of these records."""
-        other = self.question.of_records(self.records, self.measuring, (*sentences(self.lines), *self.said))
+        if id(self.records) not in self.measured:
+            self.measured[id(self.records)] = self.records, self.question.of_records(self.records, self.measuring)
+        other = self.measured[id(self.records)][1].saying(*sentences(self.lines), *self.said)
         if self.is_relaxed:
             other = replace(other, batch=replace(other.batch, is_relaxed=True))
         if self.begun_late:

@@ -34,7 +34,7 @@ def drifting_zero(question: Question, search: Search, measuring: Measuring) -> Q
     records = _of_noise(batch.records)
     if all(one is other for one, other in zip(records, batch.records, strict=True)):
         return None
-    other = question.of_records(records, measuring, (SENTENCE,))
+    other = question.of_records(records, measuring).saying(SENTENCE)
     if other.batch.specimens != batch.specimens:
         return None
     for names in dict.fromkeys((search.best(), ())):

@@ -91,7 +91,9 @@ def undisturbed(
     nothing else, nothing else is asked. A line that the search was halted for, or with which records beat that were cut
     for it, is taken out before all that.
     """
-    return _undisturbed(Known(Changed(question, measuring, searched, drifts, records), Undisturbed(question, search)))
+    measured = {id(records): (records, question)}
+    given = Changed(question, measuring, searched, drifts, records, measured=measured)
+    return _undisturbed(Known(given, Undisturbed(question, search)))
 
 
 def _undisturbed(known: Known) -> Undisturbed:

@@ -71,12 +71,14 @@ class Question:
     tolerance: Mapping[str, float]
     notes: tuple[str, ...]
 
-    def of_records(
-        self, records: Sequence[Record] | Sequence[ConditionedRecord], measuring: Measuring, notes: Sequence[str]
-    ) -> Question:
-        """Return the same question of other records; ``notes`` say what is different in them."""
+    def of_records(self, records: Sequence[Record] | Sequence[ConditionedRecord], measuring: Measuring) -> Question:
+        """Return the same question of other records."""
         batch, found = batch_of(self.base, records, measuring)
-        return replace(self, batch=batch, notes=(*notes, *found, *batch.notes))
+        return replace(self, batch=batch, notes=(*found, *batch.notes))
+
+    def saying(self, *notes: str) -> Question:
+        """Return the same question, with what is to be said of its data ahead."""
+        return replace(self, notes=(*notes, *self.notes))
 
 
 def ask(
