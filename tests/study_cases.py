@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from pymc_backbone._common.text import unit_of
 from pymc_backbone.discrepancy.results.entries import (
     Candidate,
     Check,
@@ -125,7 +126,9 @@ def make_study(
     estimates = {}
     for effect in model.effects:
         estimates[effect.name] = {
-            parameter.name: _estimate(posterior, parameter.name, best[model.index(parameter.name)], parameter.unit)
+            parameter.name: _estimate(
+                posterior, parameter.name, best[model.index(parameter.name)], unit_of(parameter.unit, unit)
+            )
             for parameter in effect.parameters
         }
     return Study(
@@ -176,7 +179,7 @@ def make_study(
                 name,
                 effect.parameters[0].name,
                 float(effect.parameters[0].bounds(mass, amplitude, 2 * np.pi * frequency)[1]) * 0.003 * (i + 1),
-                effect.parameters[0].unit,
+                unit_of(effect.parameters[0].unit, unit),
                 np.nan if i % 3 == 0 else 2e-5 * (i + 1),
                 0.004 * (i + 1),
             )

@@ -512,7 +512,11 @@ def test_pendulum_is_offered_for_angles_only(rng):
     records = make_records(rng)
     assert "pendulum_stiffness" not in study_of(records, candidates=None, max_effects=1).settings["candidates"]
     angles = [dataclasses.replace(record, unit="rad") for record in records]
-    offered = study_of(angles, candidates=None, max_effects=1).settings["candidates"]
+    turning = study_of(angles, candidates=None, max_effects=1)
+    of_spring = turning.parameters["linear_stiffness"]["linear_stiffness"]
+    assert of_spring.unit == "N m/rad"
+    assert {"N m", "N m s^2/rad^2"} <= {item.unit for item in turning.detectable}
+    offered = turning.settings["candidates"]
     assert set(offered) == {
         name for name, effect in LIBRARY.items() if not (effect.variant_of or effect.only_if_named)
     } - set(BASE_EFFECTS)

@@ -21,10 +21,11 @@ from pymc_backbone.discrepancy.results.verdict import NamedLevel, Status, Verdic
 from pymc_backbone.effects import LIBRARY
 from pymc_backbone.reporting.candidate_plots import plot_candidates
 from pymc_backbone.reporting.html import MOST_RECORDS, noted, number, prose, table, unit
+from pymc_backbone.reporting.model_script import model_script
 from pymc_backbone.reporting.output_folder import DIAGNOSIS_FIGURES, FIGURES, read_result
 from pymc_backbone.reporting.report import report_html
 from pymc_backbone.reporting.report_model import parameters
-from pymc_backbone.reporting.study_files import DIAGNOSIS_KEYS, write_study
+from pymc_backbone.reporting.study_files import DIAGNOSIS_KEYS, study_entries, write_study
 from pymc_backbone.reporting.study_plots import study_figures
 from pymc_backbone.reporting.words import percent, remaining, remaining_by_mechanism
 from pymc_backbone.survey.structure import Structure, summary_of
@@ -393,6 +394,10 @@ def test_one_specimen_in_radians_and_three_observables():
     text = Page(report_html(study, figures, version="1")).text
     assert "[N m/rad]" in text and "[kg m^2]" in text and "N/m" not in text and "rotation" not in text
     assert figures["parameters"].axes[1].get_xlabel() == "Viscous damping [N m s/rad]"
+    result = study_entries(study, "1")
+    assert result["parameters"]["linear_stiffness"]["linear_stiffness"]["unit"] == "N m/rad"
+    assert "mass = 1.2 [kg m^2]" in result["equation_after"] and "[N m s/rad]" in result["equation_before"]
+    assert "[N m/rad]" in model_script(study, "1") and "N/m" not in model_script(study, "1")
 
 
 @pytest.mark.parametrize(

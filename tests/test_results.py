@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -12,11 +13,13 @@ import pytest
 import xarray as xr
 from matplotlib.figure import Figure
 
+from pymc_backbone import Oscillator
 from pymc_backbone._common.checks import InputError
 from pymc_backbone.measurement.reading.measured_backbones import read_backbones
 from pymc_backbone.reporting.backbone_files import write_backbones
 from pymc_backbone.reporting.claimed_folder import prepare_output
 from pymc_backbone.reporting.output_folder import RESULT_KEYS, read_result, write_results
+from pymc_backbone.workflows.updated import Updated
 
 
 @pytest.fixture
@@ -198,3 +201,9 @@ def test_levels_of_a_table_that_no_specimen_reaches_are_refused_with_unit(tmp_pa
         read_backbones(path, levels=[0.5, 1.0])
     kept = read_backbones(path, levels=[0.002, 0.004, 1.0])  # as for records, what is not reached is left empty
     assert np.isfinite(kept["value"].values[..., :2]).all() and np.isnan(kept["value"].values[..., 2]).all()
+
+
+@pytest.mark.parametrize(("moved_in", "stiffness", "damping"), [("m", "N/m", "N s/m"), ("rad", "N m/rad", "N m s/rad")])
+def test_parameters_of_an_updated_model_have_the_units_of_its_motion(moved_in, stiffness, damping):
+    updated = SimpleNamespace(measured=SimpleNamespace(amplitude_unit=moved_in), oscillator=Oscillator(1.0))
+    assert Updated.units.fget(updated) == {"linear_stiffness": stiffness, "viscous_damping": damping}

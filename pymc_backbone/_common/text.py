@@ -17,6 +17,10 @@ _MICRO, _NANO = "\N{GREEK SMALL LETTER MU}", "n"
 _SPELLED = {_MICRO: "micrometres", _NANO: "nanometres"}
 _NUMBERED = re.compile(r"\([^)]*\)|[+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 _PER_SECOND = {"m": "", "m/s": " per second"}
+_LINEAR = re.compile(r"\b(kg|N|m)\b")
+_TURNED = {"kg": "kg m^2", "N": "N m", "m": "rad"}
+_BRACKETS = re.compile(r"\[([^\]]*)\]")
+_EITHER = "; "
 
 
 def printable(text: str) -> str:
@@ -98,6 +102,31 @@ def amplitude(value: float, unit: str) -> str:
     """
     (number,), name = of_size((value,), unit)
     return f"{number} {name}"
+
+
+def unit_of(unit: str, amplitude_unit: str) -> str:
+    """Return the unit of a force's parameter as it is for a rotation, where the amplitude is an angle.
+
+    Examples
+    --------
+    >>> unit_of("N s/m^2", "m"), unit_of("N s/m^2", "rad"), unit_of("N m/rad", "rad"), unit_of("kg/m^2", "rad")
+    ('N s/m^2', 'N m s/rad^2', 'N m/rad', 'kg m^2/rad^2')
+    """
+    if amplitude_unit != "rad" or "rad" in unit:
+        return unit
+    return _LINEAR.sub(lambda found: _TURNED[found.group()], unit)
+
+
+def equation_of(equation: str, amplitude_unit: str) -> str:
+    """Return an equation of motion, its symbols explained line by line, with the units of the motion at hand.
+
+    Examples
+    --------
+    >>> equation_of("m: mass = 2 [kg; kg m^2 for a rotation]", "rad"), equation_of("k: stiffness [N/m]", "rad")
+    ('m: mass = 2 [kg m^2]', 'k: stiffness [N m/rad]')
+    """
+    # of the mass both units are said, that of a straight motion first
+    return _BRACKETS.sub(lambda found: f"[{unit_of(found[1].split(_EITHER)[0], amplitude_unit)}]", equation)
 
 
 def with_error(value: float, error: float) -> str:

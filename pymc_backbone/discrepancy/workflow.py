@@ -372,7 +372,7 @@ def _advice(question: Question, outcome: Outcome, plan: Plan | None) -> tuple[st
     present = present_design(question.batch)
     if plan is None or present is None:
         return said
-    unit = str(question.batch.backbones.attrs.get("amplitude_unit", "m"))
+    unit = question.batch.amplitude_unit
     drift = said[:1] if verdict_words.is_drift_possible(outcome.decision) else ()
     return (*drift, *plan_words.sentences(plan, present, unit))
 

@@ -28,7 +28,7 @@ from .style import (
     parameter_axis,
     smooth,
 )
-from .words import is_held, percent, set_name, unit_of
+from .words import is_held, percent, set_name
 
 STATUS_COLOURS: dict[str, str] = {
     Status.BEST: MEASURED,
@@ -109,8 +109,7 @@ def plot_parameters(study: Study) -> Figure:
     """
     every = {name: estimate for group in study.parameters.values() for name, estimate in group.items()}
     estimates = {name: estimate for name, estimate in every.items() if not is_held(estimate)} or every
-    amplitude_unit = str(study.backbones.attrs.get("amplitude_unit", "m"))
-    units = {name: unit_of(estimate.unit, amplitude_unit) for name, estimate in estimates.items()}
+    units = {name: estimate.unit for name, estimate in estimates.items()}
     is_sampled = study.is_sampled
     span = "95 % HDI" if is_sampled else "95 % of the fit"
     draws = study.posterior["posterior"].to_dataset() if study.posterior is not None and is_sampled else {}

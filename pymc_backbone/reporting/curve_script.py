@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from .._common.text import printable
+from .._common.text import printable, unit_of
 from ..discrepancy.results.curve_records import ForceCurves
 from ..effects import LIBRARY
 from .model_script import comment
@@ -54,7 +54,7 @@ if __name__ == "__main__":
 """
 
 
-def curve_script(curves: ForceCurves, seed: int, version: str) -> str:
+def curve_script(curves: ForceCurves, seed: int, version: str, amplitude_unit: str) -> str:
     """Return the text of the script: the oscillator, every parameter of the mean specimen, a model to sample."""
     oscillator = curves.oscillator
     effects = [json.dumps(effect.name) for effect in oscillator.effects]
@@ -67,7 +67,8 @@ def curve_script(curves: ForceCurves, seed: int, version: str) -> str:
     for parameter in oscillator.parameters:
         value, error = curves.parameters[parameter.name]
         note = f"+- {error:.2g}" if error else "held"
-        lines.append(f"    {json.dumps(parameter.name)}: {value!r},  # [{printable(parameter.unit)}], {note}")
+        unit = printable(unit_of(parameter.unit, amplitude_unit))
+        lines.append(f"    {json.dumps(parameter.name)}: {value!r},  # [{unit}], {note}")
     lines += ["}", "", ""]
     head = _HEADER.format(name=CURVE_SCRIPT, version=printable(version), data=BACKBONES)
     return head + "\n".join(lines) + _REST.format(data=json.dumps(BACKBONES), seed=int(seed))

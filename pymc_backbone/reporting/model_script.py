@@ -18,7 +18,7 @@ import xarray as xr
 
 from .._common.backbone_dataset import typical_frequency
 from .._common.checks import OBSERVABLES
-from .._common.text import printable
+from .._common.text import printable, unit_of
 from ..discrepancy.results.study import Study
 from ..effects import LIBRARY
 from ..inference.options import LIKELIHOODS, STEPS
@@ -136,7 +136,7 @@ def _model(model: Oscillator, study: Study, likelihood: str, wanted: str, settin
     lines = []
     if wanted not in (*LIKELIHOODS, likelihood):
         lines += comment(f"The study used the likelihood {wanted!r}; this script gives each specimen its own values.")
-    data = "backbones"
+    data, moved_in = "backbones", study.amplitude_unit
     if likelihood == "population":
         kind, marginal = str(settings.get("density", "product")), str(settings.get("marginal", "best"))
         lines.append(f"density = fit_density(backbones, kind={json.dumps(kind)}, marginal={json.dumps(marginal)})")
@@ -147,14 +147,14 @@ def _model(model: Oscillator, study: Study, likelihood: str, wanted: str, settin
     lines.append("    # Uniform priors, in SI units" + ("; each specimen has its own value." if each else "."))
     lines.append("    parameters = {")
     for parameter in model.parameters:
-        name = parameter.name
+        name, unit = parameter.name, printable(unit_of(parameter.unit, moved_in))
         if name in fixed:
-            lines.append(f"        {json.dumps(name)}: {fixed[name]!r},  # [{printable(parameter.unit)}], held")
+            lines.append(f"        {json.dumps(name)}: {fixed[name]!r},  # [{unit}], held")
             continue
         low, high = bounds[name]
         dims = ', dims="specimen"' if each else ""
         prior = f"pm.Uniform({json.dumps(name)}, {low!r}, {high!r}{dims})"
-        lines.append(f"        {json.dumps(name)}: {prior},  # [{printable(parameter.unit)}]")
+        lines.append(f"        {json.dumps(name)}: {prior},  # [{unit}]")
     lines += ["    }", f'    backbone_likelihood("backbone", oscillator, {data}, parameters)']
     return "\n".join(lines) + "\n\n"
 

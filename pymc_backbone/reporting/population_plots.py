@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 from typing import Any
 
@@ -25,7 +25,12 @@ _REACH = 4.0  # spreads to either side that are drawn
 
 
 def plot_population(
-    posterior: xr.DataTree, oscillator: Oscillator, names: Sequence[str] | None = None, *, probability: float = 0.95
+    posterior: xr.DataTree,
+    oscillator: Oscillator,
+    names: Sequence[str] | None = None,
+    *,
+    probability: float = 0.95,
+    units: Mapping[str, str] | None = None,
 ) -> Figure:
     """Draw what a hierarchical model found: the population of every parameter, the specimens, and correlations.
 
@@ -39,6 +44,8 @@ def plot_population(
         Parameters drawn; by default all that were inferred.
     probability : float, optional
         Mass of bands and intervals; 0.95 by default.
+    units : mapping of str to str, optional
+        Of the parameters; by default those of the oscillator, which are those of a straight motion.
 
     Returns
     -------
@@ -67,7 +74,7 @@ def plot_population(
     for axis in axes.flat[count:]:
         axis.set_visible(False)
     for name, axis in zip(wanted, axes.flat, strict=False):
-        _draw_parameter(axis, draws, oscillator, name, probability)
+        _draw_parameter(axis, draws, oscillator, name, probability, oscillator.units if units is None else units)
     if has_correlation:
         _draw_correlations(axes.flat[len(wanted)], draws, wanted, probability)
     legend_below(axes.flat[0], 3)
@@ -76,7 +83,9 @@ def plot_population(
     return figure
 
 
-def _draw_parameter(axis: Axes, draws: xr.Dataset, oscillator: Oscillator, name: str, probability: float) -> None:
+def _draw_parameter(
+    axis: Axes, draws: xr.Dataset, oscillator: Oscillator, name: str, probability: float, units: Mapping[str, str]
+) -> None:
     """Draw the population of one parameter over its specimens."""
     from arviz_stats import hdi
 
@@ -86,7 +95,7 @@ def _draw_parameter(axis: Axes, draws: xr.Dataset, oscillator: Oscillator, name:
     intervals = np.array([np.asarray(hdi(values, prob=probability)) for values in own])
     limits = next((p.minimum, p.maximum) for p in oscillator.parameters if p.name == name)
     x, density = _densities(draws, name, limits, intervals)
-    scale, label = parameter_axis(name, x, oscillator.units)
+    scale, label = parameter_axis(name, x, units)
     tail = 50.0 * (1.0 - probability)
     low, middle, high = np.percentile(density, [tail, 50.0, 100.0 - tail], axis=0)
     top = float(high.max())

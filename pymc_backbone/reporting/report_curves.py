@@ -20,7 +20,7 @@ def force_curves(study: Study, figures: Mapping[str, Figure]) -> str:
     curves = study.force_curves
     if curves is None:
         return ""
-    unit = str(study.backbones.attrs.get("amplitude_unit", "m"))
+    unit = study.amplitude_unit
     pictures = "".join(
         image(figures.get(f"force_{which}"), f"{which} force over what the motion visited, with its band")
         for which in ("conservative", "damping")

@@ -126,6 +126,6 @@ def interval(study: Study) -> str:
 
 def amplitudes(study: Study, low: float, high: float) -> tuple[Raw, Raw, str]:
     """Return two amplitudes and their unit, in the prefix that suits all levels."""
-    name = str(study.backbones.attrs.get("amplitude_unit", "m"))
+    name = study.amplitude_unit
     scale, prefix = engineering(float(np.asarray(study.backbones["level"]).max()), name)
     return number(low * scale, 3), number(high * scale, 3), f"{prefix}{name}"

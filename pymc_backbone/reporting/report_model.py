@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import astuple
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from .._common.text import capitalised, in_words, span
+from .._common.text import capitalised, equation_of, in_words, span, unit_of
 from ..discrepancy.results.entries import Candidate, Detectable, Estimate
 from ..discrepancy.results.study import Study
 from ..discrepancy.results.verdict import Verdict
@@ -17,10 +16,8 @@ from ..effects import LIBRARY
 from ..oscillator import Oscillator
 from .html import Raw, bullets, details, escape, image, number, paragraph, prose, section, table, tiles, unit
 from .terminal import meaningful_digits
-from .words import STATUS_WORDS, added_effects, candidate_name, is_held, mechanism_name, percent, set_name, unit_of
+from .words import STATUS_WORDS, added_effects, candidate_name, is_held, mechanism_name, percent, set_name
 
-_IN_BRACKETS = re.compile(r"\[([^\]]*)\]")
-_TURNED = "kg m^2"
 FIRST_CANDIDATES = 6
 MOST_SETS = 12
 
@@ -39,7 +36,7 @@ def candidates(study: Study, figures: Mapping[str, Figure]) -> str:
     )
     known = {p.name: p.unit for effect in LIBRARY.values() for p in effect.parameters}
     known.update((study.extended or study.base).units)
-    units = {name: unit_of(text, _amplitude_unit(study)) for name, text in known.items()}
+    units = {name: unit_of(text, study.amplitude_unit) for name, text in known.items()}
     rows = [_candidate_row(candidate, units) for candidate in study.candidates]
     first = table(columns, rows[:FIRST_CANDIDATES], strong=[0])
     count = len(rows) - FIRST_CANDIDATES
@@ -96,17 +93,13 @@ def _remainder(study: Study) -> str:
         share = Raw(f"{number(100.0 * item.share_of_gap, 2)} %") if np.isfinite(item.share_of_gap) else "-"
         rows.append((item.observable, size, number(item.standard_errors, 2), share))
     first = study.remainder[0]
-    between = span(first.amplitude_low, first.amplitude_high, _amplitude_unit(study))
+    between = span(first.amplitude_low, first.amplitude_high, study.amplitude_unit)
     note = (
         f"What the most probable set leaves from {between}, beyond its own frequency and damping; over the base's gap "
         "as root mean squares. Here a smooth departure is fitted beside it; the figures above show the set as the "
         "samples alone place it, which may leave more."
     )
     return table(columns, rows) + paragraph(note, "soft")
-
-
-def _amplitude_unit(study: Study) -> str:
-    return str(study.backbones.attrs.get("amplitude_unit", "m"))
 
 
 def _candidate_row(candidate: Candidate, units: Mapping[str, str]) -> tuple[object, ...]:
@@ -174,7 +167,7 @@ def parameters(study: Study, figures: Mapping[str, Figure]) -> str:
                     number(np.nan if is_held(estimate) else estimate.sd, 2),
                     *([number(fitted.get(name, (np.nan, np.nan))[1], 2)] if is_sampled else []),
                     "held" if is_held(estimate) else _interval(estimate, digits),
-                    unit(unit_of(estimate.unit, _amplitude_unit(study))),
+                    unit(estimate.unit),
                     in_words(effect),
                 )
             )
@@ -209,7 +202,7 @@ def parameters(study: Study, figures: Mapping[str, Figure]) -> str:
 
 def equations(study: Study) -> str:
     """Write the equation of motion before and after."""
-    of = _amplitude_unit(study)
+    of = study.amplitude_unit
     parts = ["<h3>Before</h3>" if study.extended else "", _equation(study.base, set(), of)]
     if study.extended is not None:
         parts += ["<h3>After</h3>", _equation(study.extended, set(added_effects(study)), of)]
@@ -220,17 +213,11 @@ def _equation(model: Oscillator, added: set[str], amplitude_unit: str) -> str:
     """Return the equation with the symbols of added parameters in the verdict's colour."""
     names = {parameter.name for effect in model.effects if effect.name in added for parameter in effect.parameters}
     lines = []
-    for i, line in enumerate(model.equation.splitlines()):
+    for i, line in enumerate(equation_of(model.equation, amplitude_unit).splitlines()):
         is_added = i > 0 and any(f": {name} [" in line for name in names)
-        text = escape(_IN_BRACKETS.sub(lambda found: f"[{_own_unit(found[1], amplitude_unit)}]", line) if i else line)
+        text = escape(line)
         lines.append(f"<b>{text}</b>" if i == 0 or is_added else text)
     return "<pre>" + "\n".join(lines) + "</pre>"
-
-
-def _own_unit(unit: str, amplitude_unit: str) -> str:
-    """Return the unit of a symbol in an equation, of the mass that of the motion at hand."""
-    moved, _, turned = unit.partition("; ")
-    return unit_of(unit, amplitude_unit) if not turned else _TURNED if amplitude_unit == "rad" else moved
 
 
 def detectable(study: Study, figures: Mapping[str, Figure]) -> str:
@@ -242,14 +229,14 @@ def detectable(study: Study, figures: Mapping[str, Figure]) -> str:
         ("frequency changes by", ""),
         ("damping changes by", ""),
     )
-    rows = [_detectable_row(item, _amplitude_unit(study)) for item in study.detectable]
+    rows = [_detectable_row(item) for item in study.detectable]
     note = paragraph("The strength from which each effect would have been seen in 9 of 10 such studies.", "soft")
     picture = image(figures.get("detectable"), "smallest detectable changes of frequency and damping")
     title = "The smallest effects these data could have shown"
     return section(title, note, table(columns, rows), picture) if rows else ""
 
 
-def _detectable_row(item: Detectable, amplitude_unit: str) -> tuple[object, ...]:
+def _detectable_row(item: Detectable) -> tuple[object, ...]:
     changes = [
         Raw(f"{number(100.0 * abs(change), 2)} %") if np.isfinite(change) else number(change)
         for change in (item.frequency, item.damping)
@@ -257,7 +244,7 @@ def _detectable_row(item: Detectable, amplitude_unit: str) -> tuple[object, ...]
     name, parameter = in_words(item.effect), in_words(item.parameter)
     strength = number(item.value, 3)
     if item.unit not in ("1", "-"):
-        strength = Raw(f"{strength} {unit(unit_of(item.unit, amplitude_unit))}")
+        strength = Raw(f"{strength} {unit(item.unit)}")
     return name, parameter, strength, *changes
 
 

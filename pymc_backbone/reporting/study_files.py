@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+from .._common.text import equation_of
 from ..discrepancy.results.curve_records import ForceCurves
 from ..discrepancy.results.design import Contender, Plan
 from ..discrepancy.results.entries import Estimate, HeldOut
@@ -165,7 +166,7 @@ def write_study(
         SCRIPT: model_script(study, version),
     }
     if study.force_curves is not None:
-        texts[CURVE_SCRIPT] = curve_script(study.force_curves, study.seed, version)
+        texts[CURVE_SCRIPT] = curve_script(study.force_curves, study.seed, version, study.amplitude_unit)
     return write_results(
         place,
         {"command": command, **study_entries(study, version)},
@@ -180,6 +181,7 @@ def write_study(
 
 def study_entries(study: Study, version: str) -> dict[str, Any]:
     """Return what ``result.json`` holds of a study; keys as in `DIAGNOSIS_KEYS`."""
+    unit = study.amplitude_unit
     falling = sorted(study.candidates, key=lambda item: -np.nan_to_num(item.probability, nan=-1.0))
     return {
         "version": version,
@@ -243,12 +245,12 @@ def study_entries(study: Study, version: str) -> dict[str, Any]:
         "posterior_bounds": {name: list(bounds) for name, bounds in study.posterior_bounds.items()},
         "convergence": dict(study.convergence),
         "findings": list(study.findings),
-        "equation_before": study.base.equation,
-        "equation_after": None if study.extended is None else study.extended.equation,
+        "equation_before": equation_of(study.base.equation, unit),
+        "equation_after": None if study.extended is None else equation_of(study.extended.equation, unit),
         "mass": study.base.mass,
         "observables": [str(name) for name in study.backbones["observable"].values],
         "levels": np.asarray(study.backbones["level"], dtype=float),
-        "amplitude_unit": str(study.backbones.attrs.get("amplitude_unit", "m")),
+        "amplitude_unit": unit,
         "specimens": [str(name) for name in study.backbones["specimen"].values],
         "settings": dict(study.settings),
         "notes": list(study.notes),

@@ -7,6 +7,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
+from .._common.text import unit_of
 from ..discrepancy.results.study import Study
 from .backbone_plots import plot_records
 from .candidate_plots import plot_candidates, plot_detectable, plot_parameters
@@ -14,7 +15,6 @@ from .curve_plots import plot_force
 from .gap_plots import plot_before_after, plot_gap, plot_held_out
 from .portrait_plots import plot_distortion, plot_force_sections, plot_time_frequency
 from .posterior_plots import plot_rank, plot_trace
-from .words import unit_of
 
 
 def study_figures(study: Study, records: Sequence[Any] = ()) -> dict[str, Figure]:
@@ -46,14 +46,12 @@ def study_figures(study: Study, records: Sequence[Any] = ()) -> dict[str, Figure
         figures[f"gap_{name}"] = plot_gap(study, name)
     if study.force_curves is not None:
         for which in ("conservative", "damping"):
-            unit = str(study.backbones.attrs.get("amplitude_unit", "m"))
+            unit = study.amplitude_unit
             figures[f"force_{which}"] = plot_force(study.force_curves, which, unit)
     if study.candidates:
         figures["candidates"] = plot_candidates(study)
     if study.held_out_levels is not None:
-        figures["held_out_levels"] = plot_held_out(
-            study.held_out_levels, "level", str(study.backbones.attrs.get("amplitude_unit", "m"))
-        )
+        figures["held_out_levels"] = plot_held_out(study.held_out_levels, "level", study.amplitude_unit)
     if study.held_out_specimens is not None:
         figures["held_out_specimens"] = plot_held_out(study.held_out_specimens, "specimen")
     if study.parameters:
@@ -62,7 +60,7 @@ def study_figures(study: Study, records: Sequence[Any] = ()) -> dict[str, Figure
         figures["detectable"] = plot_detectable(study)
     if study.posterior is not None:
         names = [name for name in study.posterior_bounds if name in study.posterior["posterior"]]
-        amplitude_unit = str(study.backbones.attrs.get("amplitude_unit", "m"))
+        amplitude_unit = study.amplitude_unit
         units = {name: unit_of(text, amplitude_unit) for name, text in (study.extended or study.base).units.items()}
         figures["trace"] = plot_trace(study.posterior, names, units=units)
         figures["rank"] = plot_rank(study.posterior, names, units=units)
@@ -78,7 +76,7 @@ def _of_single_records(study: Study) -> dict[str, Figure]:
     figures: dict[str, Figure] = {}
     if shown is None:
         return figures
-    unit = str(study.backbones.attrs.get("amplitude_unit", "m"))
+    unit = study.amplitude_unit
     for number, spectrum in enumerate(shown.spectra, start=1):
         figures[f"time_frequency_{number}"] = plot_time_frequency(spectrum)
     if shown.has_forces:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -169,19 +168,6 @@ def next_steps(study: Study) -> list[str]:
 def is_held(estimate: Estimate) -> bool:
     """Return whether a parameter was held at its value, where forces tell no more than the others do."""
     return estimate.hdi_low == estimate.mean == estimate.hdi_high
-
-
-def unit_of(unit: str, amplitude_unit: str) -> str:
-    """Return the unit of a force's parameter as it is for a rotation, where the amplitude is an angle.
-
-    Examples
-    --------
-    >>> unit_of("N s/m^2", "m"), unit_of("N s/m^2", "rad"), unit_of("N m/rad", "rad"), unit_of("kg/m^2", "rad")
-    ('N s/m^2', 'N m s/rad^2', 'N m/rad', 'kg m^2/rad^2')
-    """
-    if amplitude_unit != "rad" or "rad" in unit:
-        return unit
-    return re.sub(r"\b(kg|N|m)\b", lambda found: {"kg": "kg m^2", "N": "N m", "m": "rad"}[found.group()], unit)
 
 
 def mechanism_name(mechanism: str) -> str:

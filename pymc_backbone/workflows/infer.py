@@ -12,6 +12,7 @@ import xarray as xr
 from .._common.backbone_dataset import FREQUENCY, backbone_dataset
 from .._common.checks import InputError, check_choice
 from .._common.options import settings_of
+from .._common.text import equation_of, unit_of
 from ..inference.options import (
     GRADIENT_STEPS,
     HIERARCHICAL,
@@ -61,8 +62,9 @@ def infer(
     kind = HIERARCHICAL if is_hierarchical else likelihood_of(measured.backbones, comparing.likelihood)
     bounds = _bounds(oscillator, measured, modelling)
     model = _build(oscillator, measured, bounds, modelling, comparing, kind)
+    equation = equation_of(oscillator.equation, measured.amplitude_unit)
     say(
-        f"\n{oscillator.equation}\n\nSampling {sampling.chains} chains of {sampling.tune} + {sampling.draws} draws "
+        f"\n{equation}\n\nSampling {sampling.chains} chains of {sampling.tune} + {sampling.draws} draws "
         f"({sampling.step}, {kind} likelihood) ..."
     )
     kept = settings_of(keeping) if keeping.store is not None else {}
@@ -235,7 +237,7 @@ def _with_known_stiffness(oscillator: Oscillator, measured: Measured, modelling:
     if not is_known or STIFFNESS in modelling.priors or STIFFNESS in modelling.fixed:
         return modelling
     stiffness = oscillator.mass * measured.angular_frequency**2
-    unit = oscillator.units[STIFFNESS]
+    unit = unit_of(oscillator.units[STIFFNESS], measured.amplitude_unit)
     say(
         f"\nOnly damping was measured: {STIFFNESS} is held at mass times angular frequency squared, {stiffness:.6g} "
         f"{unit}; a prior for it would take its place."

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import xarray as xr
 
 from .._common.checks import FloatArray
+from .._common.text import equation_of, unit_of
 from ..reporting.output_folder import package_version
 from ..reporting.terminal import compare
 from .measure import Measured
@@ -51,6 +52,12 @@ class Updated:
         return [name for name in self.bounds if name in self.posterior["posterior"]]
 
     @property
+    def units(self) -> dict[str, str]:
+        """Of the parameters, as the measured motion has them."""
+        unit = self.measured.amplitude_unit
+        return {name: unit_of(text, unit) for name, text in self.oscillator.units.items()}
+
+    @property
     def population_names(self) -> list[str]:
         """Of the variables that are mean and spread of a hierarchical model's population."""
         return [] if self.population is None else [f"{name}_{what}" for name in self.bounds for what in ("mean", "sd")]
@@ -66,7 +73,7 @@ def result_of(updated: Updated, command: str, settings: Mapping[str, Any]) -> di
         "command": command,
         "settings": dict(settings),
         "seed": settings["random_seed"],
-        "equation": oscillator.equation,
+        "equation": equation_of(oscillator.equation, updated.measured.amplitude_unit),
         "mass": oscillator.mass,
         "mass_error": updated.mass_error,
         "effects": [effect.name for effect in oscillator.effects],
@@ -88,7 +95,7 @@ def _findings(updated: Updated) -> list[str]:
     """Return what is wrong with the fit and the posterior, in sentences."""
     from ..inference.diagnostics import findings
 
-    remedy, units = _remedy(updated), updated.oscillator.units
+    remedy, units = _remedy(updated), updated.units
     if updated.population is None:
         return findings(updated.posterior, updated.bounds, units=units, fit=updated.fit, remedy=remedy)
     # A specimen's prior is the population; only the population's mean has bounds to lean on.
@@ -120,12 +127,11 @@ def _remedy(updated: Updated) -> str:
 def _parameters(updated: Updated) -> dict[str, dict[str, Any]]:
     entries = {}
     mass = updated.oscillator.mass
-    is_rotation = updated.measured.amplitude_unit == "rad"
     # of a prior that is no interval the central 95 % are given
     bounds = {
         **updated.bounds, MASS: (max(mass - 1.96 * updated.mass_error, 0.0), mass + 1.96 * updated.mass_error)
     }  # fmt: skip
-    units = {**updated.oscillator.units, MASS: "kg m^2" if is_rotation else "kg"}
+    units = {**updated.units, MASS: unit_of("kg", updated.measured.amplitude_unit)}
     own = updated.table.drop(index=updated.population_names)
     for label, row in own.iterrows():
         name = str(label).partition("[")[0]
@@ -145,7 +151,7 @@ def figures_of(updated: Updated, true_values: Mapping[str, FloatArray] | None) -
     from .. import plots
 
     measured, posterior = updated.measured, updated.posterior
-    names, units = list(updated.bounds), updated.oscillator.units
+    names, units = list(updated.bounds), updated.units
     figures = {
         "backbones": plots.plot_backbones(measured.backbones),
         "predictive": plots.plot_fit(measured.backbones, updated.fit),
@@ -155,7 +161,7 @@ def figures_of(updated: Updated, true_values: Mapping[str, FloatArray] | None) -
             posterior, updated.bounds, units=units, true_values=true_values
         )
     else:
-        figures["population"] = plots.plot_population(posterior, updated.oscillator, names)
+        figures["population"] = plots.plot_population(posterior, updated.oscillator, names, units=units)
         units = {f"{name}_{what}": unit for name, unit in units.items() for what in ("mean", "sd")}
         names = updated.population_names
     figures["trace"] = plots.plot_trace(posterior, names, units=units)

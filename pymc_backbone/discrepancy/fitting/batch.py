@@ -62,6 +62,11 @@ class Batch:
     settling_odds: float = 0.0
 
     @property
+    def amplitude_unit(self) -> str:
+        """m, or rad for a rotation."""
+        return str(self.backbones.attrs.get("amplitude_unit", "m"))
+
+    @property
     def deciding(self) -> Sequence[DataTerm]:
         """The data term that decides: the waveform where there is one."""
         return self.waveform or self.levels

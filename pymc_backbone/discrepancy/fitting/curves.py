@@ -129,7 +129,7 @@ def simulate(batch: Batch, found: Fit, levels: FloatArray | None = None) -> xr.D
     return xr.Dataset(
         {"value": (dims, values), "standard_error": (dims, np.zeros_like(values))},
         coords={"specimen": list(batch.specimens), "observable": names, "level": chosen},
-        attrs={"amplitude_unit": batch.backbones.attrs.get("amplitude_unit", "m")},
+        attrs={"amplitude_unit": batch.amplitude_unit},
     )
 
 

@@ -81,9 +81,7 @@ def force_curves(
     beside = tuple(effect.name for effect in start.layout.oscillator.effects if effect.name not in BASE_EFFECTS)
     return ForceCurves(
         is_possible=judgement.is_possible,
-        sentence=sentence(
-            judgement, told, str(batch.backbones.attrs.get("amplitude_unit", "m")), beside, found.tabulated.has_even
-        ),
+        sentence=sentence(judgement, told, batch.amplitude_unit, beside, found.tabulated.has_even),
         beside=beside,
         bands=bands,
         has_even=found.tabulated.has_even,

@@ -11,6 +11,7 @@ from scipy.special import stdtrit
 
 from ..._common.backbone_dataset import FREQUENCY
 from ..._common.checks import OBSERVABLES, FloatArray
+from ..._common.text import unit_of
 from ...effects import BASE_EFFECTS, Parameter
 from ...inference.options import Sampling
 from ..fitting import valleys
@@ -78,7 +79,7 @@ def mean_specimen(batch: Batch, found: Fit) -> tuple[xr.Dataset, FloatArray]:
         },
         coords={"specimen": ["mean specimen"], "observable": names, "level": levels, "level_other": levels},
         attrs={
-            "amplitude_unit": batch.backbones.attrs.get("amplitude_unit", "m"),
+            "amplitude_unit": batch.amplitude_unit,
             "notes": [],
             **{key: batch.backbones.attrs[key] for key in (FREQUENCY,) if key in batch.backbones.attrs},
         },
@@ -165,7 +166,7 @@ def infer(
 ) -> Inference:
     """Return the parameters of a model from draws or, without ``sampling``, from the curvature of the fit."""
     if sampling is None:
-        return Inference(estimates_from_fit(batch, found))
+        return Inference(_in_units_of(batch, estimates_from_fit(batch, found)))
     # PyMC takes seconds to import, and quick studies do without
     from ...inference.model import build_model
     from ...inference.sampling import sample
@@ -179,7 +180,7 @@ def infer(
     posterior = sample(model, progressbar=False, progress=progress, **asdict(chosen))
     estimates, said, figures = _told_by(posterior, found, held, fitted)
     return Inference(
-        estimates=estimates,
+        estimates=_in_units_of(batch, estimates),
         posterior=posterior,
         backbone=backbone,
         bounds=bounds,
@@ -187,6 +188,14 @@ def infer(
         findings=said,
         convergence={**figures, "draws": chosen.draws, "tune": chosen.tune, "chains": chosen.chains},
     )
+
+
+def _in_units_of(batch: Batch, estimates: Mapping[str, Mapping[str, Estimate]]) -> dict[str, dict[str, Estimate]]:
+    """Return estimates with the units of the motion at hand: effects are written for a straight one."""
+    return {
+        effect: {name: replace(item, unit=unit_of(item.unit, batch.amplitude_unit)) for name, item in group.items()}
+        for effect, group in estimates.items()
+    }
 
 
 def _told_by(

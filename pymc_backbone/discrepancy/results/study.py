@@ -176,6 +176,11 @@ class Study:
     portraits: Portraits | None = None
 
     @property
+    def amplitude_unit(self) -> str:
+        """m, or rad for a rotation."""
+        return str(self.backbones.attrs.get("amplitude_unit", "m"))
+
+    @property
     def is_sampled(self) -> bool:
         """Whether the parameters are those of draws: some were taken, and they mixed."""
         return self.posterior is not None and self.convergence.get("r_hat", float("inf")) <= UNMIXED

@@ -278,7 +278,7 @@ def possible_effects(
     for effect in own.values():
         check_vanishes(effect, (oscillator.mass, batch.amplitude, batch.angular_frequency))
     held = {effect.name for effect in oscillator.effects}
-    unit = str(batch.backbones.attrs.get("amplitude_unit", "m"))
+    unit = batch.amplitude_unit
     if candidates is None:
         names = list(looked_for(unit))
     else:

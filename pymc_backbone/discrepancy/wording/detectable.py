@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..._common.text import unit_of
 from ..fitting import starts
 from ..fitting.curves import curve
 from ..fitting.joint_fit import parameters_of
@@ -48,7 +49,7 @@ def detectable(search: Search) -> tuple[Detectable, ...]:
                 effect=name,
                 parameter=parameter.name,
                 value=float(values[place]),
-                unit=parameter.unit,
+                unit=unit_of(parameter.unit, search.batch.amplitude_unit),
                 frequency=largest(change[0]),
                 damping=largest(change[1]),
             )

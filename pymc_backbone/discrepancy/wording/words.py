@@ -7,9 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..._common.checks import OBSERVABLES, BoolArray, FloatArray
-from ..._common.text import amplitude, capitalised, in_a_sentence, in_words, per_cent, span
+from ..._common.text import amplitude, capitalised, in_a_sentence, in_words, per_cent, span, unit_of
 from ...effects import BASE_EFFECTS
-from ...oscillator import Oscillator
 from ..deciding.decision import Decision, as_told
 from ..fitting import starts
 from ..fitting.batch import Batch
@@ -74,7 +73,7 @@ def reasons(
         sentences.append(f"{capitalised(' and '.join(in_words(one) for one in together))}: {text}.{said}")
     if scatter is not None and names:
         sentences.append(scatter_sentence(scatter, names))
-    return (*sentences, *([] if asked is None else _unseen_in(asked.base, found)))
+    return (*sentences, *([] if asked is None else _unseen_in(asked, found)))
 
 
 def _is_against_its_name(found: Fit, name: str) -> bool:
@@ -136,16 +135,17 @@ def _that_matter(
     return tuple(kept) or (() if or_none else rows)
 
 
-def _unseen_in(base: Oscillator, found: Fit) -> list[str]:
+def _unseen_in(asked: Question, found: Fit) -> list[str]:
     """Say which effects of the model as it was are not in the records: their strengths may be zero."""
     sentences, estimates = [], estimates_of(found)
-    for effect in base.effects:
+    for effect in asked.base.effects:
         if effect.name in BASE_EFFECTS or not (at := starts.positions(found.layout, effect.name)):
             continue
         strength = found.layout.names[at[0]]
         value, error = estimates[strength]
         if found.layout.is_strength[at[0]] and abs(value) < _NINETY_FIVE * error:
-            unit = next(parameter.unit for parameter in effect.parameters if parameter.name == strength)
+            known = next(parameter.unit for parameter in effect.parameters if parameter.name == strength)
+            unit = unit_of(known, asked.batch.amplitude_unit)
             most = f"its {in_words(strength)} is at most {abs(value) + _NINETY_FIVE * error:.2g} {unit} (95 %)"
             sentences.append(f"The model's {in_words(effect.name)} is not seen in these records: {most}.")
     return sentences
@@ -192,7 +192,7 @@ def _power_law(batch: Batch, without_it: FloatArray, brought: FloatArray, row: i
     if not float(total[good] @ (own * mean[good])) > _OWN * float(total[good] @ mean[good] ** 2):
         return ""
     at_good = held[:, good], gap[:, good], spread[:, good], brought[:, row][:, good]
-    unit, length = " Hz" if row == 0 else "", str(batch.backbones.attrs.get("amplitude_unit", "m"))
+    unit, length = " Hz" if row == 0 else "", batch.amplitude_unit
     units, sign = (unit, length), np.sign(np.median(mean[good]))
     if good.sum() < _FEWEST_LEVELS:  # a contact that closes at the highest amplitudes alone
         most = int(np.flatnonzero(good)[np.argmax(np.abs(significance[good]))])
@@ -282,7 +282,7 @@ def advice(search: Search, decision: Decision) -> tuple[str, ...]:
     rival = listed[0]
     ours, theirs = search.fits[decision.best], search.fits[rival]
     levels = np.asarray(search.batch.backbones["level"])
-    unit = str(search.batch.backbones.attrs.get("amplitude_unit", "m"))
+    unit = search.batch.amplitude_unit
     _, errors = measured(search.batch)
     pair = f"{named(decision.best)} and {named(rival)}"
     reached = None
