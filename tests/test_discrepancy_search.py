@@ -51,10 +51,11 @@ from pymc_backbone.discrepancy.fitting.scatter import SCATTER
 from pymc_backbone.discrepancy.results.entries import HeldOut
 from pymc_backbone.discrepancy.results.locate import mean_gap, where_different
 from pymc_backbone.discrepancy.sets.followed_sets import FEW_FOLLOWED
-from pymc_backbone.discrepancy.sets.question import Question, check_one_batch
+from pymc_backbone.discrepancy.sets.question import Question, check_one_batch, check_one_mode
 from pymc_backbone.discrepancy.sets.search import Search
 from pymc_backbone.discrepancy.weighing import evidence
 from pymc_backbone.effects import LIBRARY
+from pymc_backbone.measurement.conditioning.condition import condition
 from pymc_backbone.oscillator import Oscillator
 from pymc_backbone.simulation.decay import simulate_waveform
 
@@ -62,6 +63,7 @@ from .discrepancy_cases import (
     AFTER_FIRST_SWING,
     AMPLITUDE,
     DAMPING,
+    FREQUENCY,
     MASS,
     OMEGA,
     RELEASE_TIME,
@@ -627,6 +629,24 @@ def test_structures_that_are_not_alike_are_no_batch(factor, is_one_batch):
     unknown = backbones["specimen"] == "part 2"
     error = backbones["standard_error"]
     check_one_batch(backbones.assign(standard_error=error.where(~unknown, 0.3 * backbones["value"])))
+
+
+@pytest.mark.parametrize("is_one_mode", [True, False])
+def test_records_of_different_modes_are_no_batch(is_one_mode):
+    """One hit excites the higher mode more than another hit does; each record holds both."""
+    rng, records = np.random.default_rng(3), []
+    for k, (low, high) in enumerate(((1.0, 0.2), (1.0, 0.2) if is_one_mode else (0.3, 1.0))):
+        modes = zip((low, high), (FREQUENCY, 2.3 * FREQUENCY), (0.8, 1.1), strict=True)
+        exact = sum(a * AMPLITUDE * np.exp(-c * TIME) * np.cos(2.0 * np.pi * f * TIME) for a, f, c in modes)
+        records.append(condition(noisy(rng, f"part {k}", TIME, exact, 60.0)))
+    if is_one_mode:
+        check_one_mode(records)
+        return
+    message = (
+        r"modes: part 1 that at 11\.\d+ Hz, part 0 that at 5 Hz.*`band=\(3\.5, 6\.\d+\)` or `band=\(8\.\d+, 15\.\d\)`"
+    )
+    with pytest.raises(InputError, match=message):
+        check_one_mode(records)
 
 
 # rivals

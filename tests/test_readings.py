@@ -16,7 +16,7 @@ import pymc_backbone as pb
 from pymc_backbone.discrepancy.disturbances import edges as edges_module
 from pymc_backbone.discrepancy.disturbances.disturbance import Disturbance, Disturbed, line_modes, sentences
 from pymc_backbone.discrepancy.disturbances.edges import Edges, begun_otherwise, edges
-from pymc_backbone.discrepancy.disturbances.left_beside import LeftBeside, left_beside
+from pymc_backbone.discrepancy.disturbances.left_beside import LeftBeside, _moves, left_beside
 from pymc_backbone.discrepancy.disturbances.mode_lines import (
     hum_of,
     is_hum,
@@ -28,6 +28,7 @@ from pymc_backbone.discrepancy.disturbances.readings import _is_one_line, _is_on
 from pymc_backbone.discrepancy.sets.promising import is_promising
 from pymc_backbone.discrepancy.sets.search import Search
 from pymc_backbone.discrepancy.weighing import evidence
+from pymc_backbone.measurement.reading.record import Record
 from pymc_backbone.simulation.decay import simulate_waveform
 
 from .discrepancy_cases import (
@@ -189,6 +190,38 @@ def test_a_line_is_taken_from_a_search_that_has_just_begun(rng, line):
     again = searched(search.halted.undisturbed(records))
     assert again.best() == ("cubic_stiffness",)
     assert again._is_explained()
+
+
+def test_another_mode_may_be_most_of_an_acceleration_and_hardly_move(rng):
+    """At six times the frequency, as much of an acceleration is 2 % of the motion: what was there was no spring."""
+    time, order = np.arange(0.0, 5.0, 1.0 / (60.0 * FREQUENCY)), 6.6
+    spring = {"viscous_damping": DAMPING, "cubic_stiffness": 0.06 * STIFFNESS / AMPLITUDE**2}
+    records = []
+    for r, ratio in enumerate((1.0, 1.01, 0.99)):
+        own, release = spring | {"linear_stiffness": ratio**2 * STIFFNESS}, AMPLITUDE * (1.0 - 0.1 * r)
+        model = pb.Oscillator(MASS, "cubic_stiffness")
+        motion = pb.simulate_waveform(model, own, time, release, quantity="acceleration").values
+        other = np.exp(-1.5 * time) * np.cos(2.0 * np.pi * order * ratio * FREQUENCY * time)
+        values = motion + motion.max() * (other + 1e-3 * rng.standard_normal(time.size))
+        records.append(Record(f"part {r}", time, values, "acceleration", "m/s^2", "made in a test", ()))
+    search = Search(batch_of(records), pb.Oscillator(MASS), CANDIDATES, 1, is_disturbed=early_line)
+    search.run()
+    assert isinstance(search.halted, Disturbed)
+    for item in search.halted.by_specimen.values():
+        assert item.frequency == pytest.approx(order * FREQUENCY, rel=0.02) and item.line > 0.4
+    again = searched(search.halted.undisturbed(records))
+    assert again.best() == ("cubic_stiffness",) and again._is_explained()
+
+
+@pytest.mark.parametrize(
+    ("order", "frequency", "moves"), [(0, 30.0, 0.4), (1, 30.0, 0.1), (2, 30.0, 0.025), (2, 3.0, 0.4)]
+)
+def test_a_line_counts_by_what_it_moves(order, frequency, moves):
+    """What is slower than the mode moves more than an acceleration shows, which is not asked."""
+    batch = SimpleNamespace(waveform=[SimpleNamespace(order=order)], records=[SimpleNamespace(frequency=7.5)])
+    line = Disturbance(0.0, 1.0, 0.0, 2.0, frequency=frequency, cosine=0.8)
+    assert _moves(batch, [line]) == pytest.approx([moves])
+    assert _moves(batch, [Disturbance(0.0, 1.0, 0.0, 2.0, even=0.1)]) == [0.0]
 
 
 @pytest.mark.parametrize("candidates", [("cubic_stiffness",), ("quadratic_stiffness",)])

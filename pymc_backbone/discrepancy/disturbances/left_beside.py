@@ -62,7 +62,7 @@ def left_beside(
         if looked is None or not looked.cost < limit:
             return None
         items = looked.items
-        if max(item.bent for item in items) > _MOST or max(item.line for item in items) > _MOST_OF_A_LINE:
+        if max(item.bent for item in items) > _MOST or max(_moves(batch, items)) > _MOST_OF_A_LINE:
             return None
         without, solved = _fitted(batch, found, items, moved, looked.state)
         if solved is None:
@@ -81,6 +81,15 @@ def left_beside(
     ]
     items = [replace(item, release=release) for item, release in zip(items, begun, strict=True)]
     return LeftBeside(found.cost, items, evidence.lack_of_fit(without, found).p_value >= evidence.UNEXPLAINED)
+
+
+def _moves(batch: Batch, items: list[Disturbance]) -> list[float]:
+    """Return how much of the displacement each line is: an acceleration shows the higher mode more than it moves."""
+    together = zip(items, batch.waveform, batch.records, strict=True)
+    return [
+        item.line * min(record.frequency / item.frequency, 1.0) ** term.order if item.frequency else 0.0
+        for item, term, record in together
+    ]
 
 
 def _stayed(items: list[Disturbance], lines: list[Disturbance]) -> bool:

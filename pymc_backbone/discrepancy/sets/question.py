@@ -14,6 +14,7 @@ from ..._common.checks import InputError, check_choice
 from ..._common.text import in_words
 from ...effects import BASE_EFFECTS, LIBRARY, Effect
 from ...measurement.conditioning.conditioned import ConditionedRecord
+from ...measurement.conditioning.second_mode import SecondMode
 from ...measurement.extraction import measure_batch
 from ...measurement.options import Measuring
 from ...measurement.reading.record import Record
@@ -29,6 +30,7 @@ TOLERANCE: Mapping[str, float] = {"frequency": 0.001, "damping": 0.03, "offset":
 WAVEFORM_SHARE = 0.1
 """Part of the tolerance on damping, as a share of the motion, that waveforms may depart by unexplained."""
 _APART = 1.5  # ratio of the frequencies of one specimen and the next, from which they are no batch
+_SAME_MODE = 0.2  # relative difference of one mode's frequency in two records: amplitudes differ
 _KNOWN = 0.05  # relative standard error of a frequency below which it says what a specimen is
 _VANISHED = 1e-9  # of the force at a typical strength: rounding
 MOST_EFFECTS = 3
@@ -94,6 +96,7 @@ def ask(
     limits = tolerances(tolerance)
     batch, notes = batch_of(oscillator, data, measuring)
     check_one_batch(batch.backbones)
+    check_one_mode(batch.records)
     chosen = possible_effects(oscillator, candidates, batch)
     untold = untold_effects(chosen, own_effects(candidates), batch)
     if untold and len(untold) == len(chosen):
@@ -146,6 +149,40 @@ def check_one_batch(backbones: xr.Dataset) -> None:
                 f"the records are not of one batch: at an amplitude of {float(level):.3g} {unit} {low} moves at "
                 f"{column[order[k]]:.4g} Hz and {high} at {column[order[k + 1]]:.4g} Hz; structures that are meant to "
                 "be alike differ by far less: give each kind a folder of its own, or one mode of them with `band`."
+            )
+
+
+def check_one_mode(records: Sequence[ConditionedRecord]) -> None:
+    """Raise `InputError` where records follow different modes of structures that are alike.
+
+    Accelerations show the higher mode more than it moves, and a hit excites one more than another: which is the larger
+    differs then from record to record.
+
+    Parameters
+    ----------
+    records : sequence of ConditionedRecord
+        Of one batch; empty where only backbones are known.
+
+    Raises
+    ------
+    InputError
+        One record moves at a frequency far from that of another, which holds that as a second mode.
+    """
+    for one in records:
+        for other in records:
+            second = SecondMode(one.second_mode_frequency, one.second_mode_share)
+            ratio, nearness = one.frequency / other.frequency, second.frequency / other.frequency
+            if not (max(ratio, 1.0 / ratio) > _APART and abs(nearness - 1.0) < _SAME_MODE):
+                continue
+            bands = (
+                second.suggested_band(one.frequency),
+                SecondMode(one.frequency, 1.0).suggested_band(other.frequency),
+            )
+            either = " or ".join(f"`band=({low:.3g}, {high:.3g})`" for low, high in sorted(bands))
+            raise InputError(
+                f"the records follow different modes: {other.specimen} that at {other.frequency:.4g} Hz, "
+                f"{one.specimen} that at {one.frequency:.4g} Hz, and it holds the other as well ({second.share:.0%} of "
+                f"the spectral peak); keep one of them in all records, with {either}."
             )
 
 
