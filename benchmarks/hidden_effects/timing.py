@@ -33,7 +33,9 @@ STAGES: dict[str, tuple[str, ...]] = {
     "conditioning, cycles, levels": ("discrepancy.sets.question:batch_of",),
     "proposals": ("discrepancy.sets.known_sets:propose",),
     "waveform fits": ("discrepancy.workflow:_searched",),
-    "deciding, rivals": ("discrepancy.workflow:_decided",),
+    "disturbances": ("discrepancy.workflow:undisturbed",),
+    "drifts": ("discrepancy.checks.rivals:drifting_sets",),
+    "deciding": ("discrepancy.workflow:_decided",),
     "held out": ("discrepancy.workflow:verify",),
     "parameters, study": ("discrepancy.workflow:infer", "discrepancy.workflow:_study"),
     "figures": (
