@@ -14,6 +14,7 @@ from pymc_backbone.discrepancy.fitting.curves import fit_on_levels, spread_over
 from pymc_backbone.discrepancy.fitting.layout import make_layout
 from pymc_backbone.discrepancy.fitting.small_systems import solve_in_place
 from pymc_backbone.discrepancy.proposals import looks
+from pymc_backbone.discrepancy.proposals import propose as propose_module
 from pymc_backbone.discrepancy.proposals.looks import STIFFNESS, atoms_of, level_data
 from pymc_backbone.discrepancy.proposals.proposal import Proposal
 from pymc_backbone.discrepancy.proposals.propose import _Proposer, propose
@@ -453,3 +454,23 @@ def test_a_slider_that_slips_at_the_largest_amplitudes_alone_is_found(share, sli
     slider = next(item for item in found if item.names == ("jenkins",))
     assert slider.chi_square < 1.5 * sum(term.size for term in batch.levels)
     assert slider.eta[1] * batch.amplitude == pytest.approx(slips * AMPLITUDE, rel=0.05)
+
+
+def test_proposals_do_not_hang_on_which_job_ends_first(monkeypatch):
+    """Sets that are fitted beside each other begin where others stood before, not where these are by then."""
+    truth = Oscillator(MASS, ("iwan", "quadratic_damping"))
+    joint = {"joint_stiffness": 0.3 * SPRING, "joint_slip_force": 0.2 * SPRING * AMPLITUDE, "joint_exponent": -0.4}
+    batch = _batch(truth, {**joint, "quadratic_damping": 0.02 * SPRING / (OMEGA**2 * AMPLITUDE)}, specimens=2)
+    candidates = ("cubic_stiffness", "iwan", "jenkins", "quadratic_damping")
+
+    def proposed(order):
+        def in_turn(jobs):
+            turns = order(range(len(jobs)))
+            return [found for _, found in sorted((k, jobs[k]()) for k in turns)]
+
+        monkeypatch.setattr(propose_module, "in_threads", in_turn)
+        return [
+            (item.names, item.chi_square, item.log_evidence) for item in propose(batch, Oscillator(MASS), candidates, 3)
+        ]
+
+    assert proposed(list) == proposed(lambda turns: list(reversed(turns)))

@@ -17,8 +17,8 @@ from pymc_backbone.discrepancy.checks.rivals import drift_fit
 from pymc_backbone.discrepancy.deciding.decision import Decision
 from pymc_backbone.discrepancy.fitting.joint_fit import fit
 from pymc_backbone.discrepancy.fitting.layout import make_layout
-from pymc_backbone.discrepancy.fitting.normal_equations import start_state
-from pymc_backbone.discrepancy.force_curves import curve_laws, families, force_curve
+from pymc_backbone.discrepancy.fitting.normal_equations import State, start_state
+from pymc_backbone.discrepancy.force_curves import curve_fit, curve_laws, families, force_curve
 from pymc_backbone.discrepancy.force_curves.curve_bands import bands_of, simultaneous
 from pymc_backbone.discrepancy.force_curves.curve_fit import CurveFit, fit_curves
 from pymc_backbone.discrepancy.force_curves.curve_known import Known
@@ -312,6 +312,33 @@ def test_what_rises_with_time_in_one_record_and_falls_in_another_is_no_force_cur
         "A smooth force of displacement and speed is not" in curves.sentence
         and "drift with time explains more" in curves.sentence
     )
+
+
+def test_curves_that_are_far_from_noise_are_not_followed_to_the_last(outside, monkeypatch):
+    """Where no curve follows the records, the last steps change next to nothing; where one does, all are taken."""
+    rising, falling = (drifting_records(np.random.default_rng(3), change) for change in (0.05, -0.05))
+    far = batch_of([rising[0], falling[1]])
+    asked, real = [], curve_fit.evaluated
+    monkeypatch.setattr(curve_fit, "evaluated", lambda *given: asked.append(None) or real(*given))
+
+    def steps(batch, found, share):
+        """How many steps a fit takes from a tenth stiffer nodes on, and what it leaves."""
+        state = State(share * found.fit.state.eta, found.fit.state.own)
+        asked.clear()
+        again = fit_curves(
+            found.tabulated, batch.waveform, state, nuisances=range(5), precisions=found.precisions, is_learning=False,
+            iterations=60,
+        )  # fmt: skip
+        return len(asked), float(again.fit.chi_square.sum()) / sum(term.size for term in batch.waveform)
+
+    near, there = outside
+    left = fit_remainder(far, Oscillator(MASS))
+    soon, whole = [], []
+    for counts, weight in ((soon, curve_fit._FAR), (whole, 0.0)):
+        monkeypatch.setattr(curve_fit, "_FAR", weight)
+        counts += [steps(far, left, 1.1), steps(near, there, 1.1)]
+    assert whole[0][1] > 10.0 and soon[0][0] < whole[0][0] and soon[0][1] < 1.03 * whole[0][1], (soon, whole)
+    assert soon[1] == whole[1] and whole[1][1] < 1.2
 
 
 def test_a_drift_that_a_curve_imitates_is_told():

@@ -89,6 +89,21 @@ def test_what_backbones_do_not_show_is_asked_where_nothing_else_explains_the_sam
     assert all("structural_damping" not in names for names in search.fits if names != ("structural_damping",))
 
 
+@pytest.mark.parametrize("is_far_off", [False, True])
+def test_what_is_reserved_is_not_asked_beside_what_is_far_off_all_records(is_far_off, monkeypatch):
+    batch = batch_of(records_of("structural_damping", (0.03 * STIFFNESS,)), MASS)
+    search = Search(batch, Oscillator(MASS), ("cubic_stiffness",), 2, reserved=("structural_damping",))
+    search.fit_set(())
+    search.fit_set(("cubic_stiffness",))
+    asked = []
+    monkeypatch.setattr(Search, "_is_far_off", lambda _: is_far_off)
+    monkeypatch.setattr(Search, "best", lambda _: ("cubic_stiffness",))
+    monkeypatch.setattr(Search, "fit_set", lambda _, names: asked.append(names))
+    search._ask_reserved()
+    beside = [("cubic_stiffness", "structural_damping")]
+    assert asked == [("structural_damping",)] + (not is_far_off) * beside
+
+
 def test_what_is_reserved_is_asked_unless_candidates_are_named():
     def asked(model, candidates):
         return ask(

@@ -275,12 +275,15 @@ def _unfinished(search: Search, weighed: Weighed, ranked: Sequence[Set]) -> tupl
 def _undo_each_other(search: Search, weighed: Weighed, names: Set) -> bool:
     """Return whether effects of a set take back of each other, on the backbones, what no two of one structure do.
 
-    What they do in all specimens they do in some, which are spread over the batch.
+    What they do in all specimens they do in some, which are spread over the batch; and where it departs least, which is
+    near what is lowest.
     """
     if len(names) < 2:
         return False
-    batch = search.batch.subset(spread(len(search.batch.levels), _SOME))
-    found = _on_backbones(search, names, weighed, batch)
+    chosen = spread(len(search.batch.levels), _SOME)
+    begun = weighed.departing[names].state.eta, search.fits[names].state.own[chosen, :2]
+    batch = search.batch.subset(chosen)
+    found = fit_on_levels(batch, search.layout(names), [begun])
     return found is not None and compensation(search, names, found, batch) > _UNDONE
 
 

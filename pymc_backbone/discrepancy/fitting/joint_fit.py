@@ -39,6 +39,7 @@ _LARGEST_DAMPING = 1e8
 _UNDAMPED = 1e-2  # damping up to which a step that promises next to nothing means rest
 _CONVERGED = 0.01
 _RACE, _LONG_RACE, _RACE_MARGIN = 6, 25, 60.0
+_PACE, _FASTER = 4, 2.0  # steps that tell how fast a cost falls, and how much faster it may
 _AT_REST = 50.0  # fall of the cost that one more step promises, up to which it says what a fit at rest would
 
 
@@ -151,6 +152,7 @@ def fit(
     tolerance: float = _CONVERGED,
     rival: float | None = None,
     goal: float = 0.0,
+    needed: float = np.inf,
 ) -> Fit | None:
     """Minimise the sum of squares from ``state``; None where the start cannot be simulated.
 
@@ -174,6 +176,8 @@ def fit(
         A cost that another model reached: what is far above it and hardly falls is given up.
     goal : float
         A cost that is low enough for what comes after: the fit ends below it, not at rest.
+    needed : float
+        A cost above which nothing comes after: what falls too slowly to get below it is given up.
     """
     q = layout.free.size
     scatter = layout.scatter if has_scatter and len(terms) > 1 else 0.0
@@ -186,7 +190,9 @@ def fit(
         return None
     damping, converged, quiet = _FIRST_DAMPING, False, 0
     past, evaluations = [system.cost], 1
-    for _ in range(iterations if system.cost > goal else 0):
+    for done in range(iterations if system.cost > goal else 0):
+        if _is_too_slow(past, needed, iterations - done):
+            break
         limit = tolerance + 1e-6 * system.cost
         tried = _tried(layout, terms, state, system, active, damping, scatter, 0.1 * limit)
         evaluations += tried.evaluations
@@ -218,6 +224,14 @@ def fit(
     return replace(_finish(layout, system, state, active, converged), evaluations=evaluations)
 
 
+def _is_too_slow(past: Sequence[float], needed: float, left: int) -> bool:
+    """Return whether a cost that falls twice as fast as over its last steps does not get where it is needed."""
+    if len(past) <= _PACE or not past[-1] > needed:
+        return False
+    rate = float(np.log(past[-1 - _PACE] / past[-1])) / _PACE
+    return rate * _FASTER * left < float(np.log(past[-1] / needed))
+
+
 class _Tried(NamedTuple):
     """Where a step of the fit leads, the normal equations there (None where it leads nowhere), and what it cost.
 
@@ -245,7 +259,8 @@ def _tried(
         proposal = within(layout, recentred(layout, proposal, scatter), scatter)
     if not np.isfinite(proposal.own).all() or not is_trusted(state, proposal):
         return _Tried(state, None, 0)
-    is_free = bool(step[0].all() and step[1][:, active].all())  # at a limit derivatives hold on one side only
+    # at a limit derivatives hold on one side only
+    is_free = bool(step[0][layout.low < layout.high].all() and step[1][:, active].all())
     if is_free and damping < _UNDAMPED and 0.0 <= _promised(system, state, proposal) < least:
         return _Tried(state, None, 0, is_still=True)
     reached = linearise(layout, terms, proposal, scatter, active)

@@ -28,6 +28,7 @@ _NAMED = 1e-4  # of what is named, in units of its prior
 _LONGEST = 3.0  # factor by which a step may change stiffness and release
 _AT_REST = 0.05  # fall of the sum of squares from which on steps are small
 _SETTLED = 0.1  # relative change of a precision that matters no more
+_FAR, _HARDLY = 0.1, 0.002  # weight of what is far from noise, and the share below which its gains are none
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +107,7 @@ def fit_curves(
     if at is None:
         return None
     count = float(sum(term.size for term in terms))
-    damping, is_settled, quiet = 1e-3, False, 0
+    damping, is_settled, quiet, idle = 1e-3, False, 0, 0
     sizes: FloatArray | None = None
     for _ in range(iterations):
         weight = weight_of(at, count, sizes)
@@ -130,6 +131,9 @@ def fit_curves(
             changed = float(np.where(levels < 0.9 * _SMOOTHEST, moved, 0.0).max())
         if float(at.system.chi_square.sum()) < goal:
             break
+        idle = idle + 1 if weight < _FAR and gain < _HARDLY * cost else 0
+        if idle >= 2:
+            break  # what no curve follows is no better known by what comes after
         is_small = gain < _AT_REST + 1e-5 * cost and changed < _SETTLED
         quiet = quiet + 1 if is_small else 0
         if is_small and sizes is None:

@@ -46,6 +46,14 @@ class Point:
         return float(away @ other.shared @ away) > _APART**2
 
 
+class Standing(NamedTuple):
+    """Where a set of effects stood, and at which cost, before others were fitted beside it."""
+
+    names: tuple[str, ...]
+    point: Point
+    cost: float
+
+
 class OwnValues(NamedTuple):
     """What the level values of a specimen say of its stiffness and damping, where no effect is.
 
@@ -73,4 +81,4 @@ def own_values(data: LevelData, specimen: int) -> OwnValues:
     return OwnValues(data.mass * omega**2, damping, level[observable == 0], at)
 
 
-__all__ = ["OwnValues", "Point", "own_values"]
+__all__ = ["OwnValues", "Point", "Standing", "own_values"]

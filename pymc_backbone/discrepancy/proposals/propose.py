@@ -7,7 +7,7 @@ regression is repeated. Then each set within reach is refined with its own defec
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import combinations, pairwise
@@ -23,7 +23,7 @@ from ..fitting.batch import Batch
 from ..fitting.scatter import SCATTER, WIDE_SCATTER
 from .look_kernels import N_LOOK
 from .looks import regression
-from .points import Point
+from .points import Point, Standing
 from .proposal import Proposal
 from .set_fits import Set, SetFits
 from .set_kernels import best_atoms
@@ -37,7 +37,6 @@ _REACH_SHARE = 0.5  # ... or this share of the largest fall that any set brings
 _CORRECTIONS = 5
 _TURNS, _ADDED = 6, 4.0  # of a look from a smaller set, and the chi-square by which a costly one must leave less
 _LITTLE = 3.0  # reduced chi-square of a smaller set from which it does not tell what a larger one would add
-_HEAVY_WEIGHT = 6
 _EFFORTS = (250, 120, 60)  # fits by the exact simulator in turn, heavy ones by their weight
 _PENALTY, _RARER = 10.0, 7.0  # chi-square by which an effect, and one that is a variant, has to be worth it
 _TRUST = 0.2  # of the chi-square of a look
@@ -226,8 +225,8 @@ class _Proposer:
             reach = max(_REACH, _REACH_SHARE * (max(known) - lowest))
             jobs = self._next(tried, lowest + reach, budget, smaller_first=k == 0)
             tried.update((names, t) for names, places in jobs.items() for t in places)
-            parts = {names: self._best_part(names) for names in jobs}
-            in_threads([partial(self._simulate, names, places, parts[names]) for names, places in jobs.items()])
+            work = [partial(self._simulate, names, jobs[names], self._best_part(names)) for names in self._dear(jobs)]
+            in_threads(work)
             self._ask_relatives()
         for starts in self.points.values():
             starts.sort(key=lambda item: (not item.is_exact, item.cost))
@@ -246,7 +245,7 @@ class _Proposer:
                 is_worse = t > 0 and start.cost > 2.0 * self._cost(names) + 30.0
                 if (names, t) in tried or names in self.needless or is_far or is_worse:
                     continue
-                cost = self._weight(names)
+                cost = self.fits.weight(names)
                 is_later = smaller_first and cost > 1 and len(names) > 1  # it may be looked at from smaller ones
                 if is_later or effort + cost > budget:
                     continue
@@ -254,7 +253,7 @@ class _Proposer:
                 jobs.setdefault(names, []).append(t)
         return jobs
 
-    def _simulate(self, names: Set, places: list[int], smaller: Set | None) -> None:
+    def _simulate(self, names: Set, places: list[int], smaller: Standing | None) -> None:
         """Fit points of a set by the exact simulator, unless it adds nothing to a smaller one."""
         if smaller is not None and self._is_needless(names, smaller):
             return  # one point is left of it, whatever it had
@@ -263,28 +262,31 @@ class _Proposer:
             if better is not None:
                 self.points[names][t] = better
 
-    def _weight(self, names: Set) -> int:
-        """Return how much the exact simulation of a set costs, that of a simple one being 1."""
-        simulator = self.fits.layout(names).simulator
-        return (_HEAVY_WEIGHT if simulator.needs_decay else 1) * (2 if simulator.is_costly else 1)
+    def _dear(self, sets: Iterable[Set]) -> list[Set]:
+        """Return sets that are fitted beside each other, those that take long first."""
+        return sorted(sets, key=self.fits.weight, reverse=True)
 
-    def _best_part(self, names: Set) -> Set | None:
+    def _standing(self, names: Set) -> Standing:
+        return Standing(names, self.points[names][0], self._cost(names))
+
+    def _best_part(self, names: Set) -> Standing | None:
         """Return the best of the sets that a costly one extends, of those that were simulated."""
-        if len(names) < 2 or self._weight(names) == 1:
+        if len(names) < 2 or self.fits.weight(names) == 1:
             return None
         parts = [part for part in combinations(names, len(names) - 1) if self.points[part]]
-        return min((part for part in parts if self.points[part][0].is_exact), key=self._cost, default=None)
+        exact = [self._standing(part) for part in parts if self.points[part][0].is_exact]
+        return min(exact, key=lambda item: item.cost, default=None)
 
-    def _is_needless(self, names: Set, smaller: Set) -> bool:
+    def _is_needless(self, names: Set, smaller: Standing) -> bool:
         """Return whether a costly set, looked at from where a smaller one was simulated, adds nothing to that.
 
         Where that explains little, the set's own look counts, which may have begun elsewhere.
         """
-        if self._cost(names) < self._cost(smaller) and self._cost(smaller) > _LITTLE * self.data.count.sum():
+        if self._cost(names) < smaller.cost and smaller.cost > _LITTLE * self.data.count.sum():
             return False
-        start = self.fits.transferred(self.points[smaller][0], smaller, names)
+        start = self.fits.transferred(smaller.point, smaller.names, names)
         self.fits.refine(names, start, self.sharp, _TURNS)
-        if start.cost < self._cost(smaller) - _ADDED or not np.isfinite(start.cost):
+        if start.cost < smaller.cost - _ADDED or not np.isfinite(start.cost):
             return False
         self.needless.add(names)
         self.points[names] = [start]
@@ -322,17 +324,16 @@ class _Proposer:
                 jobs.setdefault(more, leader)
         self.asked.update((leader, names) for names, leader in jobs.items())
 
-        def work(names: Set, leader: Set) -> None:
-            if len(names) > len(leader) and self._weight(names) > 1 and self._is_needless(names, leader):
+        def work(names: Set, leader: Standing) -> None:
+            if len(names) > len(leader.names) and self.fits.weight(names) > 1 and self._is_needless(names, leader):
                 return
-            better = self.fits.improve(
-                names, self.fits.transferred(self.points[leader][0], leader, names), self.sharp, _CORRECTIONS
-            )
+            begun = self.fits.transferred(leader.point, leader.names, names)
+            better = self.fits.improve(names, begun, self.sharp, _CORRECTIONS)
             if better is not None:
                 self.points[names].append(better)
                 self.points[names].sort(key=lambda item: item.cost)
 
-        in_threads([partial(work, n, b) for n, b in jobs.items()])
+        in_threads([partial(work, names, self._standing(jobs[names])) for names in self._dear(jobs)])
 
     def _lagging(self, smaller: Set) -> list[Set]:
         """Return the sets that hold one effect more than another and explain less, unless they began there."""

@@ -26,6 +26,7 @@ from .refine_kernels import observe, refine
 
 Set = tuple[str, ...]
 
+_HEAVY_WEIGHT = 6  # of what is simulated cycle by cycle
 _CUTS = 3
 _FAR = 3.0  # chi-square over the number of values from which specimens are taken for alike at first
 
@@ -250,6 +251,11 @@ class SetFits:
                 start.defect[r, :, k] = values[:, i] - room[:3]
         start.origin[:] = start.eta
         return bool(np.isfinite(start.defect).all())
+
+    def weight(self, names: Set) -> int:
+        """Return how much the exact simulation of a set costs, that of a simple one being 1."""
+        simulator = self.layout(names).simulator
+        return (_HEAVY_WEIGHT if simulator.needs_decay else 1) * (2 if simulator.is_costly else 1)
 
     def improve(self, names: Set, start: Point, whitening: FloatArray, turns: int) -> Point | None:
         """Fit a point by the exact simulator: Gauss-Newton, steps cut back where it does not confirm them.

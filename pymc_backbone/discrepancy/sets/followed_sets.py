@@ -30,7 +30,6 @@ _STILL_COSTLY, _AS_LIKELY = 2, 6.0  # costly ones that are, as likely as the lik
 _SIMPLER = 3  # costly sets that are asked because they hold fewer effects than what explains
 _PASSED = 6  # less likely simple sets that are followed before one that costs much
 _FLOOR = 1.1  # ratio of costs within which sets leave the same
-_FAR_OFF = 100.0  # reduced chi-square of the lowest of the likeliest sets, from which none that follows leaves noise
 _TOLD = 0.9  # probability of a drift in time beside the base, from which larger sets are not asked
 
 
@@ -227,10 +226,6 @@ class FollowedSets(VariedSets):
             if item is not None:
                 first.setdefault(item[0], item)
         return list(first.values())
-
-    def _is_far_off(self) -> bool:
-        """Return whether no set comes anywhere near the records."""
-        return min(item.cost for item in self.fits.values()) > _FAR_OFF * self.count
 
     def _is_floor(self) -> bool:
         """Return whether several sets end at the same distance from the records: what is left is in none of them."""

@@ -29,6 +29,7 @@ POSSIBLE_BACKBONE = 3.0
 _EXPLAINED = 1.1  # reduced chi-square up to which a set may be complete, whatever its residuals look like
 _NOISE = 0.01  # p-value of the residuals from which they are taken for noise
 _LIMIT = 4.0  # of the budget, that a fit which began before it was spent may take
+_FAR_OFF = 100.0  # reduced chi-square of the lowest of the likeliest sets, from which none that follows leaves noise
 POOR = 1.5  # reduced chi-square above which a fit may have lost its way
 
 
@@ -122,6 +123,10 @@ class KnownSets:
     def _is_explained(self) -> bool:
         """Return whether a set leaves hardly more than noise."""
         return self.is_any_exact(self.fits.values())
+
+    def _is_far_off(self) -> bool:
+        """Return whether no set comes anywhere near the records."""
+        return min(item.cost for item in self.fits.values()) > _FAR_OFF * self.count
 
     def explains(self, found: Fit) -> bool:
         """Return whether a fit leaves hardly more than noise.

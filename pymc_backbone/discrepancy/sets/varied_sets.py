@@ -118,14 +118,16 @@ class VariedSets(RevisitedSets):
         """Where nothing explains the records, fit what is otherwise looked for by name only, alone and in the best set.
 
         The backbones of one mode do not show such a law; what its force does within a cycle may be all that is left.
-        It is as rare as a variant, and kept where it explains the records.
+        It is as rare as a variant, and kept where it explains the records. Beside a set that is far off all of them it
+        is not asked: one effect more brings none of these to the noise.
         """
         self._add_variants()
         best = self.best()
         if not self.batch.has_records or evidence.leaves_noise(self.batch, self.fits[best]):
             return
         for name in self.reserved:
-            for names in dict.fromkeys([(name,), tuple(sorted({*best, name}))]):
+            beside = [] if self._is_far_off() else [tuple(sorted({*best, name}))]
+            for names in dict.fromkeys([(name,), *beside]):
                 if len(names) > self.max_effects or names in self.fits or self._is_costly(names):
                     continue
                 self.progress("what backbones do not show", 0.5)
