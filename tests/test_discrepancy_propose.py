@@ -312,7 +312,7 @@ def test_a_costly_set_keeps_its_look_where_the_smaller_one_explains_little(littl
         transferred=lambda *_: SimpleNamespace(cost=30.0 * little), refine=lambda *_: asked.append(True)
     )
     proposer.sharp = None
-    assert proposer._is_needless(names, smaller) == is_asked and bool(asked) == is_asked
+    assert proposer._is_needless(names, proposer._standing(smaller)) == is_asked and bool(asked) == is_asked
     assert proposer.points[names][0].cost == (60.0 if is_asked else 25.0)
 
 
@@ -326,7 +326,7 @@ def test_a_set_of_several_points_that_becomes_needless_is_left_alone():
     proposer.fits = SimpleNamespace(
         transferred=lambda *_: SimpleNamespace(cost=40.0), refine=lambda *_: None, improve=lambda *_: improved.append(1)
     )
-    proposer._simulate(names, [0, 1, 2], smaller)
+    proposer._simulate(names, [0, 1, 2], proposer._standing(smaller))
     assert proposer.needless == {names} and len(proposer.points[names]) == 1 and not improved
 
 

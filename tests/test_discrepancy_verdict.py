@@ -1230,7 +1230,7 @@ def test_unfinished_are_sets_that_explain_the_backbones_and_were_weighed(monkeyp
     chances = {("freeplay",): 0.5, ("jenkins",): 0.3, ("iwan",): 0.1, dahl: 0.001, (): 0.01}
     asked = []
     batch = SimpleNamespace(levels=[None] * 9, subset=lambda some: asked.append(some) or "some")
-    search = SimpleNamespace(is_open=lambda names: names in open_sets, fits=chances, batch=batch)
+    search = SimpleNamespace(is_open=lambda names: names in open_sets, fits=chances, batch=batch, layout=lambda it: it)
     weighed = SimpleNamespace(
         gaps={("iwan",): 0.05, dahl: 0.1, ("jenkins",): 0.6, ("freeplay",): 0.0},
         probabilities=chances, ranked=lambda: sorted(chances, key=lambda names: -chances[names]),
@@ -1239,14 +1239,25 @@ def test_unfinished_are_sets_that_explain_the_backbones_and_were_weighed(monkeyp
     ranked = [("bouc_wen", "freeplay"), dahl, ("jenkins",), ("freeplay",), ("iwan",)]
     unfinished = inexact._unfinished(search, weighed, ranked)
     assert unfinished == (("iwan",), dahl)
-    # effects that undo each other on the backbones draw any curve
-    monkeypatch.setattr(inexact, "_on_backbones", lambda search, names, weighed, batch: (names, batch))
+    # effects that undo each other on the backbones, near where they depart least, draw any curve
+    fitted = {undone: SimpleNamespace(state=State(np.zeros(2), np.arange(63.0).reshape(9, 7)))}
+    search.fits = {**chances, **fitted, both: fitted[undone]}
+    monkeypatch.setattr(
+        inexact, "fit_on_levels", lambda batch, names, begun: begun_at.append(begun) or (names, batch)
+    )  # fmt: skip
+    begun_at = []
     undo = {(undone, "some"): 60.0}
     monkeypatch.setattr(inexact, "compensation", lambda search, names, found, batch: undo.get((*found[:1], batch), 1.5))
     weighed.gaps |= {undone: 0.0, both: 0.0}
     more = weighed.probabilities | {undone: 0.2, both: 0.05}
-    wide = SimpleNamespace(gaps=weighed.gaps, ranked=lambda: sorted(more, key=lambda names: -more[names]))
+    least = {names: SimpleNamespace(state=SimpleNamespace(eta=names)) for names in (undone, both)}
+    wide = SimpleNamespace(
+        gaps=weighed.gaps, departing=least, ranked=lambda: sorted(more, key=lambda names: -more[names])
+    )
     assert inexact._unfinished(search, wide, [*ranked, undone, both]) == (("iwan",), both, dahl)
+    assert sorted(begun[0][0] for begun in begun_at) == sorted([undone, both])
+    assert all(own.tolist() == [[0.0, 1.0], [28.0, 29.0], [56.0, 57.0]] for ((_, own),) in begun_at)
+    search.fits = chances
     # what remains possible beside them is listed, in the order of the probabilities
     remaining = inexact._remaining(search, weighed)
     assert () not in remaining
