@@ -17,6 +17,7 @@ from pymc_backbone.discrepancy.fitting.joint_fit import fit, parameters_of
 from pymc_backbone.discrepancy.fitting.layout import make_layout
 from pymc_backbone.discrepancy.fitting.limits import recentred
 from pymc_backbone.discrepancy.fitting.normal_equations import NUISANCES, State, start_state
+from pymc_backbone.discrepancy.fitting.pace import is_too_slow
 from pymc_backbone.discrepancy.fitting.record_term import first_turning_point, release_of, waveform_term
 from pymc_backbone.discrepancy.fitting.scatter import SCATTER
 from pymc_backbone.effects import BASE_EFFECTS, LIBRARY, Effect, Parameter
@@ -616,7 +617,7 @@ def test_a_fit_that_falls_too_slowly_to_where_it_is_needed_is_given_up(cubic_bat
     ],
 )
 def test_how_slow_is_too_slow(past, left, is_slow):
-    assert joint_fit._is_too_slow(past, 1.0, left) is is_slow
+    assert is_too_slow(past, 1.0, left) is is_slow
 
 
 @pytest.mark.parametrize("places", [(), ((1, 1),), ((0, 1), (2, 8))], ids=["all alike", "one", "two"])

@@ -31,6 +31,7 @@ from .normal_equations import (
     prior_width,
     symmetric,
 )
+from .pace import is_outrun, is_too_slow
 from .scatter import NO_SCATTER, Scatter, infer_scatter
 
 _RIDGE = 1e-12  # on the diagonal of ones of the shared system
@@ -38,8 +39,6 @@ _FIRST_DAMPING = 1e-3
 _LARGEST_DAMPING = 1e8
 _UNDAMPED = 1e-2  # damping up to which a step that promises next to nothing means rest
 _CONVERGED = 0.01
-_RACE, _LONG_RACE, _RACE_MARGIN = 6, 25, 60.0
-_PACE, _FASTER = 4, 2.0  # steps that tell how fast a cost falls, and how much faster it may
 _AT_REST = 50.0  # fall of the cost that one more step promises, up to which it says what a fit at rest would
 
 
@@ -191,7 +190,7 @@ def fit(
     damping, converged, quiet = _FIRST_DAMPING, False, 0
     past, evaluations = [system.cost], 1
     for done in range(iterations if system.cost > goal else 0):
-        if _is_too_slow(past, needed, iterations - done):
+        if is_too_slow(past, needed, iterations - done):
             break
         limit = tolerance + 1e-6 * system.cost
         tried = _tried(layout, terms, state, system, active, damping, scatter, 0.1 * limit)
@@ -211,25 +210,14 @@ def fit(
             if system.cost < goal:
                 break
             past.append(system.cost)
-            if rival is not None and len(past) > _RACE:
-                ahead = system.cost - rival - _RACE_MARGIN
-                is_slow = past[-4] - past[-1] < 0.2 * ahead or len(past) > _LONG_RACE
-                if ahead > 0.0 and is_slow:
-                    break
+            if is_outrun(past, rival):
+                break
         else:
             damping *= 6.0
             if damping > _LARGEST_DAMPING:
                 converged = True
                 break
     return replace(_finish(layout, system, state, active, converged), evaluations=evaluations)
-
-
-def _is_too_slow(past: Sequence[float], needed: float, left: int) -> bool:
-    """Return whether a cost that falls twice as fast as over its last steps does not get where it is needed."""
-    if len(past) <= _PACE or not past[-1] > needed:
-        return False
-    rate = float(np.log(past[-1 - _PACE] / past[-1])) / _PACE
-    return rate * _FASTER * left < float(np.log(past[-1] / needed))
 
 
 class _Tried(NamedTuple):
