@@ -17,7 +17,6 @@ from pymc_backbone.discrepancy.fitting.joint_fit import fit, parameters_of
 from pymc_backbone.discrepancy.fitting.layout import make_layout
 from pymc_backbone.discrepancy.fitting.limits import recentred
 from pymc_backbone.discrepancy.fitting.normal_equations import NUISANCES, State, start_state
-from pymc_backbone.discrepancy.fitting.pace import is_too_slow
 from pymc_backbone.discrepancy.fitting.record_term import first_turning_point, release_of, waveform_term
 from pymc_backbone.discrepancy.fitting.scatter import SCATTER
 from pymc_backbone.effects import BASE_EFFECTS, LIBRARY, Effect, Parameter
@@ -591,33 +590,6 @@ def test_a_fit_at_rest_is_not_simulated_again(cubic_batch):
     at_limit = fit(lower, cubic_batch.waveform, found.state)
     assert at_limit.is_converged and at_limit.state.eta == lower.high
     assert fit(lower, cubic_batch.waveform, at_limit.state).evaluations > 1
-
-
-def test_a_fit_that_falls_too_slowly_to_where_it_is_needed_is_given_up(cubic_batch):
-    """Not what gets there: at twice the speed of its last steps it is asked what the iterations left lead to."""
-    layout = make_layout(Oscillator(MASS, ("power_damping",)), AMPLITUDE, OMEGA)
-    begun = start_state(layout, middle(layout), cubic_batch.own)
-    free = fit(layout, cubic_batch.turning, begun, iterations=40, tolerance=0.0)
-    few = fit(layout, cubic_batch.turning, begun, iterations=40, tolerance=0.0, needed=0.1 * free.cost)
-    assert few.evaluations < free.evaluations and not few.is_converged and few.cost > 0.1 * free.cost
-    assert few.cost < 1.01 * free.cost  # no damping draws a spring: it had fallen as far as it would
-    reached = fit(layout, cubic_batch.turning, begun, iterations=40, tolerance=0.0, needed=1.001 * free.cost)
-    assert reached.cost == free.cost and reached.evaluations == free.evaluations
-
-
-@pytest.mark.parametrize(
-    ("past", "left", "is_slow"),
-    [
-        ((1e4, 1e3, 1e2, 10.0), 1, False),  # too few steps to tell
-        ((1e5, 1e4, 1e3, 1e2, 10.0), 1, False),  # a tenth each: at twice that speed it is below 1 after one more
-        ((160.0, 80.0, 40.0, 20.0, 10.0), 2, False),
-        ((160.0, 80.0, 40.0, 20.0, 10.0), 1, True),  # a quarter at best, and a tenth is needed
-        ((10.4, 10.3, 10.2, 10.1, 10.0), 30, True),
-        ((10.0, 8.0, 4.0, 2.0, 0.5), 1, False),  # it is there
-    ],
-)
-def test_how_slow_is_too_slow(past, left, is_slow):
-    assert is_too_slow(past, 1.0, left) is is_slow
 
 
 @pytest.mark.parametrize("places", [(), ((1, 1),), ((0, 1), (2, 8))], ids=["all alike", "one", "two"])

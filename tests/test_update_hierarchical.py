@@ -119,6 +119,10 @@ def the_figure_has_a_panel_for_each_parameter_and_refuses_other_posteriors(folde
     labels = [axis.get_xlabel() for axis in figure.axes if axis.get_visible()]
     assert labels[0] == "Linear stiffness [N/m]" and labels[1] == "Viscous damping [N s/m]"
     assert labels[2].startswith("Correlation over the population")
+    renamed = posterior["posterior"].to_dataset().assign_coords(specimen=[f"free_swing_data_{k}" for k in range(6)])
+    named = plots.plot_population(xr.DataTree.from_dict({"posterior": renamed}), Oscillator(1.0))
+    beside = [text.get_text() for text in named.axes[0].texts]
+    assert beside == [f"\N{HORIZONTAL ELLIPSIS}_swing_data_{k}" for k in range(6)]
     with pytest.raises(InputError, match="from build_hierarchical_model"):
         plots.plot_population(xr.DataTree.from_dict({"posterior": xr.Dataset()}), Oscillator(1.0))
 

@@ -16,7 +16,7 @@ from scipy.special import ndtr
 from .._common.checks import FloatArray, InputError
 from .._common.text import in_words
 from ..oscillator import Oscillator
-from .style import MEASURED, QUIET, SIMULATED, drawable, evenly, legend_below, panels, parameter_axis
+from .style import MEASURED, QUIET, SIMULATED, drawable_names, evenly, legend_below, panels, parameter_axis
 
 MOST_SPECIMENS = 16
 COLUMNS = 2
@@ -105,7 +105,7 @@ def _draw_parameter(
     axis.axhline(0.0, color="black", linewidth=0.6)
     shown = evenly(len(own), MOST_SPECIMENS)
     rows = -0.08 - 0.5 * np.arange(len(shown)) / max(len(shown), 8)
-    labels = [drawable(str(value), 14) for value in draws["specimen"].values]
+    labels = drawable_names([str(value) for value in draws["specimen"].values], 14)
     for row, s in zip(rows, shown, strict=True):
         text = f"specimens, {100.0 * probability:g} % HDI" if s == shown[0] else ""
         axis.plot(intervals[s] * scale, [row, row], color=MEASURED, linewidth=2.0, solid_capstyle="butt", label=text)

@@ -43,10 +43,10 @@ def drift_fit(batch: Batch, layout: Layout, state: State, limit: float = np.inf)
     nuisances = (*batch.nuisances, *DRIFTS)
     first = [term.first(_FIRST_TURNS) for term in batch.turning]
     edge = first_limit(batch, limit)
-    begun = fit(layout, first, state, iterations=20, nuisances=nuisances, tolerance=1.0, goal=edge, needed=edge)
+    begun = fit(layout, first, state, iterations=20, nuisances=nuisances, tolerance=1.0, goal=edge)
     if begun is not None and begun.cost > edge:
         return None
-    turning = fit(layout, batch.turning, state, iterations=20, nuisances=nuisances, tolerance=1.0, needed=limit)
+    turning = fit(layout, batch.turning, state, iterations=20, nuisances=nuisances, tolerance=1.0)
     found = None
     if turning is not None and turning.cost > limit:
         return None

@@ -209,15 +209,10 @@ class Descent:
             is_last = window >= most
             iterations = _TURNING if is_last else _ON_THE_WAY
             goal = _NEAR_NOISE * sum(term.size for term in terms)
+            found = self.fit(layout, terms, state, iterations=iterations, tolerance=_ENOUGH, goal=goal)
             is_telling, edge = is_last or window >= _TELLING, limit if is_last else first_limit(self.batch, limit)
-            needed = edge if is_last else np.inf
-            found = self.fit(
-                layout, terms, state, iterations=iterations, tolerance=_ENOUGH, goal=goal, needed=needed
-            )  # fmt: skip
             if found is not None and found.cost > edge and is_telling and not (is_last or found.is_converged):
-                found = self.fit(
-                    layout, terms, found.state, iterations=_TURNING, tolerance=_ENOUGH, goal=edge, needed=edge
-                )  # fmt: skip
+                found = self.fit(layout, terms, found.state, iterations=_TURNING, tolerance=_ENOUGH, goal=edge)
             if found is not None:
                 state, cost = found.state, found.cost
             elif is_last:
@@ -293,7 +288,6 @@ class Descent:
         has_scatter: bool = True,
         rival: float | None = None,
         goal: float = 0.0,
-        needed: float = np.inf,
     ) -> Fit | None:
         """Fit as `joint_fit.fit` does, and count the effort in simulated values."""
         values = sum(max(term.size, PER_CYCLE * term.cycles) for term in terms)
@@ -303,7 +297,7 @@ class Descent:
             iterations = max(int(affordable), min(_LEAST, iterations))
         found = fit(
             layout, terms, state, iterations=iterations, tolerance=tolerance, nuisances=nuisances,
-            has_scatter=has_scatter, rival=rival, goal=goal, needed=needed,
+            has_scatter=has_scatter, rival=rival, goal=goal,
         )  # fmt: skip
         if found is not None:
             self.effort += found.evaluations * each

@@ -31,7 +31,6 @@ from .normal_equations import (
     prior_width,
     symmetric,
 )
-from .pace import is_outrun, is_too_slow
 from .scatter import NO_SCATTER, Scatter, infer_scatter
 
 _RIDGE = 1e-12  # on the diagonal of ones of the shared system
@@ -39,6 +38,7 @@ _FIRST_DAMPING = 1e-3
 _LARGEST_DAMPING = 1e8
 _UNDAMPED = 1e-2  # damping up to which a step that promises next to nothing means rest
 _CONVERGED = 0.01
+_RACE, _LONG_RACE, _RACE_MARGIN = 6, 25, 60.0
 _AT_REST = 50.0  # fall of the cost that one more step promises, up to which it says what a fit at rest would
 
 
@@ -151,7 +151,6 @@ def fit(
     tolerance: float = _CONVERGED,
     rival: float | None = None,
     goal: float = 0.0,
-    needed: float = np.inf,
 ) -> Fit | None:
     """Minimise the sum of squares from ``state``; None where the start cannot be simulated.
 
@@ -175,8 +174,6 @@ def fit(
         A cost that another model reached: what is far above it and hardly falls is given up.
     goal : float
         A cost that is low enough for what comes after: the fit ends below it, not at rest.
-    needed : float
-        A cost above which nothing comes after: what falls too slowly to get below it is given up.
     """
     q = layout.free.size
     scatter = layout.scatter if has_scatter and len(terms) > 1 else 0.0
@@ -189,9 +186,7 @@ def fit(
         return None
     damping, converged, quiet = _FIRST_DAMPING, False, 0
     past, evaluations = [system.cost], 1
-    for done in range(iterations if system.cost > goal else 0):
-        if is_too_slow(past, needed, iterations - done):
-            break
+    for _ in range(iterations if system.cost > goal else 0):
         limit = tolerance + 1e-6 * system.cost
         tried = _tried(layout, terms, state, system, active, damping, scatter, 0.1 * limit)
         evaluations += tried.evaluations
@@ -210,8 +205,11 @@ def fit(
             if system.cost < goal:
                 break
             past.append(system.cost)
-            if is_outrun(past, rival):
-                break
+            if rival is not None and len(past) > _RACE:
+                ahead = system.cost - rival - _RACE_MARGIN
+                is_slow = past[-4] - past[-1] < 0.2 * ahead or len(past) > _LONG_RACE
+                if ahead > 0.0 and is_slow:
+                    break
         else:
             damping *= 6.0
             if damping > _LARGEST_DAMPING:
