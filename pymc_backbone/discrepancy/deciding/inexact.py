@@ -12,7 +12,6 @@ import numpy as np
 from ..._common.threads import in_threads
 from ...effects import EITHER
 from ..checks.data_checks import are_far_off
-from ..fitting.batch import Batch
 from ..fitting.curves import about_zero, fit_on_levels, has_mid_line, level_chi_square, on_levels, spread
 from ..fitting.joint_fit import Fit
 from ..results.entries import MissingMechanism
@@ -89,7 +88,7 @@ def departing(search: Search, decision: Decision) -> Decision:
         remainder=remainder_of(weighed, best),
         is_approximate=True,
         is_single_valued=weighed.is_law,
-        on_backbones=_on_backbones(search, best, weighed, search.batch) if search.is_refuted(best) else None,
+        on_backbones=_on_backbones(search, best, weighed) if search.is_refuted(best) else None,
     )
     if not weighed.is_law or weighed.drift_probability > 0.5:
         return replace(known, verdict=Verdict.UNEXPLAINED)
@@ -198,13 +197,12 @@ def _is_kept(search: Search, weighed: Weighed, names: Set) -> bool:
     return search.fit_set(names) is not None
 
 
-def _on_backbones(search: Search, best: Set, weighed: Weighed, batch: Batch) -> Fit | None:
-    """Return a set fitted to the backbones of a batch: from its proposals, and where it departs least."""
+def _on_backbones(search: Search, best: Set, weighed: Weighed) -> Fit | None:
+    """Return a set fitted to the backbones: from its proposals, and where it departs least."""
     begun = [(weighed.departing[best].state.eta, search.fits[best].state.own[:, :2])]
     if best in search.proposals:
         begun += [(eta, own) for _, eta, own in search.proposals[best].starts]
-    chosen = [search.batch.specimens.index(name) for name in batch.specimens]
-    return fit_on_levels(batch, search.layout(best), [(eta, own[chosen]) for eta, own in begun])
+    return fit_on_levels(search.batch, search.layout(best), begun)
 
 
 def _told(search: Search, weighed: Weighed, best: Set) -> tuple[MissingMechanism, ...]:
