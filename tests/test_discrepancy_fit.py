@@ -8,6 +8,7 @@ import numba
 import numpy as np
 import pytest
 import xarray as xr
+from scipy.optimize import minimize_scalar
 from scipy.signal import butter, lfilter
 from scipy.stats import chi2
 
@@ -15,7 +16,7 @@ from pymc_backbone.discrepancy.fitting import joint_fit, normal_equations, start
 from pymc_backbone.discrepancy.fitting.data_term import TurningTerm, level_term
 from pymc_backbone.discrepancy.fitting.joint_fit import fit, parameters_of
 from pymc_backbone.discrepancy.fitting.layout import make_layout
-from pymc_backbone.discrepancy.fitting.limits import recentred
+from pymc_backbone.discrepancy.fitting.limits import least_apart
 from pymc_backbone.discrepancy.fitting.normal_equations import NUISANCES, State, start_state
 from pymc_backbone.discrepancy.fitting.record_term import first_turning_point, release_of, waveform_term
 from pymc_backbone.discrepancy.fitting.scatter import SCATTER
@@ -684,12 +685,49 @@ def test_scatter_of_one_sign_moves_into_the_shared_value():
     layout = make_layout(Oscillator(MASS, "cubic_stiffness"), AMPLITUDE, OMEGA)
     eta = np.array([0.1 * STIFFNESS / AMPLITUDE**2])
     own = np.zeros((3, NUISANCES + 1))
-    own[:, -1] = (6.0, 7.0, 8.0)  # the last leans on the limit
-    moved = recentred(layout, State(eta, own), SCATTER)
-    np.testing.assert_allclose(
-        moved.eta * (1.0 + SCATTER * moved.own[:, -1]), eta * (1.0 + SCATTER * own[:, -1]), rtol=1e-12
-    )  # the specimens keep their values
-    np.testing.assert_allclose(moved.own[:, -1].mean(), 0.0, atol=1e-12)
+    own[:, -1] = (6.0, 7.0, 9.0)
+    moved = least_apart(layout, State(eta, own), SCATTER)
+    values = eta * (1.0 + SCATTER * own[:, -1])
+    np.testing.assert_allclose(moved.eta * (1.0 + SCATTER * moved.own[:, -1]), values, rtol=1e-12)  # they keep these
+
+    def deviation(shared: float) -> float:
+        return float(np.sum(((values / shared - 1.0) / SCATTER) ** 2))
+
+    least = minimize_scalar(deviation, (0.5 * values.min(), values.max()), options={"xtol": 1e-12})
+    np.testing.assert_allclose(moved.eta[0], least.x, rtol=1e-6)
+    np.testing.assert_allclose((moved.own[:, -1] ** 2).sum(), least.fun, rtol=1e-10)
+    # of both signs, or beyond the most that one may differ, nothing is changed
+    for deviations in ((-12.0, 1.0, 2.0), (0.0, 0.0, 200.0)):
+        own[:, -1] = deviations
+        kept = least_apart(layout, State(eta, own), SCATTER)
+        np.testing.assert_array_equal(kept.eta, eta)
+        np.testing.assert_array_equal(kept.own, own)
+
+
+def test_fit_comes_to_rest_where_specimens_deviate_least(rng):
+    """Shared value and deviations are multiplied: a fit that minds their linear steps alone creeps along a bent valley.
+
+    The records are those of three specimens whose cubic springs are a third stronger and weaker than the middle one.
+    """
+    strengths = np.array([0.7, 1.0, 1.3])
+    records = []
+    for r, strength in enumerate(strengths):
+        truth = truth_of(("cubic_stiffness",), share=float(strength))
+        records += make_records(rng, ("cubic_stiffness",), truth=truth, specimens=1, decibels=60.0)
+        records[-1] = replace(records[-1], specimen=f"specimen {r + 1}")
+    batch = batch_of(records)
+    layout = make_layout(Oscillator(MASS, ("cubic_stiffness",)), AMPLITUDE, OMEGA)
+    truth = layout.coordinates(layout.oscillator.pack(truth_of(("cubic_stiffness",)))[2:])
+    near = fit(layout, batch.turning, start_state(layout, 0.9 * truth, batch.own), iterations=100)
+    found = fit(layout, batch.waveform, near.state, iterations=100)
+    assert found.is_converged
+    assert near.evaluations + found.evaluations < 25, (near.evaluations, found.evaluations)  # 60 and more before
+    values = found.state.eta * (1.0 + SCATTER * found.state.own[:, NUISANCES:])
+    np.testing.assert_allclose(values[:, 0] / truth, strengths, rtol=0.01)  # the specimens have their own springs
+    best = least_apart(layout, found.state, SCATTER)
+    penalty = (best.own[:, NUISANCES:] ** 2).sum()
+    assert found.penalty == pytest.approx(penalty, abs=1e-3)
+    assert penalty > 5.0  # there is something to gain by
 
 
 def test_first_turning_points_are_compared_with_their_own_where_a_filter_took_the_beginning():

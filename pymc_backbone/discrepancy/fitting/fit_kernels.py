@@ -10,6 +10,8 @@ from ..._common.checks import BoolArray, FloatArray, IntArray
 from ..._common.compiled import cached
 from .small_systems import factorise, solve_by
 
+_STRETCH = 2048  # values
+
 
 @cached
 def to_physical(
@@ -114,26 +116,53 @@ def eliminate_own(
 
 
 @cached
+def _add(weight: float, given: FloatArray, total: FloatArray) -> None:
+    """Add so much of ``given`` (n,) to ``total`` (n,)."""
+    for i in range(total.size):
+        total[i] += weight * given[i]
+
+
+@cached
 def filter_columns(taps: FloatArray, columns: FloatArray, result: FloatArray) -> None:
-    """Write each column (n, c) after a filter of finite length, before the first row of which there is nothing."""
-    n, c = columns.shape
-    for i in range(n):
-        for j in range(c):
-            result[i, j] = 0.0
-        for k in range(min(i + 1, taps.size)):
-            for j in range(c):
-                result[i, j] += taps[k] * columns[i - k, j]
+    """Write each column (n, c) after a filter of finite length, before the first row of which there is nothing.
+
+    Row after row, without their bounds, so that several values are taken at once; a stretch at a time stays at hand.
+    """
+    c = columns.shape[1]
+    given, made = columns.reshape(-1), result.reshape(-1)
+    for begin in range(0, made.size, _STRETCH):
+        end = min(begin + _STRETCH, made.size)
+        made[begin:end] = 0.0
+        for k in range(taps.size):
+            back = k * c
+            first = max(begin, back)
+            _add(taps[k], given[first - back : end - back], made[first:end])
 
 
 @cached
 def weigh_neighbours(weights: FloatArray, columns: FloatArray, result: FloatArray) -> None:
     """Write sums (n, c) of as many neighbouring rows as there are weights."""
-    for i in range(result.shape[0]):
-        for j in range(result.shape[1]):
-            result[i, j] = 0.0
+    c = columns.shape[1]
+    given, made = columns.reshape(-1), result.reshape(-1)
+    for begin in range(0, made.size, _STRETCH):
+        end = min(begin + _STRETCH, made.size)
+        made[begin:end] = 0.0
         for k in range(weights.size):
-            for j in range(result.shape[1]):
-                result[i, j] += weights[k] * columns[i + k, j]
+            _add(weights[k], given[begin + k * c : end + k * c], made[begin:end])
 
 
-__all__ = ["eliminate_own", "filter_columns", "put_together", "to_physical", "weigh_neighbours"]
+@cached
+def mean_rows(columns: FloatArray, together: int, result: FloatArray) -> None:
+    """Write means (n, c) over ``together`` neighbouring rows each."""
+    c = columns.shape[1]
+    for i in range(result.shape[0]):
+        for j in range(c):
+            result[i, j] = columns[i * together, j]
+        for k in range(1, together):
+            for j in range(c):
+                result[i, j] += columns[i * together + k, j]
+        for j in range(c):
+            result[i, j] /= together
+
+
+__all__ = ["eliminate_own", "filter_columns", "mean_rows", "put_together", "to_physical", "weigh_neighbours"]

@@ -18,7 +18,7 @@ from ..._common.checks import FloatArray
 from ..._common.unit_diagonal import unit_diagonal
 from .data_term import DataTerm
 from .layout import Layout
-from .limits import MOST_SCATTER, is_trusted, leans, recentred, within
+from .limits import MOST_SCATTER, is_trusted, leans, reached_from, within
 from .normal_equations import (
     DRIFTS,
     NUISANCES,
@@ -238,16 +238,13 @@ def _tried(
     step = _step(layout, system, state, active, damping, scatter)
     if step is None:
         return _Tried(state, None, 0)
-    proposal = State(layout.within(state.eta + step[0]), state.own + step[1])
-    proposal.own[:, 1] = np.maximum(proposal.own[:, 1], 0.0)
-    np.clip(proposal.own[:, DRIFTS[0] :], -MOST_SCATTER, MOST_SCATTER, out=proposal.own[:, DRIFTS[0] :])
-    if scatter > 0.0:
-        proposal = within(layout, recentred(layout, proposal, scatter), scatter)
+    linear = State(layout.within(state.eta + step[0]), state.own + step[1])
+    proposal = reached_from(layout, state, linear, scatter)
     if not np.isfinite(proposal.own).all() or not is_trusted(state, proposal):
         return _Tried(state, None, 0)
     # at a limit derivatives hold on one side only
     is_free = bool(step[0][layout.low < layout.high].all() and step[1][:, active].all())
-    if is_free and damping < _UNDAMPED and 0.0 <= _promised(system, state, proposal) < least:
+    if is_free and damping < _UNDAMPED and 0.0 <= _promised(system, state, linear) < least:
         return _Tried(state, None, 0, is_still=True)
     reached = linearise(layout, terms, proposal, scatter, active)
     if reached is None or reached.cost < system.cost or not layout.free.size:

@@ -6,11 +6,14 @@ import numpy as np
 
 from ..._common.checks import BoolArray, FloatArray
 from .layout import Layout
-from .normal_equations import NUISANCES, State
+from .normal_equations import DRIFTS, NUISANCES, State
 
 MOST_SCATTER = 8.0
 """Standard deviations that a specimen may differ: an effect neither vanishes nor turns around in one of them."""
 _LONGEST = 3.0  # factor by which a step may change stiffness and release
+_MOST_UNITS = (
+    3.0  # times that a shared value may fall by in a step for deviations to be counted in units of the new one
+)
 
 
 def is_trusted(state: State, proposal: State) -> bool:
@@ -24,17 +27,44 @@ def is_trusted(state: State, proposal: State) -> bool:
     return bool(np.all((ratio > 1.0 / _LONGEST) & (ratio < _LONGEST)))
 
 
-def recentred(layout: Layout, state: State, scatter: float) -> State:
-    """Return the same parameters of every specimen with the shared values in their middle, where one is at a limit.
+def reached_from(layout: Layout, state: State, linear: State, scatter: float) -> State:
+    """Return where a linear step leads that the shared values may take, the limits of all others minded.
 
-    Where scatter has the same sign in all specimens, it belongs to the shared value. Without this a fit could lean on
-    a limit with every specimen and find no way back. What a single specimen needs beyond the limit moves the shared
-    value; then nothing is changed.
+    A specimen has the shared value times one and its deviation. What the step wants of a specimen would be missed by
+    the product of both changes, which over many cycles costs the phase: so deviations are counted in units of the new
+    shared value.
     """
-    if not np.any(np.abs(state.own[:, NUISANCES:]) >= MOST_SCATTER):
+    with np.errstate(divide="ignore", invalid="ignore"):
+        units = state.eta / linear.eta
+    units = np.where((units > 0.0) & (units < _MOST_UNITS), units, 1.0)
+    own, before = linear.own.copy(), state.own[:, NUISANCES:]
+    own[:, NUISANCES:] = before + units * (linear.own[:, NUISANCES:] - before)
+    own[:, 1] = np.maximum(own[:, 1], 0.0)
+    reached = least_apart(layout, State(linear.eta, own), scatter)
+    np.clip(reached.own[:, DRIFTS[0] :], -MOST_SCATTER, MOST_SCATTER, out=reached.own[:, DRIFTS[0] :])
+    return within(layout, reached, scatter)
+
+
+def least_apart(layout: Layout, state: State, scatter: float) -> State:
+    """Return the same parameters of every specimen, counted from the shared values from which they deviate least.
+
+    What all specimens deviate by belongs to the shared value. Deviations are relative, so along this way the linear
+    step turns in a circle; it needs no step: the sum of squares of ``values / shared - 1`` is least at
+    ``sum(values^2) / sum(values)``. Nothing is changed of an effect that is not of one sign in all specimens, or of
+    which one would deviate by more than the most that is allowed.
+    """
+    if scatter == 0.0 or not layout.free.size:
         return state
-    middle = centred(layout, state, scatter)
-    return state if np.any(np.abs(middle.own[:, NUISANCES:]) > MOST_SCATTER) else middle
+    values = np.clip(state.eta * (1.0 + scatter * state.own[:, NUISANCES:]), layout.low, layout.high)
+    is_one_sided = (values > 0.0).all(axis=0) | (values < 0.0).all(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        eta = (values**2).sum(axis=0) / values.sum(axis=0)
+        deviations = (values / eta - 1.0) / scatter
+    usable = is_one_sided & (np.abs(deviations) <= MOST_SCATTER).all(axis=0)
+    usable &= layout.within(np.where(usable, eta, state.eta)) == eta
+    own = state.own.copy()
+    own[:, NUISANCES:] = np.where(usable, deviations, own[:, NUISANCES:])
+    return State(np.where(usable, eta, state.eta), own)
 
 
 def centred(layout: Layout, state: State, scatter: float) -> State:

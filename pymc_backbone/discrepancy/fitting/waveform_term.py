@@ -149,6 +149,16 @@ class WaveformTerm:
         """Rough number of cycles in the record."""
         return float(np.count_nonzero(np.diff(np.signbit(self.values - self.values.mean()))) / 2 + 1)
 
+    @cached_property
+    def _kept_values(self) -> FloatArray:
+        """The values that are compared."""
+        return self.compared(self.values)
+
+    @cached_property
+    def _of_zero(self) -> FloatArray:
+        """What one unit of the zero of what is read, which stands behind all filters, adds to what is compared (m,)."""
+        return self.whiten(np.full((self._kept_values.size, 1), self.offset_scale))[:, 0]
+
     def compare(
         self, simulator: Simulator, parameters: FloatArray, nuisances: FloatArray, *, drifts: bool = True
     ) -> tuple[FloatArray, FloatArray] | None:
@@ -161,30 +171,31 @@ class WaveformTerm:
         values, slopes = simulated
         if course.factor is not None:
             values, slopes = values * course.factor, slopes * course.factor[:, None]
-        n, p = self.time.size, parameters.size
-        columns = np.empty((n, p + 6))
+        p, of_drifts = parameters.size, 2 if drifts else 0
+        columns = np.empty((self.time.size, p + 3 + of_drifts))  # parameters, release, its instant, drifts, values
         columns[:, :p] = slopes[:, 1:-1]
         columns[:, p] = slopes[:, 0]
         columns[:, p + 1] = -slopes[:, -1] * course.pace
-        columns[:, p + 2] = 0.0
         if course.by_stiffness is not None:
             columns[:, 0] += slopes[:, -1] * course.by_stiffness / (float(parameters[0]) or 1.0)
-        columns[:, p + 3] = slopes[:, -1] * course.by_drift + values * course.hastened
-        columns[:, p + 4] = slopes[:, -1] * course.by_loss - values * course.share
-        columns[:, p + 5] = values
+        if drifts:
+            columns[:, p + 2] = slopes[:, -1] * course.by_drift + values * course.hastened
+            columns[:, p + 3] = slopes[:, -1] * course.by_loss - values * course.share
+        columns[:, -1] = values
         if not np.isfinite(columns).all():
             return None  # drifts far from any motion
         if self.chain is not None:
             columns = self.chain(columns)
-        columns[:, p + 2] = self.offset_scale  # the zero of what is read, behind all filters
-        columns[:, p + 5] += offset * self.offset_scale
+        columns[:, -1] += offset * self.offset_scale
         if self.together > 1:
             columns = average(columns, self.together)
-            columns[:, p + 5] = self.values[EDGE:-EDGE] - columns[:, p + 5]
-        else:
-            columns[:, p + 5] = self.values - columns[:, p + 5]
+        columns[:, -1] = self._kept_values - columns[:, -1]
         whitened = self.whiten(columns)
-        return whitened[:, -1], whitened[:, :-1]
+        jacobian = np.zeros((whitened.shape[0], p + 5))
+        jacobian[:, : p + 2] = whitened[:, : p + 2]
+        jacobian[:, p + 2] = self._of_zero
+        jacobian[:, p + 3 : p + 3 + of_drifts] = whitened[:, p + 2 : -1]
+        return whitened[:, -1], jacobian
 
     def residuals(self, simulator: Simulator, parameters: FloatArray, nuisances: FloatArray) -> FloatArray | None:
         """Return residuals (m,)."""
@@ -201,9 +212,8 @@ class WaveformTerm:
             column = self.chain(column)
         column = column + offset * self.offset_scale
         if self.together > 1:
-            left = self.values[EDGE:-EDGE, None] - average(column, self.together)
-        else:
-            left = self.values[:, None] - column
+            column = average(column, self.together)
+        left = self._kept_values[:, None] - column
         return self.whiten(left)[:, 0] if np.isfinite(left).all() else None
 
     def _course(self, simulator: Simulator, parameters: FloatArray, nuisances: FloatArray) -> Course:

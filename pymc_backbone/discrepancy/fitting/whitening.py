@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import solve_toeplitz, toeplitz
 
 from ..._common.checks import FloatArray
-from .fit_kernels import filter_columns, weigh_neighbours
+from .fit_kernels import filter_columns, mean_rows, weigh_neighbours
 
 MOST_LAGS = 32
 EDGE = 2
@@ -39,8 +39,9 @@ def _mean_weights(together: int) -> FloatArray:
 
 def means(columns: FloatArray, together: int) -> FloatArray:
     """Return means over so many neighbouring rows; what is left over at the end is dropped."""
-    count = columns.shape[0] // together
-    return np.asarray(columns[: count * together].reshape(count, together, -1).mean(axis=1))
+    result = np.empty((columns.shape[0] // together, columns.shape[1]))
+    mean_rows(np.ascontiguousarray(columns), together, result)
+    return result
 
 
 def of_means(autocovariance: FloatArray, together: int) -> FloatArray:
