@@ -10,7 +10,7 @@ from ..._common.checks import BoolArray, FloatArray, IntArray
 from ..._common.compiled import cached
 from .small_systems import factorise, solve_by
 
-_STRETCH = 2048  # values
+_STRETCH = 2048  # values that are filtered before the next ones
 
 
 @cached
@@ -126,7 +126,7 @@ def _add(weight: float, given: FloatArray, total: FloatArray) -> None:
 def filter_columns(taps: FloatArray, columns: FloatArray, result: FloatArray) -> None:
     """Write each column (n, c) after a filter of finite length, before the first row of which there is nothing.
 
-    Row after row, without their bounds, so that several values are taken at once; a stretch at a time stays at hand.
+    Value by value, whatever row it is in, so that several are taken at once; a stretch of them stays in the cache.
     """
     c = columns.shape[1]
     given, made = columns.reshape(-1), result.reshape(-1)

@@ -11,9 +11,7 @@ from .normal_equations import DRIFTS, NUISANCES, State
 MOST_SCATTER = 8.0
 """Standard deviations that a specimen may differ: an effect neither vanishes nor turns around in one of them."""
 _LONGEST = 3.0  # factor by which a step may change stiffness and release
-_MOST_UNITS = (
-    3.0  # times that a shared value may fall by in a step for deviations to be counted in units of the new one
-)
+_MOST_UNITS = 3.0  # factor by which a shared value may fall in a step that keeps what specimens deviate by
 
 
 def is_trusted(state: State, proposal: State) -> bool:
