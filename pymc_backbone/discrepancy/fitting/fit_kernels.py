@@ -140,18 +140,6 @@ def filter_columns(taps: FloatArray, columns: FloatArray, result: FloatArray) ->
 
 
 @cached
-def weigh_neighbours(weights: FloatArray, columns: FloatArray, result: FloatArray) -> None:
-    """Write sums (n, c) of as many neighbouring rows as there are weights."""
-    c = columns.shape[1]
-    given, made = columns.reshape(-1), result.reshape(-1)
-    for begin in range(0, made.size, _STRETCH):
-        end = min(begin + _STRETCH, made.size)
-        made[begin:end] = 0.0
-        for k in range(weights.size):
-            _add(weights[k], given[begin + k * c : end + k * c], made[begin:end])
-
-
-@cached
 def mean_rows(columns: FloatArray, together: int, result: FloatArray) -> None:
     """Write means (n, c) over ``together`` neighbouring rows each."""
     c = columns.shape[1]
@@ -165,4 +153,4 @@ def mean_rows(columns: FloatArray, together: int, result: FloatArray) -> None:
             result[i, j] /= together
 
 
-__all__ = ["eliminate_own", "filter_columns", "mean_rows", "put_together", "to_physical", "weigh_neighbours"]
+__all__ = ["eliminate_own", "filter_columns", "mean_rows", "put_together", "to_physical"]

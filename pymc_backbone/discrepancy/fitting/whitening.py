@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import solve_toeplitz, toeplitz
 
 from ..._common.checks import FloatArray
-from .fit_kernels import filter_columns, mean_rows, weigh_neighbours
+from .fit_kernels import filter_columns, mean_rows
 
 MOST_LAGS = 32
 EDGE = 2
@@ -18,9 +18,7 @@ EDGE = 2
 
 def average(columns: FloatArray, together: int) -> FloatArray:
     """Return means over each step from values at the middle of the steps; two steps at either end are lost."""
-    result = np.empty((columns.shape[0] - 2 * EDGE, columns.shape[1]))
-    weigh_neighbours(_mean_weights(together), np.ascontiguousarray(columns), result)
-    return result
+    return _filtered(_mean_weights(together), columns)[2 * EDGE :]  # the weights are alike to either side
 
 
 @functools.cache
