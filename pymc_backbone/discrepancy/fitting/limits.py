@@ -48,8 +48,9 @@ def least_apart(layout: Layout, state: State, scatter: float) -> State:
 
     What all specimens deviate by belongs to the shared value. Deviations are relative, so along this way the linear
     step turns in a circle; it needs no step: the sum of squares of ``values / shared - 1`` is least at
-    ``sum(values^2) / sum(values)``. Nothing is changed of an effect that is not of one sign in all specimens, or of
-    which one would deviate by more than the most that is allowed.
+    ``sum(values^2) / sum(values)``. Nothing is changed of an effect that is not of one sign in all specimens, of which
+    one would deviate by more than the most that is allowed, or is at the limit of the effect: a fit may rest there.
+    Unless one deviates by the most already: leaning on that with every specimen, a fit would find no way back.
     """
     if scatter == 0.0 or not layout.free.size:
         return state
@@ -58,7 +59,9 @@ def least_apart(layout: Layout, state: State, scatter: float) -> State:
     with np.errstate(divide="ignore", invalid="ignore"):
         eta = (values**2).sum(axis=0) / values.sum(axis=0)
         deviations = (values / eta - 1.0) / scatter
-    usable = is_one_sided & (np.abs(deviations) <= MOST_SCATTER).all(axis=0)
+    is_inside = ((values > layout.low) & (values < layout.high)).all(axis=0)
+    is_leaning = (np.abs(state.own[:, NUISANCES:]) >= MOST_SCATTER).any(axis=0)
+    usable = is_one_sided & (is_inside | is_leaning) & (np.abs(deviations) <= MOST_SCATTER).all(axis=0)
     usable &= layout.within(np.where(usable, eta, state.eta)) == eta
     own = state.own.copy()
     own[:, NUISANCES:] = np.where(usable, deviations, own[:, NUISANCES:])
