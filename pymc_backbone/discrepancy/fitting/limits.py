@@ -59,7 +59,8 @@ def least_apart(layout: Layout, state: State, scatter: float) -> State:
     with np.errstate(divide="ignore", invalid="ignore"):
         eta = (values**2).sum(axis=0) / values.sum(axis=0)
         deviations = (values / eta - 1.0) / scatter
-    is_inside = ((values > layout.low) & (values < layout.high)).all(axis=0)
+    reach = np.vstack([values, state.eta])
+    is_inside = ((reach > layout.low) & (reach < layout.high)).all(axis=0)
     is_leaning = (np.abs(state.own[:, NUISANCES:]) >= MOST_SCATTER).any(axis=0)
     usable = is_one_sided & (is_inside | is_leaning) & (np.abs(deviations) <= MOST_SCATTER).all(axis=0)
     usable &= layout.within(np.where(usable, eta, state.eta)) == eta
