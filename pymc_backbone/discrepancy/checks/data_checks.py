@@ -17,7 +17,7 @@ from ..weighing.evidence import leaves_noise
 _ALIKE = 4.0  # scatters as expected, that a specimen is off at least which is not alike
 _EXPECTED = 8  # specimens that would have told that scatter as well as it is known beforehand
 _RARE = 0.01  # how often the worst specimen of a batch is told where all are alike
-_LITTLE, _LITTLE_OF_INEXACT = 0.01, 0.15  # of what the base leaves of the backbones, that sets may leave; as of a gap
+_LITTLE, _LITTLE_OF_INEXACT = 0.01, 0.1  # of what the base leaves of the backbones, that sets may leave
 
 
 def alike_check(batch: Batch, best: Fit, *, is_exact: bool = True) -> Check:
