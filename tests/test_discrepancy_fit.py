@@ -721,7 +721,7 @@ def test_fit_comes_to_rest_where_specimens_deviate_least(rng):
     near = fit(layout, batch.turning, start_state(layout, 0.9 * truth, batch.own), iterations=100)
     found = fit(layout, batch.waveform, near.state, iterations=100)
     assert found.is_converged
-    assert near.evaluations + found.evaluations < 25, (near.evaluations, found.evaluations)  # 60 and more before
+    assert near.evaluations + found.evaluations < 25, (near.evaluations, found.evaluations)  # 53 before
     values = found.state.eta * (1.0 + SCATTER * found.state.own[:, NUISANCES:])
     np.testing.assert_allclose(values[:, 0] / truth, strengths, rtol=0.01)  # the specimens have their own springs
     best = least_apart(layout, found.state, SCATTER)

@@ -124,7 +124,7 @@ def test_nothing_is_inferred_away_from_a_minimum():
     """From far away a step promises a fall without end, which is no likelihood; at the minimum it promises nothing."""
     batch = backbones(factors_of(0.12))
     layout = make_layout(Oscillator(MASS, ["cubic_stiffness"]), batch.amplitude, batch.angular_frequency)
-    far = fit(layout, batch.levels, start_state(layout, np.array([0.3 * CUBIC]), batch.own), iterations=0)
+    far = fit(layout, batch.levels, start_state(layout, np.array([3.0 * CUBIC]), batch.own), iterations=1)
     near = fitted(batch)
     assert far is not None and far.cost > 100.0 * near.cost
     assert far.scatter.log_evidence == 0.0 and np.isnan(far.scatter.value)
